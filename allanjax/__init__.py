@@ -1,0 +1,5 @@
+"""allanjax: noise coefficients of inertial sensors, with honest uncertainties."""
+
+import jax
+
+jax.config.update("jax_enable_x64", True)

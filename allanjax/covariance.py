@@ -1,0 +1,224 @@
+"""How Allan variance estimates scatter: their covariance and degrees of freedom under a model.
+
+For a Gaussian process with phase covariance G, the overlapping estimates V_i at cluster sizes m_i (M_i = N + 1
+− 2m_i differences each, N rate samples) have
+
+    cov(V_i, V_j) = [1/(4 T_i² T_j² M_i M_j)] Σ_s w_ij(s)·2 C_ij(s)²,
+    C_ij(s) = Σ_{p,q∈{0,1,2}} a_p a_q G((s + p·m_i − q·m_j)·t0),    a = (1, −2, 1),
+
+where w_ij(s) counts the pairs of differences at lag s. Both C_ij and w_ij are even about s = m_j − m_i; with u
+the distance from there,
+
+    C_ij(u) = 4G(u) − 2G(u ± m_i) − 2G(u ± m_j) + G(u ± m_i ± m_j),
+    w_ij(u) = min(M_i, M_j, N + 1 − m_i − m_j − u).
+
+Between the points u = 0, m_i, m_j − m_i, m_j, m_i + m_j both are smooth (polynomials for quantization, random
+walks and ramps), so the sum over the integers between two such points is a Gauss quadrature of the counting
+measure: exact for those terms, and of the same cost for any cluster size.
+
+A deterministic part μ of the differences (a ramp, a line) adds 4μμ'C and no 2μ²μ'²: its own square does not
+scatter from record to record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from allanjax.terms import AngleRandomWalk
+from allanjax.terms.base import NoiseTerm
+
+if TYPE_CHECKING:
+    from allanjax.model import Model
+
+# Points a stretch between two kinks; 8 sum polynomials up to degree 15 exactly.
+_ORDER = 8
+# Noise terms with long memory leave C_ij a tail; beyond this many (m_i + m_j) it no longer counts.
+_TAIL = 5
+
+
+def discrete_gauss(
+    count: Int[np.ndarray, "..."], order: int = _ORDER
+) -> tuple[Float[np.ndarray, "... order"], Float[np.ndarray, "... order"]]:
+    """Nodes and weights that sum a function over the integers 0 … count−1.
+
+    Gauss quadrature of the counting measure (Golub & Welsch 1969, with the recurrence of the discrete
+    Chebyshev polynomials): exact for polynomials up to degree 2·order − 1, and for every function where
+    count ≤ order. Weights are zero where count ≤ 0.
+    """
+    N = np.maximum(np.asarray(count), 0)[..., None].astype(float)
+    k = np.arange(1, order)
+    beta = np.maximum(k**2 * (N**2 - k**2) / (4.0 * (4.0 * k**2 - 1.0)), 0.0)
+    jacobi = np.zeros((*N.shape[:-1], order, order))
+    jacobi[..., k - 1, k] = jacobi[..., k, k - 1] = np.sqrt(beta)
+    nodes, vectors = np.linalg.eigh(jacobi)
+    nodes, weights = nodes + (N - 1.0) / 2.0, N * vectors[..., 0, :] ** 2
+    few = N <= order
+    integers = np.broadcast_to(np.arange(order), nodes.shape)
+    return np.where(few, integers, nodes), np.where(few, integers < N, weights)
+
+
+def _sum_over_lags(
+    kinks: Int[np.ndarray, "pairs k"], support: Int[np.ndarray, " pairs"]
+) -> tuple[Float[np.ndarray, "pairs lags"], Float[np.ndarray, "pairs lags"]]:
+    """Nodes u ≥ 0 and weights of a sum over all integers −support < u < support of an even function.
+
+    The function is smooth between `kinks` (which include 0); the last kink ends the sum.
+    """
+    ends = np.sort(np.minimum(kinks, support[:, None] - 1), axis=1)
+    first_of_its_kind = np.diff(ends, axis=1, prepend=-1) > 0
+    nodes, weights = discrete_gauss(np.diff(ends, axis=1) - 1)
+    nodes = nodes + ends[:, :-1, None] + 1
+    u = np.concatenate([ends, nodes.reshape(len(ends), -1)], axis=1)
+    w = np.concatenate([first_of_its_kind, weights.reshape(len(ends), -1)], axis=1)
+    return u, np.where(u > 0, 2.0, 1.0) * w
+
+
+class AllanCovariance(eqx.Module):
+    """The geometry of the covariance: what does not depend on the model.
+
+    Attributes:
+        sample_interval: t0 [s].
+        sizes: cluster sizes in samples, increasing.
+        pairs: row and column of each pair with i ≤ j.
+        lags: distances u of the quadrature, in samples.
+        weights: their weights, with w_ij and the factors before the sum.
+    """
+
+    sample_interval: Float[np.ndarray, ""]
+    sizes: Float[np.ndarray, " m"]
+    pairs: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]
+    lags: Float[np.ndarray, "pairs lags"]
+    weights: Float[np.ndarray, "pairs lags"]
+
+    @classmethod
+    def of(cls, n: int, rate: float, sizes: Int[np.ndarray, " m"]) -> AllanCovariance:
+        """The geometry for overlapping estimates at these cluster sizes of n rate samples at `rate` [Hz]."""
+        sizes = np.asarray(sizes, np.int64)
+        i, j = np.triu_indices(len(sizes))
+        mi, mj = sizes[i], sizes[j]
+        both = mi + mj
+        kinks = np.stack([0 * mi, mi, mj - mi, mj, both, 2 * both, _TAIL * both], axis=1)
+        u, w = _sum_over_lags(kinks, n + 1 - both)
+        Mi, Mj = n + 1 - 2 * mi, n + 1 - 2 * mj
+        pairs_at_lag = np.minimum(Mj[:, None], (n + 1 - both)[:, None] - u)
+        factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
+        return cls(np.asarray(1.0 / rate), sizes.astype(float), (i, j), u, factor[:, None] * w * pairs_at_lag)
+
+    @property
+    def cluster_time(self) -> Float[Array, " m"]:
+        """Cluster times [s]."""
+        return jnp.asarray(self.sizes) * self.sample_interval
+
+    def kernel(self, term: NoiseTerm) -> Float[Array, "pairs lags"]:
+        """C_ij(u) of one term at the lags of the quadrature."""
+        coefficient = jnp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
+        i, j = self.pairs
+        sizes = jnp.asarray(self.sizes)
+
+        def of_pair(mi: Array, mj: Array, u: Array) -> Array:
+            offset = jnp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj])
+            G = term.phase_covariance(jnp.abs(u[:, None] + offset) * self.sample_interval)
+            return G @ coefficient
+
+        return jax.vmap(of_pair)(sizes[i], sizes[j], jnp.asarray(self.lags))
+
+    def matrix(
+        self, total: Float[Array, "pairs lags"], deterministic: Float[Array, "pairs lags"]
+    ) -> Float[Array, "m m"]:
+        """Covariance [rate⁴] of the estimates from the summed kernels of all and of deterministic terms."""
+        values = jnp.sum(self.weights * (total**2 - deterministic**2), axis=1)
+        i, j = self.pairs
+        full = jnp.zeros((len(self.sizes),) * 2).at[i, j].set(values)
+        return full + jnp.triu(full, 1).T
+
+    def of_terms(self, terms: Sequence[NoiseTerm]) -> Float[Array, "m m"]:
+        """Covariance [rate⁴] of the estimates for a sum of terms, as sampled."""
+        kernels = [(term.deterministic, self.kernel(term)) for term in terms]
+        nothing = jnp.zeros(self.lags.shape)
+        total = sum((k for _, k in kernels), nothing)
+        return self.matrix(total, sum((k for is_deterministic, k in kernels if is_deterministic), nothing))
+
+
+# Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.
+_FILTERS = {"allan": (6.0, -4.0, 1.0), "modified": (6.0, -4.0, 1.0), "hadamard": (20.0, -15.0, 6.0, -1.0)}
+# A modified variance with more samples a cluster than this is treated as one with so many.
+_FINEST_MODIFIED = 64
+
+
+def equivalent_degrees_of_freedom(
+    n: int,
+    rate: float,
+    sizes: Int[np.ndarray, " m"],
+    kind: str = "allan",
+    overlapping: bool = True,
+    model: Model | None = None,
+) -> Float[np.ndarray, " m"]:
+    """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variance estimates V.
+
+    Args:
+        n: number of rate samples.
+        rate: sample rate [Hz].
+        sizes: cluster sizes in samples.
+        kind: "allan", "modified" or "hadamard".
+        overlapping: False for clusters that do not overlap.
+        model: the model they are estimates of; white rate noise if there is none.
+
+    The lag sum is that of this module's covariance. A modified variance at more than 64 samples a cluster is
+    computed for a record thinned to 64 (exact for self-similar noise, close for others).
+    """
+    if model is None:
+        terms: Any = (AngleRandomWalk(1.0),)
+        return np.array([_edf(terms, n, rate, int(m), kind, overlapping) for m in sizes])
+    model.check_complete()
+    terms = model.sampled(rate).terms
+
+    @eqx.filter_jit
+    def all_sizes(terms: Any) -> Array:
+        return jnp.stack([_edf(terms, n, rate, int(m), kind, overlapping) for m in sizes])
+
+    return np.asarray(all_sizes(terms))
+
+
+def _edf(terms: Any, n: int, rate: float, m: int, kind: str, overlapping: bool) -> Any:
+    alpha = _FILTERS[kind]
+    reach = len(alpha)
+    if kind == "modified":
+        thin = max(1.0, m / _FINEST_MODIFIED)
+        n, rate, m = round(n / thin), rate / thin, round(m / thin)
+        M = n + 2 - 3 * m
+        u, w = _integers(np.arange(min(M, 4 * m)))
+        inner = np.arange(-m + 1, m)
+        share = (m - np.abs(inner)) / m**2
+    elif overlapping:
+        M = n + 1 - (reach - 1) * m
+        kinks = np.array([[*range(reach), 2 * reach, _TAIL * reach]]) * m
+        u, w = (x[0] for x in _sum_over_lags(kinks, np.array([M])))
+        inner, share = np.zeros(1), np.ones(1)
+    else:
+        M = n // m - (reach - 2)
+        u, w = _integers(np.arange(min(M, 16)) * m)
+        inner, share = np.zeros(1), np.ones(1)
+    stride = 1 if overlapping else m
+
+    def C(term: NoiseTerm) -> Any:
+        lag = u[:, None] + inner
+        steps = np.arange(-reach + 1, reach)
+        G = term.phase_covariance(np.abs(lag[..., None] + steps * m) / rate)
+        return (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
+
+    kernels = [(term.deterministic, C(term)) for term in terms]
+    total = sum(k for _, k in kernels)
+    deterministic = sum(k for is_deterministic, k in kernels if is_deterministic)
+    scatter = (w * (M - u / stride) * (total**2 - deterministic**2)).sum()
+    return M**2 * total[0] ** 2 / scatter
+
+
+def _integers(u: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    return u, np.where(u > 0, 2.0, 1.0)

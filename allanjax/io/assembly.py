@@ -1,0 +1,121 @@
+"""From a file's columns to a recording."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from allanjax.columns import Column
+from allanjax.io.layout import TimeChoice, find_layout
+from allanjax.io.table import Table, as_float, is_numeric
+from allanjax.io.timestamps import MAX_RATE_DIFFERENCE, rate_from_times, seconds_from_first
+from allanjax.recording import Recording, build, rows_between
+from allanjax.validation import Source, check_length, check_rate
+
+
+def assemble(
+    table: Table,
+    name: str,
+    *,
+    rate: float | None,
+    gyro_unit: str | None,
+    accel_unit: str | None,
+    columns: str | Sequence[str] | None,
+    time: TimeChoice,
+    time_unit: str | None,
+    start: float | None,
+    stop: float | None,
+) -> Recording:
+    """Make a recording of a table; the arguments are those of `allanjax.io.read`.
+
+    Raises:
+        RecordingError, UnitError: the table or the arguments are not usable.
+    """
+    source = table.source
+    layout = find_layout(table, columns, time, gyro_unit, accel_unit)
+    notes = [*table.notes, *layout.notes]
+    rate = _stated_rate(table, rate)
+    samples = len(table.columns[0])
+    check_length(samples, source)
+    if layout.time:
+        stamps = [(column, table.columns[i]) for i, column in layout.time]
+        times, time_notes = seconds_from_first(stamps, time_unit, rate, source)
+        notes += time_notes
+        rows = _rows_of_times(times, start, stop)
+        source = source.after(rows.start)
+        check_length(rows.stop - rows.start, source)
+        label = " + ".join(column.label for column, _ in stamps)
+        rate, note = rate_from_times(times[rows], label, rate, source)
+        notes.append(note)
+    elif rate is None:
+        raise source.error(
+            "no sample rate: pass rate= in Hz (--rate), or name a column of time stamps by time= (--time) "
+            "or in the header, e.g. `time [s]`"
+        )
+    else:
+        rows = rows_between(samples, rate, start, stop)
+        source = source.after(rows.start)
+    if rows != slice(0, samples):
+        notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} taken")
+    values = np.column_stack(
+        [as_float(table.columns[i][rows], column.label, source) for i, column in layout.axes]
+    )
+    auxiliary = {}
+    for i, column in layout.auxiliary:
+        numbers = _auxiliary(column, table.columns[i][rows], source, notes)
+        if numbers is not None:
+            auxiliary[column.name] = numbers
+    return build(
+        values,
+        rate,
+        [column for _, column in layout.axes],
+        gyro_unit,
+        accel_unit,
+        auxiliary,
+        name,
+        notes,
+        source,
+    )
+
+
+def _stated_rate(table: Table, rate: float | None) -> float | None:
+    """The rate given, else the file's own; both must agree."""
+    if rate is None:
+        return None if table.rate is None else check_rate(table.rate, table.source)
+    if (
+        table.rate is not None
+        and abs(table.rate / check_rate(rate, table.source) - 1.0) > MAX_RATE_DIFFERENCE
+    ):
+        raise table.source.error(
+            f"rate {rate:g} Hz contradicts the file, which states {table.rate:g} Hz; leave out rate= "
+            "(--rate) "
+            "or correct the file"
+        )
+    return check_rate(rate, table.source)
+
+
+def _rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
+    """From the first time at or after `start` up to the first at or after `stop`, in s."""
+    # Half a nanosecond: a stamp that reads the same as start counts as it.
+    first = 0 if start is None else _first_at(times, start - 5e-10)
+    last = len(times) if stop is None else _first_at(times, stop - 5e-10)
+    return slice(first, max(first, last))
+
+
+def _first_at(times: np.ndarray, moment: float) -> int:
+    late = times >= moment
+    return int(np.argmax(late)) if late.any() else len(times)
+
+
+def _auxiliary(column: Column, values: np.ndarray, source: Source, notes: list[str]) -> np.ndarray | None:
+    """The column as floats, or None with a note if it is text."""
+    unit = f" [{column.unit}]" if column.unit else ""
+    if not is_numeric(values):
+        notes.append(
+            f"column {column.label!r} skipped: not numeric, {str(values[0])[:40]!r} at {source.locate(0)}"
+        )
+        return None
+    numbers = values.astype(float)
+    missing = int(np.count_nonzero(~np.isfinite(numbers)))
+    lacking = f" ({missing} values missing)" if missing else ""
+    notes.append(f"auxiliary: {column.name}{unit}{lacking}")
+    return numbers

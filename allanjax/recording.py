@@ -1,0 +1,327 @@
+"""A static recording of gyros and accelerometers."""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.columns import Column, recognise
+from allanjax.errors import RecordingError, UnitError
+from allanjax.units import SENSORS, Sensor, parse_sample_unit
+from allanjax.validation import Source, check_length, check_rate, check_values
+
+# Slack, in samples, within which a time counts as a sample's own.
+_TIME_SLACK = 1e-6
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of one sensor.
+
+    Attributes:
+        name: e.g. `gyro_x`.
+        sensor: `gyro` or `accel`.
+        unit: the recording's own unit, for display.
+    """
+
+    name: str
+    sensor: Sensor
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Samples of one or more axes, at one rate.
+
+    Attributes:
+        values: rates in SI, rad/s and m/s²; increments have been multiplied by the rate.
+        rate: sample rate in Hz.
+        axes: one per column of `values`.
+        auxiliary: other columns by name, in the units of the file.
+        name: e.g. the file's name without its suffix.
+        notes: what the reader assumed or found that the user should know.
+    """
+
+    values: Float[np.ndarray, "samples axes"]
+    rate: float
+    axes: tuple[Axis, ...]
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    name: str = ""
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def from_array(
+        cls,
+        values: Float[np.ndarray, "samples axes"] | Float[np.ndarray, " samples"],
+        rate: float,
+        *,
+        gyro_unit: str | None = None,
+        accel_unit: str | None = None,
+        names: Sequence[str] | None = None,
+        auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
+        name: str = "",
+    ) -> "Recording":
+        """Make a recording of an array, one column per axis.
+
+        Args:
+            values: samples, in `gyro_unit` and `accel_unit`.
+            rate: sample rate in Hz.
+            gyro_unit: unit of the gyros' samples, e.g. `deg/s`, or `rad` for increments.
+            accel_unit: unit of the accelerometers' samples, e.g. `m/s²`, `g`, or `m/s` for increments.
+            names: the columns' names, e.g. `["gyro_z", "accel_x"]`. Without them 3 columns with one unit
+                are taken as x, y, z; 6 with both units as gyro x, y, z, accel x, y, z; 1 with one unit as
+                that sensor; `notes` say so.
+            auxiliary: other columns of the same length, e.g. a temperature.
+            name: a name for display.
+
+        Raises:
+            RecordingError: wrong shape, names or rate, fewer than 16 samples, values that are not
+                finite, or a constant column.
+            UnitError: a unit is missing or unknown.
+        """
+        source = Source(name or "array")
+        table = np.asarray(values, dtype=float)
+        if table.ndim == 1:
+            table = table[:, None]
+        if table.ndim != 2:
+            raise source.error(
+                f"values must have the shape [samples, axes], not {table.shape}; reshape them to one "
+                "column an axis"
+            )
+        if table.shape[0] < table.shape[1]:
+            raise source.error(
+                f"values of shape {table.shape} seem transposed; pass values.T, one column an axis"
+            )
+        notes: tuple[str, ...] = ()
+        if names is None:
+            names = default_names(table.shape[1], gyro_unit, accel_unit, "names=", source)
+            notes = (f"column order taken as {', '.join(names)}",)
+        if len(names) != table.shape[1]:
+            raise source.error(
+                f"{len(names)} names for {table.shape[1]} columns; give one name a column in names="
+            )
+        columns = [recognise(label) for label in names]
+        for column in columns:
+            if column.role != "axis":
+                raise source.error(
+                    f"names= has {column.label!r}, which is no axis of a gyro or an accelerometer; use "
+                    "names such as "
+                    "gyro_x, accel_z, and pass other columns as auxiliary="
+                )
+        extra = {} if auxiliary is None else {key: np.asarray(column) for key, column in auxiliary.items()}
+        for key, column_values in extra.items():
+            if column_values.shape != table.shape[:1]:
+                raise source.error(
+                    f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
+                    f"({len(table)},)"
+                )
+        return build(table, rate, columns, gyro_unit, accel_unit, extra, name, notes, source)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.values.shape[0]
+
+    @property
+    def duration(self) -> float:
+        """Length in s: the number of samples over the rate."""
+        return self.n / self.rate
+
+    @property
+    def time(self) -> Float[np.ndarray, " samples"]:
+        """Time of each sample in s from the first."""
+        return np.arange(self.n) / self.rate
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def own_scales(self) -> Float[np.ndarray, " axes"]:
+        """Factor of each axis from its own unit to the SI rate."""
+        return np.array([_scale(axis.unit, axis.sensor, self.rate) for axis in self.axes])
+
+    @property
+    def own_values(self) -> Float[np.ndarray, "samples axes"]:
+        """Samples, each axis in its own unit."""
+        return self.values / self.own_scales
+
+    def select(self, *keys: str) -> "Recording":
+        """The axes named, in that order; `gyro` or `accel` stands for all axes of that sensor.
+
+        Raises:
+            RecordingError: there is no such axis.
+        """
+        chosen: list[int] = []
+        for key in keys:
+            found = [i for i, axis in enumerate(self.axes) if axis.name == key]
+            found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
+            if not found:
+                raise RecordingError(
+                    f"{self.name or 'recording'}: no axis {key!r}; there are {', '.join(self.names)}"
+                )
+            chosen += [i for i in found if i not in chosen]
+        if not chosen:
+            raise RecordingError(f"select at least one of {', '.join(self.names)}")
+        return replace(self, values=self.values[:, chosen], axes=tuple(self.axes[i] for i in chosen))
+
+    def __getitem__(self, key: str | Sequence[str]) -> "Recording":
+        return self.select(key) if isinstance(key, str) else self.select(*key)
+
+    def between(self, start: float | None = None, stop: float | None = None) -> "Recording":
+        """The samples from `start` up to but not including `stop`, in s from the first sample.
+
+        Raises:
+            RecordingError: fewer than 16 samples are left.
+        """
+        source = Source(self.name or "recording")
+        rows = rows_between(self.n, self.rate, start, stop)
+        check_length(rows.stop - rows.start, source)
+        note = f"samples {rows.start} to {rows.stop - 1} of {self.n} taken"
+        return replace(
+            self,
+            values=self.values[rows],
+            auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
+            notes=(*self.notes, note),
+        )
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
+        title = f" {self.name!r}" if self.name else ""
+        return f"<Recording{title}: {axes}; {self.n} samples at {self.rate:g} Hz, {self.duration:.6g} s>"
+
+    def _repr_html_(self) -> str:
+        own = self.own_values
+        rows = "".join(
+            f"<tr><td>{html.escape(axis.name)}</td><td>{axis.sensor}</td><td>{html.escape(axis.unit)}</td>"
+            f"<td>{mean:.6g}</td><td>{std:.6g}</td></tr>"
+            for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
+        )
+        notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
+        return (
+            f"<table><caption>{html.escape(self.name or 'Recording')}: {self.n} samples at {self.rate:g} Hz, "
+            f"{self.duration:.6g} "
+            "s</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th><th>mean</th>"
+            f"<th>std</th></tr></thead><tbody>{rows}</tbody></table>" + (f"<ul>{notes}</ul>" if notes else "")
+        )
+
+
+def build(
+    values: Float[np.ndarray, "samples axes"],
+    rate: float,
+    columns: Sequence[Column],
+    gyro_unit: str | None,
+    accel_unit: str | None,
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]],
+    name: str,
+    notes: Sequence[str],
+    source: Source,
+) -> Recording:
+    """Check samples in their own units and make the recording of them; all readers end here.
+
+    Raises:
+        RecordingError: see `Recording.from_array`.
+        UnitError: a unit is missing, unknown, or given twice and differently.
+    """
+    check_axes(columns, source)
+    units = [
+        _unit_of(column, gyro_unit if column.sensor == "gyro" else accel_unit, source) for column in columns
+    ]
+    rate = check_rate(rate, source)
+    check_values(values, [column.label for column in columns], source)
+    axes = tuple(
+        Axis(column.name, column.sensor, unit)
+        for column, unit in zip(columns, units, strict=True)
+        if column.sensor is not None
+    )
+    increments = [
+        axis.name for axis in axes if parse_sample_unit(axis.unit, axis.sensor).quantity == "increment"
+    ]
+    if increments:
+        notes = (*notes, f"increments multiplied by the rate: {', '.join(increments)}")
+    scales = np.array([_scale(axis.unit, axis.sensor, rate) for axis in axes])
+    return Recording(values * scales, rate, axes, MappingProxyType(dict(auxiliary)), name, tuple(notes))
+
+
+def default_names(
+    count: int, gyro_unit: str | None, accel_unit: str | None, remedy: str, source: Source
+) -> tuple[str, ...]:
+    """Names of `count` columns that have none, as the units given imply.
+
+    Raises:
+        RecordingError: the units do not settle the names; the message says to use `remedy`.
+    """
+    given = (gyro_unit, accel_unit)
+    sensors = [sensor for sensor, unit in zip(SENSORS, given, strict=True) if unit is not None]
+    if len(sensors) == 1 and count == 1:
+        return (sensors[0],)
+    if sensors and count == 3 * len(sensors):
+        return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
+    stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
+    raise source.error(
+        f"{count} columns without names and {stated} given: what each column is can not be told. "
+        f"Name them by {remedy}, e.g. gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+    )
+
+
+def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
+    """Rows whose time in s from the first is in [start, stop)."""
+    first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
+    last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
+    first = min(max(first, 0), samples)
+    return slice(first, max(first, min(last, samples)))
+
+
+def check_axes(columns: Sequence[Column], source: Source) -> None:
+    """Raise `RecordingError` if there is no axis, or two columns are the same one."""
+    if not columns:
+        raise source.error("no gyro or accelerometer column; name the columns by columns= (--columns)")
+    seen: dict[str, Column] = {}
+    for column in columns:
+        other = seen.setdefault(column.name, column)
+        if other is not column:
+            raise source.error(
+                f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one by "
+                "columns= (--columns)"
+            )
+
+
+def _unit_of(column: Column, given: str | None, source: Source) -> str:
+    """Display label of the column's unit, from its label or the argument."""
+    sensor = column.sensor or "gyro"
+    option = f"{sensor}_unit= (--{sensor}-unit)"
+    example = "deg/s" if sensor == "gyro" else "m/s^2"
+    text = column.unit or given
+    if text is None:
+        raise UnitError(
+            f"{source.label}: column {column.label!r} has no unit; pass {option}, "
+            f"or write it in the header as `{column.name} [{example}]`"
+        )
+    try:
+        unit = parse_sample_unit(text, sensor)
+        argument = unit if given is None else parse_sample_unit(given, sensor)
+    except UnitError as error:
+        raise UnitError(f"{source.label}: column {column.label!r}: {error}") from error
+    if (unit.scale, unit.quantity) != (argument.scale, argument.quantity):
+        raise UnitError(
+            f"{source.label}: column {column.label!r} is in {unit.name} by its header but {option} says "
+            f"{argument.name}; leave out {option} or correct the header"
+        )
+    if column.increment and unit.quantity == "rate":
+        raise UnitError(
+            f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} is "
+            "a unit of "
+            f"rates; give the increments' unit in {option}, or rename the column by columns= (--columns)"
+        )
+    return unit.name
+
+
+def _scale(unit: str, sensor: Sensor, rate: float) -> float:
+    sample_unit = parse_sample_unit(unit, sensor)
+    return sample_unit.scale * (rate if sample_unit.quantity == "increment" else 1.0)

@@ -1,0 +1,124 @@
+"""Where a fit starts: rough powers for any shape, a few shapes worth trying, and lines in the spectrum."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from allanjax.gls import Design
+from allanjax.model import ModelParameter
+
+# Shapes looked at roughly, and those from which the fit itself starts.
+_CANDIDATES = 512
+_STARTS = 3
+_PEAKS = 4
+
+
+class Starts(NamedTuple):
+    """Start values: powers [axes, starts, terms] and transformed shapes [axes, starts, shapes]."""
+
+    power: Float[np.ndarray, "axes starts terms"]
+    shape: Float[np.ndarray, "axes starts shapes"]
+
+
+def find_starts(
+    design: Design, V: Float[np.ndarray, "axes m"], values: Float[np.ndarray, "samples axes"], rate: float
+) -> Starts:
+    """Start values for every axis, from its Allan variances and, for lines, its spectrum.
+
+    Shape parameters without a value of their own are tried on a grid; the powers at each point come from a
+    non-negative least squares fit weighted by cluster counts; the best few points are the starts.
+    """
+    shape = np.stack([_shape_candidates(design.shapes, x, rate) for x in values.T])
+    given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
+    power, misfit = _rough_powers(design, V, shape, len(values))
+    power = np.array(power)
+    for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
+        if value is not None and not term.is_free(term.parameters()[0]):
+            power[:, :, k] = value**2
+    best = np.argsort(np.asarray(misfit), axis=1)[:, :_STARTS]
+    axis = np.arange(len(V))[:, None]
+    return Starts(power[axis, best], shape[axis, best])
+
+
+@eqx.filter_jit
+def _rough_powers(
+    design: Design, V: Float[Array, "axes m"], shape: Float[Array, "axes candidates shapes"], n: int
+) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
+    weight = n / jnp.asarray(design.geometry.sizes)
+
+    def at(V: Float[Array, " m"], shape: Float[Array, " shapes"]) -> tuple[Array, Array]:
+        A = design.means(shape) / V
+        normal, target = (A * weight) @ A.T, A @ weight
+
+        # Lee & Seung's (2001) multiplicative steps: they stay positive and never get worse.
+        def step(_: int, v: Array) -> Array:
+            return v * target / (normal @ v)
+
+        # From below: no term alone explains more than the curve.
+        v = jax.lax.fori_loop(0, 500, step, 1.0 / jnp.max(A, axis=1) / len(A))
+        return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
+
+    return jax.vmap(lambda V, shapes: jax.vmap(lambda u: at(V, u))(shapes))(V, shape)
+
+
+def _shape_candidates(
+    shapes: tuple[ModelParameter, ...], x: Float[np.ndarray, " samples"], rate: float
+) -> Float[np.ndarray, "candidates shapes"]:
+    """Transformed shape values to try; the same number for every axis."""
+    if not shapes:
+        return np.zeros((1, 0))
+    duration = len(x) / rate
+    lines = None
+    choices = []
+    for p in shapes:
+        if p.start is not None:
+            choices.append(np.array([p.start]))
+        elif p.parameter.kind == "time":
+            choices.append(np.geomspace(4.0 / rate, duration / 4.0, 10))
+        elif p.parameter.kind == "frequency":
+            choices.append(np.geomspace(4.0 / duration, rate / 4.0, 10))
+        elif p.parameter.kind == "line":
+            lines = find_lines(x, rate) if lines is None else lines
+            choices.append(lines)
+        else:
+            choices.append(p.parameter.lower + np.array([1.0, 5.0, 25.0]))
+    grid = np.array(list(itertools.product(*choices)))
+    if len(grid) > _CANDIDATES:
+        grid = grid[np.random.default_rng(0).choice(len(grid), _CANDIDATES, replace=False)]
+    return np.log(grid - np.array([p.parameter.lower for p in shapes]))
+
+
+def find_lines(x: Float[np.ndarray, " samples"], rate: float) -> Float[np.ndarray, " peaks"]:
+    """Frequencies [Hz] of the most conspicuous peaks of the spectrum, sharp lines and broad bumps alike.
+
+    A peak is the excess of the periodogram over its running median, in units of its own scatter, at each of
+    several resolutions; peaks found at one resolution are not counted again at another.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.signal import welch
+
+    found: list[tuple[float, float, float]] = []
+    for length in {len(x), min(len(x), 8192), min(len(x), 512)}:
+        f, S = welch(x, rate, nperseg=length, detrend="linear")
+        averages = max(1.0, 2.0 * len(x) / length - 1.0)
+        f, S = f[2:-1], S[2:-1]
+        size = min(101, len(S) // 4 * 2 + 1)
+        # Over the running median, an exponential's median being ln 2 of its mean.
+        excess = (S / (median_filter(S, size) / np.log(2.0)) - 1.0) * np.sqrt(averages)
+        for i in np.argsort(excess)[::-1][:40]:
+            found.append((excess[i], f[i], 2.0 * rate / length))
+    found.sort(reverse=True)
+    chosen: list[float] = []
+    for _, f, width in found:
+        if all(abs(f - g) > width for g in chosen):
+            chosen.append(f)
+        if len(chosen) == _PEAKS:
+            break
+    return np.array(chosen + [rate / 8.0] * (_PEAKS - len(chosen)))

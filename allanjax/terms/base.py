@@ -1,0 +1,250 @@
+"""The noise term: one phase covariance, from which everything else follows.
+
+Let θ(t) be the running integral of the rate output (angle of a gyro, velocity of an accelerometer). Every
+random term of the thesis has stationary second differences of θ, so it is described completely by a
+generalized covariance G(t): for filters a, b with Σa = Σa·t = 0,
+
+    cov(Σ a_p θ(t_p), Σ b_q θ(t_q)) = Σ_p Σ_q a_p b_q G(t_p − t_q).
+
+G is known only up to c0 + c1·t², which such filters do not see.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
+
+from allanjax.errors import AllanjaxError
+from allanjax.terms.recursion import linear_recurrence
+
+if TYPE_CHECKING:
+    from allanjax.model import Model
+
+ParameterKind = Literal["amplitude", "time", "frequency", "line", "number"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """What one field of a noise term is.
+
+    Attributes:
+        name: the field's name.
+        symbol: how the literature writes it, e.g. "N".
+        kind: "amplitude" (G is proportional to its square; the first parameter of every term), "time" [s],
+            "frequency" [Hz], "line" (the frequency [Hz] of a narrow feature, started at peaks of the
+            spectrum) or "number" (dimensionless).
+        time_exponent: of an amplitude, the p in its SI unit (rate)·s^p, rate being rad/s or m/s².
+        lower: the open lower bound of the admissible values.
+    """
+
+    name: str
+    symbol: str
+    kind: ParameterKind
+    time_exponent: float
+    lower: float
+
+
+def parameter(
+    symbol: str,
+    kind: ParameterKind = "amplitude",
+    *,
+    time_exponent: float = 0.0,
+    lower: float = 0.0,
+    default: float | None = None,
+) -> Any:
+    """Declare a parameter of a noise term (a dataclass field; see `Parameter` for the arguments).
+
+    A parameter left at None is estimated from the data; one with a value is estimated with that value as a
+    start, unless the term holds it (`NoiseTerm.hold`).
+    """
+    declared = {"symbol": symbol, "kind": kind, "time_exponent": time_exponent, "lower": lower}
+    return eqx.field(default=default, metadata={"parameter": declared})
+
+
+class NoiseTerm(eqx.Module):
+    """A noise term. A subclass declares its parameters, amplitude first, and its phase covariance.
+
+        class FlickerAngle(allanjax.NoiseTerm):
+            coefficient: float | None = allanjax.parameter("F", time_exponent=1.0)
+
+            def phase_covariance(self, lag):
+                return -(self.coefficient**2) * jnp.log(jnp.maximum(lag, 1e-3))
+
+    and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional.
+    """
+
+    held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
+
+    #: True for a line or a ramp: the signal repeats in every record, so that its square does not scatter.
+    deterministic: ClassVar[bool] = False
+
+    # ------------------------------------------------------------------ what a subclass provides
+    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Generalized covariance G [rad² or (m/s)²] of the integrated rate at lags ≥ 0 [s].
+
+        Known up to c0 + c1·t², and one call need agree only with itself about these two constants.
+        """
+        raise NotImplementedError(f"{type(self).__name__} defines no phase_covariance(lag)")
+
+    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
+        raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """n samples of the rate (means over successive sample intervals) at `rate` [Hz], exact in law.
+
+        The default draws the increments of the rate, whose autocovariance is that of the second difference
+        of θ, by circulant embedding (Davies & Harte 1987), and adds them up from zero: the level itself has
+        no law when the term is not stationary.
+        """
+        increments = _gaussian_with_autocovariance(key, self._increment_autocovariance(n, rate), n)
+        return linear_recurrence(1.0, increments)
+
+    def sampled(self, rate: float) -> Self:
+        """The term as seen by a sensor that samples at `rate` [Hz]; itself, unless sampling matters."""
+        return self
+
+    # ------------------------------------------------------------------ what follows from it
+    def allan_variance(self, cluster_time: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
+        return self._filter_variance(cluster_time, (6.0, -8.0, 2.0), 2.0)
+
+    def hadamard_variance(self, cluster_time: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """Hadamard variance [rate²] at cluster times [s]: [20G(0) − 30G(T) + 12G(2T) − 2G(3T)]/(6T²)."""
+        return self._filter_variance(cluster_time, (20.0, -30.0, 12.0, -2.0), 6.0)
+
+    def _filter_variance(
+        self, cluster_time: Float[ArrayLike, "..."], weights: Sequence[float], divisor: float
+    ) -> Float[Array, "..."]:
+        T = jnp.asarray(cluster_time, float)
+
+        def at(t: Float[Array, ""]) -> Float[Array, ""]:
+            covariance = self.phase_covariance(jnp.arange(len(weights)) * t)
+            return jnp.dot(jnp.asarray(weights), covariance) / (divisor * t**2)
+
+        return jax.vmap(at)(T.ravel()).reshape(T.shape)
+
+    def _increment_autocovariance(self, n: int, rate: float) -> Float[Array, " n"]:
+        """Autocovariance of x[k+1] − x[k] at lags 0 … n−1 samples: the fourth difference of G.
+
+        Where rounding of a growing G would drown that difference, the inner second difference is expanded
+        instead, δ²G = h²G⁽²⁾ + h⁴G⁽⁴⁾/12 + …, and only the outer one is taken.
+        """
+        t0 = 1.0 / rate
+        lag = jnp.arange(n + 2) * t0
+        G = self.phase_covariance(lag)
+        both_sides = jnp.concatenate([G[2:0:-1], G])
+        direct = jnp.convolve(both_sides, jnp.asarray([1.0, -4.0, 6.0, -4.0, 1.0]), mode="valid") / t0**2
+
+        def G_at(t: Float[Array, ""]) -> Float[Array, ""]:
+            return self.phase_covariance(t)
+
+        second = jax.grad(jax.grad(G_at))
+        fourth = jax.grad(jax.grad(second))
+        # From lag 1 on: G may have a kink at zero, where no derivative exists.
+        inner = jax.vmap(lambda t: second(t) + fourth(t) * t0**2 / 12.0)(lag[1:])
+        expanded = jnp.pad(inner[2:] - 2.0 * inner[1:-1] + inner[:-2], (2, 0))
+        rounding = jnp.finfo(float).eps * jnp.abs(G[:n]) / t0**2
+        return jnp.where((rounding > 1e-10 * direct[0]) & (jnp.arange(n) > 32), expanded[:n], direct[:n])
+
+    # ------------------------------------------------------------------ parameters
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """The declared parameters, in order; the first is the amplitude."""
+        found = tuple(
+            Parameter(field.name, **field.metadata["parameter"])
+            for field in dataclasses.fields(cls)
+            if "parameter" in field.metadata
+        )
+        if not found or found[0].kind != "amplitude":
+            raise AllanjaxError(
+                f"{cls.__name__}: the first parameter of a noise term must be its amplitude; "
+                "declare it with `coefficient: float | None = allanjax.parameter('c', time_exponent=…)`"
+            )
+        return found
+
+    @classmethod
+    def name(cls) -> str:
+        """The term's name, e.g. "bias_instability"."""
+        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
+
+    def is_free(self, p: Parameter) -> bool:
+        """Whether a fit estimates this parameter. An infinite value is a limit, never a start."""
+        value = getattr(self, p.name)
+        infinite = isinstance(value, float) and math.isinf(value)
+        return p.name not in self.held and not infinite
+
+    def hold(self, *names: str, **values: float) -> Self:
+        """A copy whose named parameters a fit leaves alone, e.g. `Markov().hold(correlation_time=100.0)`."""
+        known = {p.name for p in self.parameters()}
+        for name in (*names, *values):
+            if name not in known:
+                raise AllanjaxError(f"{self.name()} has no parameter {name!r}; it has {sorted(known)}")
+        held = self.held | set(names) | set(values)
+        term = dataclasses.replace(self, **values, held=held)
+        unset = [name for name in held if getattr(term, name) is None]
+        if unset:
+            raise AllanjaxError(f"{self.name()}: cannot hold {unset[0]} without a value; give {unset[0]}=…")
+        return term
+
+    def replace(self, **values: Any) -> Self:
+        """A copy with these parameter values."""
+        return dataclasses.replace(self, **values)
+
+    def __add__(self, other: NoiseTerm | Model) -> Model:
+        from allanjax.model import Model
+
+        return Model((self,)) + other
+
+    def __check_init__(self) -> None:
+        for p in self.parameters():
+            value = getattr(self, p.name)
+            if isinstance(value, int | float | np.floating):
+                bad = not value >= 0 if p.kind == "amplitude" else not value > p.lower
+                if bad:
+                    bound = "≥ 0" if p.kind == "amplitude" else f"> {p.lower:g}"
+                    raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, got {value!r}")
+
+
+def _gaussian_with_autocovariance(
+    key: PRNGKeyArray, autocovariance: Float[Array, " n"], n: int
+) -> Float[Array, " n"]:
+    """A stationary Gaussian sequence with this autocovariance, by circulant embedding."""
+    # The embedding needs γ(0 … h) with 2h ≥ 2(n−1); the far half is the mirror image.
+    circle = jnp.concatenate([autocovariance, autocovariance[-2:0:-1]])
+    # A true embedding has eigenvalues ≥ 0; rounding leaves some at −1e-16 of the largest.
+    eigenvalues = jnp.maximum(jnp.fft.rfft(circle).real, 0.0)
+    size = circle.shape[0]
+    noise = jnp.fft.rfft(jax.random.normal(key, (size,)))
+    return jnp.fft.irfft(jnp.sqrt(eigenvalues) * noise, size)[:n]
+
+
+def in_gauge(small: Callable, large: Callable, x: Num[Array, "..."]) -> Num[Array, "..."]:
+    """`small(x)` if all arguments of the call are below one in magnitude, else `large(x)`.
+
+    The two must differ by c0 + c1·x² only. Near zero that difference would swallow the digits that
+    survive the second difference, far out it would dominate them; so the whole call takes one side.
+    """
+    is_small = jnp.max(jnp.abs(x)) < 1.0
+    return jnp.where(is_small, small(jnp.where(is_small, x, jnp.zeros_like(x))), large(x))
+
+
+def exponential_remainder(z: Num[Array, "..."]) -> Num[Array, "..."]:
+    """e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
+
+    def series(z: Num[Array, "..."]) -> Num[Array, "..."]:
+        total = jnp.zeros_like(z)
+        for k in range(19, 2, -1):
+            total = total * z + 1.0 / math.factorial(k)
+        return total * z**3
+
+    return in_gauge(series, lambda z: jnp.expm1(z) - z, z)

@@ -1,0 +1,49 @@
+"""Angle (velocity) random walk (thesis 4.3.2) and rate random walk (4.3.4)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.terms.base import NoiseTerm, parameter
+from allanjax.terms.recursion import linear_recurrence
+
+
+class AngleRandomWalk(NoiseTerm):
+    """White noise of the rate: σ²(T) = N²/T (4.36). For an accelerometer, velocity random walk.
+
+    `coefficient` N in rad/√s or m/s/√s (two-sided PSD N²; the thesis calls it Q).
+    """
+
+    coefficient: float | None = parameter("N", time_exponent=0.5)
+
+    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+        return -(self.coefficient**2) * lag / 2.0
+
+    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        return jnp.full(jnp.shape(frequency), self.coefficient**2)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        return self.coefficient * jnp.sqrt(rate) * jax.random.normal(key, (n,))
+
+
+class RateRandomWalk(NoiseTerm):
+    """The rate is the integral of white noise: σ²(T) = K²T/3 (4.53).
+
+    `coefficient` K in rad/s/√s or m/s²/√s.
+    """
+
+    coefficient: float | None = parameter("K", time_exponent=-0.5)
+
+    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.coefficient**2 * lag**3 / 12.0
+
+    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        return (self.coefficient / (2.0 * jnp.pi * jnp.asarray(frequency))) ** 2
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Means of a Brownian path over sample intervals: its end points, and the bridge between them."""
+        steps, bridge = jax.random.normal(key, (2, n)) / jnp.sqrt(rate)
+        path_end = linear_recurrence(1.0, steps)
+        return self.coefficient * (path_end - steps / 2.0 + bridge / jnp.sqrt(12.0))

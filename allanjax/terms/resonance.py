@@ -1,0 +1,81 @@
+"""Resonance: narrow-band noise of a damped oscillator driven by white noise."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
+
+from allanjax.terms.base import NoiseTerm, exponential_remainder, parameter
+from allanjax.terms.recursion import linear_recurrence
+
+
+class Resonance(NoiseTerm):
+    """Noise of a damped oscillator, Ω'' + (ω0/Q_f)Ω' + ω0²Ω = white noise. Not in the thesis, but in sensors.
+
+    `amplitude` is the RMS of the rate [rad/s or m/s²], `frequency` f0 = ω0/2π in Hz, `quality_factor` Q_f
+    above ½ (underdamped). Its autocovariance is R(t) = σ² e^{−at}[cos ω_d t + (a/ω_d) sin ω_d t] with
+    a = ω0/2Q_f, ω_d² = ω0² − a²; G is −R integrated twice. In fits and simulations at a known rate
+    (`sampled`) the oscillator is read at the sample instants; otherwise averaged between them.
+    """
+
+    amplitude: float | None = parameter("σ", time_exponent=0.0)
+    frequency: float | None = parameter("f0", "line")
+    quality_factor: float | None = parameter("Q_f", "number", lower=0.5)
+    #: Sample interval [s]; 0 for the continuous rate.
+    sample_interval: float = 0.0
+
+    def sampled(self, rate: float) -> Resonance:
+        return self.replace(sample_interval=1.0 / rate)
+
+    def _poles(self) -> tuple[Complex[Array, ""], Complex[Array, ""]]:
+        """λ and c of R(t) = σ² Re[c·e^{λt}]."""
+        w0 = 2.0 * jnp.pi * self.frequency
+        a = w0 / (2.0 * self.quality_factor)
+        wd = w0 * jnp.sqrt(1.0 - 1.0 / (4.0 * self.quality_factor**2))
+        return -a + 1j * wd, 1.0 - 1j * a / wd
+
+    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+        pole, c = self._poles()
+        remainder = exponential_remainder(pole * lag)
+        t0 = self.sample_interval
+        if t0 == 0.0:
+            return -(self.amplitude**2) * jnp.real(c / pole**2 * remainder)
+        # Sums instead of integrals: the second difference of G at multiples of t0 is −t0²·R exactly.
+        kappa = c * t0**2 / (4.0 * jnp.sinh(pole * t0 / 2.0) ** 2)
+        slope = -t0 / 2.0 + jnp.real(kappa * (jnp.expm1(pole * t0) - pole * t0)) / t0
+        return self.amplitude**2 * (slope * lag - jnp.real(kappa * remainder))
+
+    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""
+        w0 = 2.0 * jnp.pi * self.frequency
+        w = 2.0 * jnp.pi * jnp.asarray(frequency)
+        shape = (w0**2 - w**2) ** 2 + (w0 * w / self.quality_factor) ** 2
+        return 2.0 * self.amplitude**2 * w0**3 / self.quality_factor / shape
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Exact recursion of position and velocity, as one complex mode."""
+        if self.sample_interval == 0.0:
+            return super().simulate(key, n, rate)
+        pole, _ = self._poles()
+        w0 = 2.0 * jnp.pi * self.frequency
+        step = jnp.exp(pole / rate)
+        # z = velocity − λ̄·position obeys z' = λz + drive, and position = Im z / Im λ. Stationary moments
+        # of z follow from those of position (σ²) and velocity (σ²ω0²), which are uncorrelated.
+        power = 2.0 * self.amplitude**2 * w0**2
+        pseudo = self.amplitude**2 * (w0**2 + jnp.conj(pole) ** 2)
+        first, second = jax.random.normal(key, (2, n))
+
+        def draw(share: Float[Array, ""], pseudo_share: Complex[Array, ""]) -> Complex[Array, " n"]:
+            """Complex Gaussians with E|z|² = share·power and E z² = pseudo_share·pseudo."""
+            p, s = share * power, pseudo_share * pseudo
+            re, im, cross = (p + s.real) / 2.0, (p - s.real) / 2.0, s.imag / 2.0
+            tilt = cross / jnp.sqrt(re)
+            return jnp.sqrt(re) * first + 1j * (
+                tilt * first + jnp.sqrt(jnp.maximum(im - tilt**2, 0.0)) * second
+            )
+
+        drive = draw(1.0 - jnp.abs(step) ** 2, 1.0 - step**2)
+        start = draw(jnp.asarray(1.0), jnp.asarray(1.0 + 0j))
+        mode = linear_recurrence(step, jnp.where(jnp.arange(n) == 0, start, drive))
+        return mode.imag / pole.imag

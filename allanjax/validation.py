@@ -1,0 +1,93 @@
+"""The checks that every recording passes, from a file or from an array alike."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.errors import RecordingError
+
+MIN_SAMPLES = 16
+"""Fewest samples that make a recording."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where samples came from, for messages.
+
+    Attributes:
+        label: the file's path, or a name for an array.
+        locate: the place of a sample (counted from 0) in words, e.g. `line 17`.
+        missing: what a NaN may have been where it was read from.
+    """
+
+    label: str
+    locate: Callable[[int], str] = lambda row: f"row {row} (counting from 0)"
+    missing: str = "nan"
+
+    def after(self, rows: int) -> "Source":
+        """The source of what is left when the first `rows` samples are dropped."""
+        return replace(self, locate=lambda row: self.locate(row + rows)) if rows else self
+
+    def error(self, message: str) -> RecordingError:
+        """A `RecordingError` whose message begins with where it is."""
+        return RecordingError(f"{self.label}: {message}")
+
+
+def check_rate(rate: float, source: Source) -> float:
+    """Return the sample rate in Hz as a float.
+
+    Raises:
+        RecordingError: it is not a positive finite number.
+    """
+    if not (np.isreal(rate) and np.isfinite(rate) and rate > 0):
+        raise source.error(
+            f"the sample rate must be a positive number of Hz, not {rate!r}; pass rate= (--rate)"
+        )
+    return float(rate)
+
+
+def check_length(samples: int, source: Source) -> None:
+    """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples."""
+    if samples < MIN_SAMPLES:
+        raise source.error(
+            f"too short: {samples} samples, and at least {MIN_SAMPLES} are needed (thousands for a "
+            "useful fit); "
+            "give a longer recording, or a longer stretch by start= and stop= (--start, --stop)"
+        )
+
+
+def check_values(values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source) -> None:
+    """Check samples, one column per label.
+
+    Raises:
+        RecordingError: too few samples, a value that is not finite, or a column that never changes;
+            the message names the column, the first place and the remedy.
+    """
+    check_length(len(values), source)
+    for label, column in zip(labels, values.T, strict=True):
+        bad = np.flatnonzero(~np.isfinite(column))
+        if bad.size:
+            first = int(bad[0])
+            text = source.missing if np.isnan(column[first]) else str(column[first])
+            raise source.error(bad_cells_message(label, bad.size, source.locate(first), text))
+        if np.all(column == column[0]):
+            raise source.error(
+                f"column {label!r} is constant ({column[0]:g} from {source.locate(0)} on): a sensor "
+                "that is stuck "
+                "or not connected has no noise to fit; leave it out by columns= (--columns)"
+            )
+
+
+def bad_cells_message(label: str, count: int, place: str, text: str) -> str:
+    """Message for `count` cells of a column that are not finite numbers, the first of them at `place`."""
+    cells = (
+        "1 value is not a finite number"
+        if count == 1
+        else f"{count} values are not finite numbers, the first"
+    )
+    return (
+        f"column {label!r}: {cells} at {place}: {text}; repair the file, or take a stretch "
+        "without bad values by start= and stop= (--start, --stop)"
+    )
