@@ -1,5 +1,65 @@
-"""allanjax: noise coefficients of inertial sensors, with honest uncertainties."""
+"""allanjax: noise coefficients of inertial sensors from a static recording, with honest uncertainties.
+
+    import allanjax as aj
+
+    recording = aj.read("imu.csv", rate=100, gyro_unit="deg/s", accel_unit="g")
+    fit = aj.fit(recording)
+    print(fit)
+    fit.plot()
+"""
 
 import jax
 
+# Allan variances of a long record span ten decades: single precision cannot hold them.
 jax.config.update("jax_enable_x64", True)
+
+from allanjax.allan import AllanDeviation, allan_deviation  # noqa: E402
+from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
+from allanjax.fit import basic_terms, fit  # noqa: E402
+from allanjax.io import read, write  # noqa: E402
+from allanjax.model import Model  # noqa: E402
+from allanjax.recording import Axis, Recording  # noqa: E402
+from allanjax.result import AxisFit, Coefficient, Fit  # noqa: E402
+from allanjax.terms import (  # noqa: E402
+    AngleRandomWalk,
+    BiasInstability,
+    DriftRamp,
+    Markov,
+    NoiseTerm,
+    Quantization,
+    RateRandomWalk,
+    Resonance,
+    Sinusoid,
+    parameter,
+)
+from allanjax.units import convert  # noqa: E402
+
+__all__ = [
+    "AllanDeviation",
+    "AllanjaxError",
+    "AngleRandomWalk",
+    "Axis",
+    "AxisFit",
+    "BiasInstability",
+    "Coefficient",
+    "DriftRamp",
+    "Fit",
+    "FitError",
+    "Markov",
+    "Model",
+    "NoiseTerm",
+    "Quantization",
+    "RateRandomWalk",
+    "Recording",
+    "RecordingError",
+    "Resonance",
+    "Sinusoid",
+    "UnitError",
+    "allan_deviation",
+    "basic_terms",
+    "convert",
+    "fit",
+    "parameter",
+    "read",
+    "write",
+]

@@ -5,10 +5,11 @@ square of a difference of the phase (angle or velocity, the running integral of 
 difference (Allan), the third (Hadamard), or the second averaged over one cluster time (modified Allan).
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,9 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from allanjax.covariance import equivalent_degrees_of_freedom
 from allanjax.errors import AllanjaxError
 from allanjax.recording import Axis, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Kind = Literal["allan", "modified", "hadamard"]
 DataType = Literal["rate", "phase"]
@@ -279,6 +283,14 @@ class AllanDeviation:
         lower = self.deviation * np.sqrt(self.edf / chi2.ppf((1 + level) / 2, self.edf))
         upper = self.deviation * np.sqrt(self.edf / chi2.ppf((1 - level) / 2, self.edf))
         return lower, upper
+
+    def plot(
+        self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None
+    ) -> "Figure":
+        """Draw the deviations with their 68 % intervals; see `plot_allan`."""
+        from allanjax.plot import plot_allan
+
+        return plot_allan(self, axes, path)
 
     def __repr__(self) -> str:
         overlap = "overlapping" if self.overlapping else "non-overlapping"

@@ -44,7 +44,7 @@ _TAIL = 5
 
 
 def discrete_gauss(
-    count: Int[np.ndarray, "..."], order: int = _ORDER
+    count: Int[np.ndarray, ...], order: int = _ORDER
 ) -> tuple[Float[np.ndarray, "... order"], Float[np.ndarray, "... order"]]:
     """Nodes and weights that sum a function over the integers 0 … count−1.
 
@@ -59,7 +59,7 @@ def discrete_gauss(
     jacobi[..., k - 1, k] = jacobi[..., k, k - 1] = np.sqrt(beta)
     nodes, vectors = np.linalg.eigh(jacobi)
     nodes, weights = nodes + (N - 1.0) / 2.0, N * vectors[..., 0, :] ** 2
-    few = N <= order
+    few = order >= N
     integers = np.broadcast_to(np.arange(order), nodes.shape)
     return np.where(few, integers, nodes), np.where(few, integers < N, weights)
 
@@ -133,7 +133,10 @@ class AllanCovariance(eqx.Module):
         self, total: Float[Array, "pairs lags"], deterministic: Float[Array, "pairs lags"]
     ) -> Float[Array, "m m"]:
         """Covariance [rate⁴] of the estimates from the summed kernels of all and of deterministic terms."""
-        values = jnp.sum(self.weights * (total**2 - deterministic**2), axis=1)
+        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=1))
+
+    def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
+        """The symmetric matrix with these values for the pairs."""
         i, j = self.pairs
         full = jnp.zeros((len(self.sizes),) * 2).at[i, j].set(values)
         return full + jnp.triu(full, 1).T

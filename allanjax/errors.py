@@ -11,3 +11,7 @@ class UnitError(AllanjaxError):
 
 class RecordingError(AllanjaxError):
     """A file or an array that is not a usable recording."""
+
+
+class FitError(AllanjaxError):
+    """A fit that gives no result: it did not converge, or the data cannot determine the model."""

@@ -122,22 +122,22 @@ class Model(eqx.Module):
                 raise AllanjaxError(f"{label} has no value: give it one, or fit the model to a recording")
 
     # ------------------------------------------------------------------ sums over the terms
-    def phase_covariance(self, lag: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Generalized covariance of the integrated rate [rad² or (m/s)²] at lags [s]."""
         self.check_complete()
         return sum((t.phase_covariance(jnp.asarray(lag)) for t in self.terms), jnp.zeros(jnp.shape(lag)))
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided rate PSD, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]; lines have no density."""
         self.check_complete()
         return sum((t.psd(frequency) for t in self.terms), jnp.zeros(jnp.shape(frequency)))
 
-    def allan_variance(self, cluster_time: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]."""
         self.check_complete()
         return sum((t.allan_variance(cluster_time) for t in self.terms), jnp.zeros(jnp.shape(cluster_time)))
 
-    def hadamard_variance(self, cluster_time: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]."""
         self.check_complete()
         return sum(

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from allanjax.gls import Design
+from allanjax.design import Design
 from allanjax.model import ModelParameter
 
-# Shapes looked at roughly, and those from which the fit itself starts.
+# Shapes looked at roughly, and those from which a fit may start.
 _CANDIDATES = 512
-_STARTS = 3
+_STARTS = 4
 _PEAKS = 4
 
 
@@ -33,7 +33,7 @@ def find_starts(
     """Start values for every axis, from its Allan variances and, for lines, its spectrum.
 
     Shape parameters without a value of their own are tried on a grid; the powers at each point come from a
-    non-negative least squares fit weighted by cluster counts; the best few points are the starts.
+    non-negative least squares fit weighted by cluster counts; the best few points are the starts, best first.
     """
     shape = np.stack([_shape_candidates(design.shapes, x, rate) for x in values.T])
     given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
@@ -81,9 +81,9 @@ def _shape_candidates(
         if p.start is not None:
             choices.append(np.array([p.start]))
         elif p.parameter.kind == "time":
-            choices.append(np.geomspace(4.0 / rate, duration / 4.0, 10))
+            choices.append(np.geomspace(4.0 / rate, duration / 4.0, 16))
         elif p.parameter.kind == "frequency":
-            choices.append(np.geomspace(4.0 / duration, rate / 4.0, 10))
+            choices.append(np.geomspace(4.0 / duration, rate / 4.0, 16))
         elif p.parameter.kind == "line":
             lines = find_lines(x, rate) if lines is None else lines
             choices.append(lines)

@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
+from scipy.fft import next_fast_len
 
 from allanjax.errors import AllanjaxError
 from allanjax.terms.recursion import linear_recurrence
@@ -88,14 +89,14 @@ class NoiseTerm(eqx.Module):
     deterministic: ClassVar[bool] = False
 
     # ------------------------------------------------------------------ what a subclass provides
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         """Generalized covariance G [rad² or (m/s)²] of the integrated rate at lags ≥ 0 [s].
 
         Known up to c0 + c1·t², and one call need agree only with itself about these two constants.
         """
         raise NotImplementedError(f"{type(self).__name__} defines no phase_covariance(lag)")
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
         raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
 
@@ -106,7 +107,8 @@ class NoiseTerm(eqx.Module):
         of θ, by circulant embedding (Davies & Harte 1987), and adds them up from zero: the level itself has
         no law when the term is not stationary.
         """
-        increments = _gaussian_with_autocovariance(key, self._increment_autocovariance(n, rate), n)
+        half = next_fast_len(n, real=True)
+        increments = _gaussian_sequence(key, self._increment_autocovariance(half + 1, rate))[:n]
         return linear_recurrence(1.0, increments)
 
     def sampled(self, rate: float) -> Self:
@@ -114,17 +116,17 @@ class NoiseTerm(eqx.Module):
         return self
 
     # ------------------------------------------------------------------ what follows from it
-    def allan_variance(self, cluster_time: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
         return self._filter_variance(cluster_time, (6.0, -8.0, 2.0), 2.0)
 
-    def hadamard_variance(self, cluster_time: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]: [20G(0) − 30G(T) + 12G(2T) − 2G(3T)]/(6T²)."""
         return self._filter_variance(cluster_time, (20.0, -30.0, 12.0, -2.0), 6.0)
 
     def _filter_variance(
-        self, cluster_time: Float[ArrayLike, "..."], weights: Sequence[float], divisor: float
-    ) -> Float[Array, "..."]:
+        self, cluster_time: Float[ArrayLike, ...], weights: Sequence[float], divisor: float
+    ) -> Float[Array, ...]:
         T = jnp.asarray(cluster_time, float)
 
         def at(t: Float[Array, ""]) -> Float[Array, ""]:
@@ -136,25 +138,26 @@ class NoiseTerm(eqx.Module):
     def _increment_autocovariance(self, n: int, rate: float) -> Float[Array, " n"]:
         """Autocovariance of x[k+1] − x[k] at lags 0 … n−1 samples: the fourth difference of G.
 
-        Where rounding of a growing G would drown that difference, the inner second difference is expanded
-        instead, δ²G = h²G⁽²⁾ + h⁴G⁽⁴⁾/12 + …, and only the outer one is taken.
+        Rounding of a growing G drowns that difference at long lags. Where G is smooth over a sample, its
+        inner second difference is therefore expanded, δ²G = h²G⁽²⁾ + h⁴G⁽⁴⁾/12 + h⁶G⁽⁶⁾/360 + …, with
+        δ²G⁽⁴⁾ for h²G⁽⁶⁾, and only the outer one is taken.
         """
-        t0 = 1.0 / rate
-        lag = jnp.arange(n + 2) * t0
+        h = 1.0 / rate
+        lag = jnp.arange(n + 2) * h
         G = self.phase_covariance(lag)
         both_sides = jnp.concatenate([G[2:0:-1], G])
-        direct = jnp.convolve(both_sides, jnp.asarray([1.0, -4.0, 6.0, -4.0, 1.0]), mode="valid") / t0**2
+        direct = jnp.convolve(both_sides, jnp.asarray([1.0, -4.0, 6.0, -4.0, 1.0]), mode="valid") / h**2
 
-        def G_at(t: Float[Array, ""]) -> Float[Array, ""]:
-            return self.phase_covariance(t)
-
-        second = jax.grad(jax.grad(G_at))
-        fourth = jax.grad(jax.grad(second))
         # From lag 1 on: G may have a kink at zero, where no derivative exists.
-        inner = jax.vmap(lambda t: second(t) + fourth(t) * t0**2 / 12.0)(lag[1:])
-        expanded = jnp.pad(inner[2:] - 2.0 * inner[1:-1] + inner[:-2], (2, 0))
-        rounding = jnp.finfo(float).eps * jnp.abs(G[:n]) / t0**2
-        return jnp.where((rounding > 1e-10 * direct[0]) & (jnp.arange(n) > 32), expanded[:n], direct[:n])
+        second = _derivative(_derivative(self.phase_covariance))
+        G2, G4 = second(lag[1:]), _derivative(_derivative(second))(lag[1:])
+        last = _second_difference(h**4 * G4) / 360.0
+        inner = (h**2 * G2 + h**4 * G4 / 12.0)[1:-1] + last
+        expanded = jnp.pad(_second_difference(inner) / h**2, (3, 0))
+        # What is left out is far less than the last term, which may do no harm already.
+        error = jnp.pad(jnp.abs(_second_difference(last)) / h**2, (3, 0), constant_values=jnp.inf)
+        rounding = 64.0 * jnp.finfo(float).eps * jax.lax.cummax(jnp.abs(G))[2:] / h**2
+        return jnp.where(error <= jnp.maximum(1e-9 * jnp.abs(expanded), rounding), expanded, direct)
 
     # ------------------------------------------------------------------ parameters
     @classmethod
@@ -215,20 +218,34 @@ class NoiseTerm(eqx.Module):
                     raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, got {value!r}")
 
 
-def _gaussian_with_autocovariance(
-    key: PRNGKeyArray, autocovariance: Float[Array, " n"], n: int
-) -> Float[Array, " n"]:
-    """A stationary Gaussian sequence with this autocovariance, by circulant embedding."""
-    # The embedding needs γ(0 … h) with 2h ≥ 2(n−1); the far half is the mirror image.
+def _derivative(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """The derivative of an elementwise function, in one call so that it keeps to one gauge."""
+    return lambda x: jax.jvp(function, (x,), (jnp.ones_like(x),))[1]
+
+
+def _second_difference(x: Float[Array, " k"]) -> Float[Array, " k-2"]:
+    return x[2:] - 2.0 * x[1:-1] + x[:-2]
+
+
+def _gaussian_sequence(
+    key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]
+) -> Float[Array, " 2*half"]:
+    """A stationary Gaussian sequence on a circle of 2·half samples with this autocovariance.
+
+    Successive samples up to half + 1 of them are a draw of the process on a line (circulant embedding).
+    """
+    half = autocovariance.shape[0] - 1
     circle = jnp.concatenate([autocovariance, autocovariance[-2:0:-1]])
     # A true embedding has eigenvalues ≥ 0; rounding leaves some at −1e-16 of the largest.
     eigenvalues = jnp.maximum(jnp.fft.rfft(circle).real, 0.0)
-    size = circle.shape[0]
-    noise = jnp.fft.rfft(jax.random.normal(key, (size,)))
-    return jnp.fft.irfft(jnp.sqrt(eigenvalues) * noise, size)[:n]
+    # The transform of real white noise is complex white noise, but real at its two ends.
+    real, imaginary = jax.random.normal(key, (2, half + 1))
+    ends = (jnp.arange(half + 1) % half) == 0
+    noise = jnp.where(ends, real, jax.lax.complex(real, imaginary) / jnp.sqrt(2.0))
+    return jnp.fft.irfft(jnp.sqrt(2.0 * half * eigenvalues) * noise, 2 * half)
 
 
-def in_gauge(small: Callable, large: Callable, x: Num[Array, "..."]) -> Num[Array, "..."]:
+def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array, ...]:
     """`small(x)` if all arguments of the call are below one in magnitude, else `large(x)`.
 
     The two must differ by c0 + c1·x² only. Near zero that difference would swallow the digits that
@@ -238,10 +255,10 @@ def in_gauge(small: Callable, large: Callable, x: Num[Array, "..."]) -> Num[Arra
     return jnp.where(is_small, small(jnp.where(is_small, x, jnp.zeros_like(x))), large(x))
 
 
-def exponential_remainder(z: Num[Array, "..."]) -> Num[Array, "..."]:
+def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
     """e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
 
-    def series(z: Num[Array, "..."]) -> Num[Array, "..."]:
+    def series(z: Num[Array, ...]) -> Num[Array, ...]:
         total = jnp.zeros_like(z)
         for k in range(19, 2, -1):
             total = total * z + 1.0 / math.factorial(k)

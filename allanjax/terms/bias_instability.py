@@ -26,7 +26,7 @@ class BiasInstability(NoiseTerm):
     def _has_no_cutoff(self) -> bool:
         return isinstance(self.cutoff_frequency, float) and math.isinf(self.cutoff_frequency)
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         B2 = self.coefficient**2
         if self._has_no_cutoff():
             t = jnp.where(lag > 0.0, lag, 1.0)
@@ -34,15 +34,15 @@ class BiasInstability(NoiseTerm):
         w0 = 2.0 * jnp.pi * self.cutoff_frequency
         return B2 / (jnp.pi * w0**2) * _cutoff_flicker(w0 * lag)
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         f = jnp.abs(jnp.asarray(frequency))
         return jnp.where(f <= self.cutoff_frequency, self.coefficient**2 / (2.0 * jnp.pi * f), 0.0)
 
 
-def _cutoff_flicker(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:
     """½ − cos(x)/2 + x sin(x)/2 + x² Cin(x)/2 − ¾x², x = 2πf0·t, in a gauge that vanishes like x⁴.
 
-    Cin(x) = ∫₀ˣ (1 − cos t)/t dt = γ + ln x − Ci(x). Its power series is ½ Σ_{k≥2} (−1)^k x^{2k}/((k−1)(2k)!).
+    Cin(x) = ∫₀ˣ (1 − cos t)/t dt = γ + ln x − Ci(x). Power series: ½ Σ_{k≥2} (−1)^k x^{2k}/((k−1)(2k)!).
     """
     near = x < 3.0
     y = jnp.where(near, x, 0.0) ** 2

@@ -20,10 +20,10 @@ class DriftRamp(NoiseTerm):
     coefficient: float | None = parameter("R", time_exponent=-1.0)
     deterministic: ClassVar[bool] = True
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return self.coefficient**2 * lag**4 / 24.0
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """The flicker-acceleration spectrum R²/(2πf)³ that has the same slope in the Allan plot (4.58)."""
         return self.coefficient**2 / jnp.abs(2.0 * jnp.pi * jnp.asarray(frequency)) ** 3
 

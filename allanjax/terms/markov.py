@@ -19,11 +19,11 @@ class Markov(NoiseTerm):
     amplitude: float | None = parameter("q_c", time_exponent=-0.5)
     correlation_time: float | None = parameter("T_c", "time")
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         T_c = self.correlation_time
         return -(self.amplitude**2) * T_c**3 / 2.0 * exponential_remainder(-lag / T_c)
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         w = 2.0 * jnp.pi * jnp.asarray(frequency) * self.correlation_time
         return (self.amplitude * self.correlation_time) ** 2 / (1.0 + w**2)
 

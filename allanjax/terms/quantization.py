@@ -22,10 +22,10 @@ class Quantization(NoiseTerm):
     def sampled(self, rate: float) -> Quantization:
         return self.replace(sample_interval=1.0 / rate)
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return jnp.where(lag == 0.0, self.coefficient**2, 0.0)
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """(2πf)² T_z Q² (4.28, left of its ≈ for sampled data: 4Q² sin²(πfT_z)/T_z)."""
         T_z = self.sample_interval
         return 4.0 * self.coefficient**2 / T_z * jnp.sin(jnp.pi * jnp.asarray(frequency) * T_z) ** 2

@@ -18,10 +18,10 @@ class AngleRandomWalk(NoiseTerm):
 
     coefficient: float | None = parameter("N", time_exponent=0.5)
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return -(self.coefficient**2) * lag / 2.0
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return jnp.full(jnp.shape(frequency), self.coefficient**2)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
@@ -36,10 +36,10 @@ class RateRandomWalk(NoiseTerm):
 
     coefficient: float | None = parameter("K", time_exponent=-0.5)
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return self.coefficient**2 * lag**3 / 12.0
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return (self.coefficient / (2.0 * jnp.pi * jnp.asarray(frequency))) ** 2
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:

@@ -35,7 +35,7 @@ class Resonance(NoiseTerm):
         wd = w0 * jnp.sqrt(1.0 - 1.0 / (4.0 * self.quality_factor**2))
         return -a + 1j * wd, 1.0 - 1j * a / wd
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         pole, c = self._poles()
         remainder = exponential_remainder(pole * lag)
         t0 = self.sample_interval
@@ -46,7 +46,7 @@ class Resonance(NoiseTerm):
         slope = -t0 / 2.0 + jnp.real(kappa * (jnp.expm1(pole * t0) - pole * t0)) / t0
         return self.amplitude**2 * (slope * lag - jnp.real(kappa * remainder))
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""
         w0 = 2.0 * jnp.pi * self.frequency
         w = 2.0 * jnp.pi * jnp.asarray(frequency)

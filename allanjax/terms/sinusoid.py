@@ -37,10 +37,10 @@ class Sinusoid(NoiseTerm):
         y = jnp.pi * self.frequency * self.sample_interval
         return jnp.sinc(y / jnp.pi)
 
-    def phase_covariance(self, lag: Float[Array, "..."]) -> Float[Array, "..."]:
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         w = 2.0 * jnp.pi * self.frequency
 
-        def series(x: Float[Array, "..."]) -> Float[Array, "..."]:
+        def series(x: Float[Array, ...]) -> Float[Array, ...]:
             total = jnp.zeros_like(x)
             for k in range(10, 1, -1):
                 total = total * x**2 + (-1) ** k / math.factorial(2 * k)
@@ -49,7 +49,7 @@ class Sinusoid(NoiseTerm):
         wave = in_gauge(series, lambda x: -2.0 * jnp.sin(x / 2.0) ** 2, w * lag)
         return self.amplitude**2 / (2.0 * w**2) * wave / self._damping() ** 2
 
-    def psd(self, frequency: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Zero: a line has power, Ω0²/2, but no density at any frequency but its own."""
         return jnp.zeros(jnp.shape(frequency))
 

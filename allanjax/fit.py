@@ -1,0 +1,258 @@
+"""Fit a noise model to the Allan variance of a recording."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Num
+
+from allanjax.allan import AllanDeviation, allan_deviation
+from allanjax.covariance import AllanCovariance
+from allanjax.design import Design
+from allanjax.errors import FitError
+from allanjax.gls import Solution, solve
+from allanjax.inference import Inference, infer
+from allanjax.model import Model
+from allanjax.recording import Recording
+from allanjax.result import AxisFit, Coefficient, Fit
+from allanjax.starts import find_starts
+from allanjax.terms import (
+    AngleRandomWalk,
+    BiasInstability,
+    DriftRamp,
+    NoiseTerm,
+    Quantization,
+    RateRandomWalk,
+)
+
+# Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four there is nothing to gain.
+_PER_OCTAVE = 4
+# A term belongs to the reduced model if zero is rejected at this many standard deviations (one-sided 0.5 %).
+_DETECTION = 2.576
+_TWO_SIDED_95 = 1.960
+_ONE_SIDED_95 = 1.645
+
+
+def basic_terms() -> Model:
+    """The thesis's five basic terms: quantization, random walk, bias instability, rate random walk, ramp."""
+    return Quantization() + AngleRandomWalk() + BiasInstability() + RateRandomWalk() + DriftRamp()
+
+
+def fit(recording: Recording, model: Model | NoiseTerm | None = None) -> Fit:
+    """Estimate the coefficients of a noise model from every axis of a recording.
+
+    The overlapping Allan variances at four cluster times an octave are fitted by generalized least squares,
+    weighted with their full covariance at the fitted model itself (Design note: `gls`), all axes at once.
+
+    Args:
+        recording: what `read` returns, or `Recording.from_array`.
+        model: the terms, added up with `+`; parameters with a value start there, those held stay there. Without
+            one, the thesis's five basic terms, reduced for each axis to those that the data support; for the
+            others there is an upper limit.
+
+    Returns:
+        The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
+
+    Raises:
+        FitError: if the record is too short for the model.
+    """
+    template = basic_terms() if model is None else Model(()) + model
+    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+    free_count = sum(p.free for p in template.parameters)
+    if len(curve.cluster_size) <= free_count:
+        raise FitError(
+            f"{recording.name or 'the recording'}: {recording.n} samples give {len(curve.cluster_size)} Allan "
+            f"variances, too few for {free_count} parameters; record longer or use fewer terms"
+        )
+    # In units of each axis's own scatter no power under- or overflows, and starts need no absolute scale.
+    geometry = AllanCovariance.of(recording.n, recording.rate, curve.cluster_size)
+    design = Design.of(template.sampled(recording.rate), geometry)
+    variance = curve.variance.T
+    starts = find_starts(design, variance, recording.values, recording.rate)
+    free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
+    active = np.ones((len(recording.axes), len(template)), bool)
+
+    def attempt(active: Bool[np.ndarray, "axes terms"]) -> tuple[Solution, Inference]:
+        solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
+        for k in range(1, starts.power.shape[1]):
+            failed = ~np.asarray(solution.converged)
+            if not failed.any():
+                break
+            other = solve(design, variance, free, active, starts.power[:, k], starts.shape[:, k])
+            solution = Solution(*(_choose(failed, new, old) for new, old in zip(other, solution, strict=True)))
+        return solution, infer(design, variance, free, active, solution)
+
+    solution, inference = attempt(active)
+    if model is None:
+        for _ in range(4 * len(template)):
+            reduced = _reduce(active, solution, inference)
+            if np.array_equal(reduced, active):
+                break
+            active = reduced
+            solution, inference = attempt(active)
+    solution = Solution(*(np.asarray(x) for x in solution))
+    inference = Inference(*(np.asarray(x) for x in inference))
+    results = tuple(
+        _axis_fit(
+            recording,
+            k,
+            template,
+            active[k],
+            free,
+            Solution(*(x[k] for x in solution)),
+            Inference(*(x[k] for x in inference)),
+            len(curve.cluster_size),
+        )
+        for k in range(len(recording.axes))
+    )
+    return Fit(
+        recording.name,
+        template,
+        _with_model_edf(curve, results, geometry, inference),
+        results,
+        recording.notes,
+    )
+
+
+def _choose(
+    rows: Bool[np.ndarray, " axes"], new: Num[Array, "axes ..."], old: Num[Array, "axes ..."]
+) -> Num[np.ndarray, "axes ..."]:
+    return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
+
+
+def _reduce(
+    active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
+) -> Bool[np.ndarray, "axes terms"]:
+    """One step towards the terms that the data support, for every axis.
+
+    Terms without power go first, then the least significant one; when all that remain are significant, one that
+    was dropped comes back if the data ask for it now.
+    """
+    active = active.copy()
+    at_zero = np.asarray(inference.pivot_at)[:, :, 0]
+    for mine, power, z in zip(active, np.asarray(solution.power), at_zero, strict=True):
+        empty = mine & (power == 0.0)
+        if empty.any():
+            mine[empty] = False
+            continue
+        weakest = np.argmin(np.where(mine, z, np.inf))
+        strongest = np.argmax(np.where(mine, -np.inf, z))
+        if z[weakest] < _DETECTION and mine.sum() > 1:
+            mine[weakest] = False
+        elif not mine[strongest] and z[strongest] > _DETECTION + 0.5:
+            mine[strongest] = True
+    return active
+
+
+def _axis_fit(
+    recording: Recording,
+    k: int,
+    template: Model,
+    active: Bool[np.ndarray, " terms"],
+    free: Bool[np.ndarray, " terms"],
+    solution: Solution,
+    inference: Inference,
+    points: int,
+) -> AxisFit:
+    from scipy.stats import chi2
+
+    axis = recording.axes[k]
+    parameters = template.parameters
+    shapes = [p for p in parameters if p.free and p.parameter.kind != "amplitude"]
+    coefficients: dict[str, Coefficient] = {}
+    jacobian = np.zeros((len(parameters), len(inference.covariance)))
+    for row, p in enumerate(parameters):
+        label, first = p.label, p.parameter.kind == "amplitude"
+        power = solution.power[p.term]
+        column = p.term if first else (len(template) + shapes.index(p) if p in shapes else 0)
+        limit = None
+        if not p.free:
+            value, std, interval, detected = p.start, 0.0, (p.start, p.start), True
+            if value is None or np.isinf(value):
+                continue
+        elif first:
+            value = np.sqrt(power)
+            grid, pivot = inference.power_at[p.term], inference.pivot_at[p.term]
+            lower = np.sqrt(_crossing(grid, pivot, _TWO_SIDED_95))
+            interval = (lower, np.sqrt(_crossing(grid, pivot, -_TWO_SIDED_95)))
+            limit = float(np.sqrt(_crossing(grid, pivot, -_ONE_SIDED_95)))
+            detected = bool(active[p.term] and lower > 0.0)
+            slope = 0.5 / value if power > 0.0 else 0.0
+            jacobian[row, column] = slope
+            std = slope * np.sqrt(inference.covariance[column, column])
+        else:
+            u = solution.shape[column - len(template)]
+            slope = np.exp(u)
+            value = p.parameter.lower + slope
+            jacobian[row, column] = slope
+            sd = np.sqrt(inference.covariance[column, column])
+            std = slope * sd
+            interval = tuple(p.parameter.lower + slope * np.exp(np.array([-1.0, 1.0]) * _TWO_SIDED_95 * sd))
+            owner = template.parameters[[q.term for q in parameters].index(p.term)].label
+            detected = coefficients[owner].detected
+        coefficients[label] = Coefficient(
+            label,
+            p.term_label,
+            p.parameter,
+            axis,
+            float(value),
+            float(std),
+            (float(interval[0]), float(interval[1])),
+            limit,
+            detected,
+            held=not p.free,
+        )
+    estimated = int(np.sum(active & free)) + sum(bool(active[p.term]) for p in shapes)
+    dof = points - estimated
+    present = [
+        t for t, on in zip(template.term_labels, active & (solution.power > 0.0), strict=True) if not on
+    ]
+    values = {label: c.value for label, c in coefficients.items()}
+    return AxisFit(
+        axis=axis,
+        converged=bool(solution.converged),
+        reason="" if solution.converged else "the fit did not converge; try fewer terms or other starts",
+        chi2=float(solution.chi2),
+        dof=dof,
+        p_value=float(chi2.sf(solution.chi2, dof)),
+        discrepancy=float(solution.discrepancy) / 2.0,
+        _coefficients=coefficients,
+        _covariance=jacobian @ inference.covariance @ jacobian.T,
+        _model=template.with_values(**values).without(present),
+    )
+
+
+def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid"], level: float) -> float:
+    """The hypothetical power at which the data are `level` standard deviations away.
+
+    Positive levels are sought below the estimate (zero if none is reached), negative ones above (infinity).
+    Where the data would like less than no power, they are taken as if they asked for none: an upper limit
+    must not shrink because of that.
+    """
+    pivot = pivot - min(pivot[0], 0.0) * (power[0] == 0.0) * (level < 0.0)
+    middle = int(np.argmin(np.abs(pivot)))
+    beyond = pivot >= level if level > 0.0 else pivot <= level
+    below, above = np.flatnonzero(beyond[:middle]), middle + np.flatnonzero(beyond[middle:])
+    if level > 0.0:
+        if not below.size:
+            return 0.0
+        g, inside = below[-1], below[-1] + 1
+    else:
+        if not above.size:
+            return float("inf")
+        g, inside = above[0], above[0] - 1
+    share = (level - pivot[inside]) / (pivot[g] - pivot[inside])
+    return float(power[inside] + share * (power[g] - power[inside]))
+
+
+def _with_model_edf(
+    curve: AllanDeviation, results: tuple[AxisFit, ...], geometry: AllanCovariance, inference: Inference
+) -> AllanDeviation:
+    """The curve with degrees of freedom 2μ²/Var under the fitted models."""
+    edf = np.array(curve.edf)
+    for k, result in enumerate(results):
+        if result.converged:
+            mean = np.asarray(result.model.sampled(curve.rate).allan_variance(curve.cluster_time))
+            edf[:, k] = 2.0 * mean**2 / np.diag(inference.estimate_covariance[k])
+    return dataclasses.replace(curve, edf=edf)

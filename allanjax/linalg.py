@@ -1,0 +1,85 @@
+"""Small dense linear algebra for batches.
+
+Batched LAPACK calls of jaxlib wait, inside a worker thread, for tasks on the same thread pool: two of them at
+once on a machine with two cores never return (seen with jaxlib 0.10.2 as a stopped vmapped Cholesky). These
+few loops of vector operations use no LAPACK, and are as fast for the sizes met here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+
+class Whitened(NamedTuple):
+    """L⁻¹X and ln det L of a Cholesky factorization C = LL'."""
+
+    values: Float[Array, "m k"]
+    log_det: Float[Array, ""]
+
+
+def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> Whitened:
+    """L⁻¹X with C = LL' positive definite; NaN if it is not. Gaussian elimination of [C | X], row by row."""
+    m = C.shape[0]
+    below = jnp.arange(m)
+
+    def eliminate(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        A, log_det = carry
+        pivot = jnp.sqrt(A[k, k])
+        row = A[k] / pivot
+        column = jnp.where(below > k, row[:m], 0.0)
+        A = (A - column[:, None] * row).at[k].set(row)
+        return A, log_det + jnp.log(pivot)
+
+    A, log_det = jax.lax.fori_loop(0, m, eliminate, (jnp.concatenate([C, X], axis=1), jnp.zeros(())))
+    return Whitened(A[:, m:], log_det)
+
+
+def inverse(C: Float[Array, "m m"]) -> Float[Array, "m m"]:
+    """Inverse of a positive definite matrix."""
+    half = whiten(C, jnp.eye(C.shape[0])).values
+    return half.T @ half
+
+
+def solve(C: Float[Array, "m m"], b: Float[Array, " m"]) -> Float[Array, " m"]:
+    """C⁻¹b for positive definite C."""
+    return inverse(C) @ b
+
+
+def non_negative_least_squares(
+    A: Float[Array, "m terms"], b: Float[Array, " m"], allowed: Bool[Array, " terms"]
+) -> Float[Array, " terms"]:
+    """x ≥ 0 that minimizes |Ax − b|, zero where not allowed; differentiable in A and b.
+
+    Principal pivoting (Portugal, Júdice & Vicente 1994): a set of positive entries is changed until all of
+    them are positive and no gradient says that another should be. Exchanging all offenders at once
+    is fast; Murty's rule, only the last of them, always ends, and takes over after a few rounds.
+    """
+    size = jnp.sqrt(jnp.sum(A**2, axis=0))
+    A = A / size
+    normal, target = A.T @ A, A.T @ b
+
+    def solution(positive: Bool[Array, " terms"]) -> Float[Array, " terms"]:
+        both = positive[:, None] & positive
+        system = jnp.where(both, normal, 0.0) + jnp.diag(jnp.where(positive, 1e-12, 1.0))
+        return solve(system, jnp.where(positive, target, 0.0))
+
+    def offenders(positive: Bool[Array, " terms"]) -> Bool[Array, " terms"]:
+        x = solution(positive)
+        wanted = target - normal @ x > 1e-12 * jnp.linalg.norm(b)
+        return allowed & jnp.where(positive, x < 0.0, wanted)
+
+    def exchange(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        positive, k = state
+        bad = offenders(positive)
+        last = jnp.arange(len(bad)) == len(bad) - 1 - jnp.argmax(bad[::-1])
+        return positive ^ jnp.where(k < 5, bad, bad & last), k + 1
+
+    def goes_on(state: tuple[Array, Array]) -> Bool[Array, ""]:
+        return jnp.any(offenders(state[0])) & (state[1] < 100)
+
+    positive, _ = jax.lax.while_loop(goes_on, exchange, (allowed, jnp.asarray(0)))
+    return jnp.maximum(solution(positive), 0.0) / size

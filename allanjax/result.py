@@ -1,0 +1,302 @@
+"""What a fit found: coefficients with their intervals, one axis at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from allanjax.allan import AllanDeviation
+from allanjax.errors import FitError
+from allanjax.model import Model
+from allanjax.recording import Axis
+from allanjax.terms import Parameter
+from allanjax.units import convert, default_coefficient_unit, unit_scale
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Coefficient:
+    """One estimated parameter of the model of one axis.
+
+    All numbers are in SI; `in_unit` gives them in a unit for people.
+
+    Attributes:
+        label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time".
+        term: name of its term.
+        parameter: what it is.
+        axis: whose it is.
+        value: the estimate; zero for an amplitude that the data do not call for.
+        std: its standard deviation.
+        interval: 95 % interval; its lower end is zero where zero is not excluded.
+        upper_limit: one-sided 95 % limit, of an amplitude.
+        detected: whether zero is excluded.
+        held: whether the value was given and not estimated.
+    """
+
+    label: str
+    term: str
+    parameter: Parameter
+    axis: Axis
+    value: float
+    std: float
+    interval: tuple[float, float]
+    upper_limit: float | None
+    detected: bool
+    held: bool = False
+
+    @property
+    def unit(self) -> str:
+        """The usual unit of such a coefficient, e.g. "deg/√h"."""
+        if self.parameter.kind == "amplitude":
+            return default_coefficient_unit(self.axis.sensor, self.parameter.time_exponent)
+        return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(self.parameter.kind, "1")
+
+    def in_unit(self, unit: str | None = None) -> Coefficient:
+        """A copy whose numbers are in this unit (by default the usual one) instead of SI.
+
+        Raises:
+            UnitError: for an unknown unit or one of another dimension.
+        """
+        if unit is None:
+            factor = 1.0 / unit_scale(self.unit, self.axis.sensor)
+        else:
+            factor = convert(1.0, self.unit, unit, self.axis.sensor)
+            factor /= unit_scale(self.unit, self.axis.sensor)
+        limit = None if self.upper_limit is None else self.upper_limit * factor
+        return dataclasses.replace(
+            self,
+            value=self.value * factor,
+            std=self.std * factor,
+            interval=(self.interval[0] * factor, self.interval[1] * factor),
+            upper_limit=limit,
+        )
+
+    def describe(self, unit: str | None = None) -> str:
+        """E.g. "0.512 ± 0.007 deg/√h", or "not detectable, below 3.2 deg/h (95 %)"."""
+        shown = self.in_unit(unit)
+        name = "" if (unit or self.unit) == "1" else f" {unit or self.unit}"
+        if self.held:
+            return f"{shown.value:.6g}{name} (held)"
+        if not self.detected:
+            if shown.upper_limit is None:
+                return "not determined"
+            return f"not detectable, below {shown.upper_limit:.3g}{name} (95 %)"
+        return f"{format_with_error(shown.value, shown.std)}{name}"
+
+    def __str__(self) -> str:
+        return f"{self.axis.name} {self.label}: {self.describe()}"
+
+
+def format_with_error(value: float, std: float) -> str:
+    """Value and 1-σ to two digits of the latter, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05"."""
+    if not (np.isfinite(std) and std > 0.0 and np.isfinite(value)):
+        return f"{value:.6g}"
+    exponent = int(np.floor(np.log10(max(abs(value), std))))
+    scale = 10.0**exponent if not -4 <= exponent < 6 else 1.0
+    digits = max(0, 1 - int(np.floor(np.log10(std / scale))))
+    text = f"{value / scale:.{digits}f} ± {std / scale:.{digits}f}"
+    return text if scale == 1.0 else f"({text})e{exponent:+03d}"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisFit:
+    """The fit of one axis.
+
+    Attributes:
+        axis: whose it is.
+        converged: whether it may be trusted; `reason` says why not.
+        chi2, dof, p_value: misfit of the Allan variances to the model within their own scatter.
+        discrepancy: relative error of the model's Allan deviation that brings χ² down to `dof`; 0 if the
+            model suffices. Standard deviations and intervals include it.
+    """
+
+    axis: Axis
+    converged: bool
+    reason: str
+    chi2: float
+    dof: int
+    p_value: float
+    discrepancy: float
+    _coefficients: Mapping[str, Coefficient]
+    _covariance: Float[np.ndarray, "params params"]
+    _model: Model
+
+    def _checked(self) -> None:
+        if not self.converged:
+            raise FitError(f"{self.axis.name}: no result, {self.reason}")
+
+    @property
+    def coefficients(self) -> Mapping[str, Coefficient]:
+        """Each coefficient by its label, detected or not. Raises FitError if the fit did not converge."""
+        self._checked()
+        return self._coefficients
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "params params"]:
+        """Covariance (SI) of the coefficients in their order; zero for what was not estimated.
+
+        Raises FitError if the fit did not converge.
+        """
+        self._checked()
+        return self._covariance
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, with the terms found. Raises FitError if the fit did not converge."""
+        self._checked()
+        return self._model
+
+    def __getitem__(self, label: str) -> Coefficient:
+        if label not in self.coefficients:
+            raise FitError(
+                f"{self.axis.name} has no coefficient {label!r}; it has {', '.join(self.coefficients)}"
+            )
+        return self.coefficients[label]
+
+    def verdict(self) -> str:
+        """One line on how well the model fits."""
+        if not self.converged:
+            return f"no result: {self.reason}"
+        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom (p = {self.p_value:.2g})"
+        if self.discrepancy > 0.0:
+            text += f"; model incomplete: its curve is off by about {100.0 * self.discrepancy:.2g} %"
+        return text
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """The fit of a model to every axis of a recording.
+
+    Attributes:
+        name: the recording's name.
+        template: the model as asked for (or the five basic terms).
+        curve: the Allan deviations it was fitted to, with degrees of freedom under the fitted models.
+        results: one a recording axis.
+        notes: what the reader or the fit want the user to know.
+    """
+
+    name: str
+    template: Model
+    curve: AllanDeviation
+    results: tuple[AxisFit, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes' names."""
+        return tuple(result.axis.name for result in self.results)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every axis has a result."""
+        return all(result.converged for result in self.results)
+
+    def __iter__(self) -> Iterator[AxisFit]:
+        return iter(self.results)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def __getitem__(self, axis: str) -> AxisFit:
+        """The fit of one axis, e.g. `fit["gyro_x"]`."""
+        if axis not in self.axes:
+            raise FitError(f"{self.name or 'the fit'} has no axis {axis!r}; it has {', '.join(self.axes)}")
+        return self.results[self.axes.index(axis)]
+
+    @property
+    def coefficients(self) -> dict[str, Mapping[str, Coefficient]]:
+        """Coefficients by axis and label. Raises FitError if an axis did not converge."""
+        return {result.axis.name: result.coefficients for result in self.results}
+
+    def model_deviation(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, ...]:
+        """Allan deviation [rad/s or m/s²] of the fitted model at cluster times [s]."""
+        model = self[axis].model.sampled(self.curve.rate)
+        return np.sqrt(np.asarray(model.allan_variance(cluster_time)))
+
+    def plot(self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the Allan deviations, the model and its terms; see `plot_allan`."""
+        from allanjax.plot import plot_allan
+
+        return plot_allan(self, axes, path)
+
+    def table(self) -> pd.DataFrame:
+        """One row a coefficient: axis, coefficient, value, std, lower, upper, unit, detected, upper_limit."""
+        import pandas as pd
+
+        rows = []
+        for result in self.results:
+            for c in result.coefficients.values():
+                shown = c.in_unit()
+                rows.append(
+                    {
+                        "axis": c.axis.name,
+                        "coefficient": c.label,
+                        "value": shown.value,
+                        "std": shown.std,
+                        "lower_95": shown.interval[0],
+                        "upper_95": shown.interval[1],
+                        "unit": c.unit,
+                        "detected": c.detected,
+                        "upper_limit_95": shown.upper_limit,
+                    }
+                )
+        return pd.DataFrame(rows)
+
+    def _cells(self) -> list[tuple[str, str, str, str]]:
+        """Rows of the printed table: axis, coefficient, value, 95 % interval."""
+        cells = []
+        for result in self.results:
+            if not result.converged:
+                cells.append((result.axis.name, "", result.verdict(), ""))
+                continue
+            for c in result.coefficients.values():
+                shown = c.in_unit()
+                known = c.detected and not c.held
+                interval = f"{shown.interval[0]:.4g} … {shown.interval[1]:.4g}" if known else ""
+                cells.append((result.axis.name, c.label.replace("_", " "), c.describe(), interval))
+            cells.append((result.axis.name, "", result.verdict(), ""))
+        return cells
+
+    def _title(self) -> str:
+        hours = self.curve.n / self.curve.rate / 3600.0
+        name = f"{self.name}: " if self.name else ""
+        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({hours:.3g} h)"
+
+    def __str__(self) -> str:
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table(title=self._title(), title_justify="left")
+        for heading in ("axis", "coefficient", "estimate ± 1σ", "95 % interval"):
+            table.add_column(heading)
+        previous = None
+        for axis, label, value, interval in self._cells():
+            if previous not in (None, axis):
+                table.add_section()
+            table.add_row(axis if axis != previous else "", label, value, interval)
+            previous = axis
+        console = Console(width=110, record=False, color_system=None)
+        with console.capture() as capture:
+            console.print(table)
+        return capture.get().rstrip("\n")
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{h}</th>" for h in ("axis", "coefficient", "estimate ± 1σ", "95 % interval"))
+        rows = "".join(
+            "<tr>"
+            + "".join(f"<td style='text-align:left'>{html.escape(cell)}</td>" for cell in row)
+            + "</tr>"
+            for row in self._cells()
+        )
+        return f"<p>{html.escape(self._title())}</p><table><tr>{head}</tr>{rows}</table>"
