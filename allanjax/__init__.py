@@ -1,11 +1,11 @@
 """allanjax: noise coefficients of inertial sensors from a static recording, with honest uncertainties.
 
-    import allanjax as aj
+import allanjax as aj
 
-    recording = aj.read("imu.csv", rate=100, gyro_unit="deg/s", accel_unit="g")
-    fit = aj.fit(recording)
-    print(fit)
-    fit.plot()
+recording = aj.read("imu.csv", rate=100, gyro_unit="deg/s", accel_unit="g")
+fit = aj.fit(recording)
+print(fit)
+fit.plot()
 """
 
 import jax
@@ -14,12 +14,17 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from allanjax.allan import AllanDeviation, allan_deviation  # noqa: E402
+from allanjax.cache import enable_compilation_cache  # noqa: E402
 from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
+from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
 from allanjax.fit import basic_terms, fit  # noqa: E402
 from allanjax.io import read, write  # noqa: E402
 from allanjax.model import Model  # noqa: E402
+from allanjax.plot import plot_allan  # noqa: E402
 from allanjax.recording import Axis, Recording  # noqa: E402
 from allanjax.result import AxisFit, Coefficient, Fit  # noqa: E402
+from allanjax.sensors import SENSORS, SensorPreset  # noqa: E402
+from allanjax.simulate import simulate, simulate_recording  # noqa: E402
 from allanjax.terms import (  # noqa: E402
     AngleRandomWalk,
     BiasInstability,
@@ -35,6 +40,7 @@ from allanjax.terms import (  # noqa: E402
 from allanjax.units import convert  # noqa: E402
 
 __all__ = [
+    "SENSORS",
     "AllanDeviation",
     "AllanjaxError",
     "AngleRandomWalk",
@@ -53,13 +59,22 @@ __all__ = [
     "Recording",
     "RecordingError",
     "Resonance",
+    "SensorPreset",
     "Sinusoid",
     "UnitError",
     "allan_deviation",
     "basic_terms",
     "convert",
+    "enable_compilation_cache",
     "fit",
     "parameter",
+    "plot_allan",
     "read",
+    "simulate",
+    "simulate_recording",
+    "to_dict",
     "write",
+    "write_coefficients_csv",
+    "write_curve_csv",
+    "write_json",
 ]

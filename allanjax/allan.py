@@ -284,9 +284,7 @@ class AllanDeviation:
         upper = self.deviation * np.sqrt(self.edf / chi2.ppf((1 - level) / 2, self.edf))
         return lower, upper
 
-    def plot(
-        self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None
-    ) -> "Figure":
+    def plot(self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None) -> "Figure":
         """Draw the deviations with their 68 % intervals; see `plot_allan`."""
         from allanjax.plot import plot_allan
 

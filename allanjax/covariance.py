@@ -1,13 +1,13 @@
 """How Allan variance estimates scatter: their covariance and degrees of freedom under a model.
 
-For a Gaussian process with phase covariance G, the overlapping estimates V_i at cluster sizes m_i (M_i = N + 1
-− 2m_i differences each, N rate samples) have
+For a Gaussian process with phase covariance G, the overlapping estimates V_i at cluster sizes m_i, of
+M_i = N + 1 − 2m_i differences each (N rate samples), have
 
     cov(V_i, V_j) = [1/(4 T_i² T_j² M_i M_j)] Σ_s w_ij(s)·2 C_ij(s)²,
     C_ij(s) = Σ_{p,q∈{0,1,2}} a_p a_q G((s + p·m_i − q·m_j)·t0),    a = (1, −2, 1),
 
-where w_ij(s) counts the pairs of differences at lag s. Both C_ij and w_ij are even about s = m_j − m_i; with u
-the distance from there,
+where w_ij(s) counts the pairs of differences at lag s. Both C_ij and w_ij are even about s = m_j − m_i; with
+u the distance from there,
 
     C_ij(u) = 4G(u) − 2G(u ± m_i) − 2G(u ± m_j) + G(u ± m_i ± m_j),
     w_ij(u) = min(M_i, M_j, N + 1 − m_i − m_j − u).
@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 
 # Points a stretch between two kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
-# Noise terms with long memory leave C_ij a tail; beyond this many (m_i + m_j) it no longer counts.
-_TAIL = 5
+# Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
+# in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
+_TAIL = (2, 5, 20, 80, 320)
 
 
 def discrete_gauss(
@@ -65,7 +66,7 @@ def discrete_gauss(
 
 
 def _sum_over_lags(
-    kinks: Int[np.ndarray, "pairs k"], support: Int[np.ndarray, " pairs"]
+    kinks: Int[np.ndarray, "pairs k"], support: Int[np.ndarray, " pairs"], order: int = _ORDER
 ) -> tuple[Float[np.ndarray, "pairs lags"], Float[np.ndarray, "pairs lags"]]:
     """Nodes u ≥ 0 and weights of a sum over all integers −support < u < support of an even function.
 
@@ -73,7 +74,7 @@ def _sum_over_lags(
     """
     ends = np.sort(np.minimum(kinks, support[:, None] - 1), axis=1)
     first_of_its_kind = np.diff(ends, axis=1, prepend=-1) > 0
-    nodes, weights = discrete_gauss(np.diff(ends, axis=1) - 1)
+    nodes, weights = discrete_gauss(np.diff(ends, axis=1) - 1, order)
     nodes = nodes + ends[:, :-1, None] + 1
     u = np.concatenate([ends, nodes.reshape(len(ends), -1)], axis=1)
     w = np.concatenate([first_of_its_kind, weights.reshape(len(ends), -1)], axis=1)
@@ -85,6 +86,7 @@ class AllanCovariance(eqx.Module):
 
     Attributes:
         sample_interval: t0 [s].
+        duration: of the record [s].
         sizes: cluster sizes in samples, increasing.
         pairs: row and column of each pair with i ≤ j.
         lags: distances u of the quadrature, in samples.
@@ -92,24 +94,26 @@ class AllanCovariance(eqx.Module):
     """
 
     sample_interval: Float[np.ndarray, ""]
+    duration: Float[np.ndarray, ""]
     sizes: Float[np.ndarray, " m"]
     pairs: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]
     lags: Float[np.ndarray, "pairs lags"]
     weights: Float[np.ndarray, "pairs lags"]
 
     @classmethod
-    def of(cls, n: int, rate: float, sizes: Int[np.ndarray, " m"]) -> AllanCovariance:
+    def of(cls, n: int, rate: float, sizes: Int[np.ndarray, " m"], order: int = _ORDER) -> AllanCovariance:
         """The geometry for overlapping estimates at these cluster sizes of n rate samples at `rate` [Hz]."""
         sizes = np.asarray(sizes, np.int64)
         i, j = np.triu_indices(len(sizes))
         mi, mj = sizes[i], sizes[j]
         both = mi + mj
-        kinks = np.stack([0 * mi, mi, mj - mi, mj, both, 2 * both, _TAIL * both], axis=1)
-        u, w = _sum_over_lags(kinks, n + 1 - both)
+        kinks = np.stack([0 * mi, mi, mj - mi, mj, both, *(reach * both for reach in _TAIL)], axis=1)
+        u, w = _sum_over_lags(kinks, n + 1 - both, order)
         Mi, Mj = n + 1 - 2 * mi, n + 1 - 2 * mj
         pairs_at_lag = np.minimum(Mj[:, None], (n + 1 - both)[:, None] - u)
         factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
-        return cls(np.asarray(1.0 / rate), sizes.astype(float), (i, j), u, factor[:, None] * w * pairs_at_lag)
+        weights = factor[:, None] * w * pairs_at_lag
+        return cls(np.asarray(1.0 / rate), np.asarray(n / rate), sizes.astype(float), (i, j), u, weights)
 
     @property
     def cluster_time(self) -> Float[Array, " m"]:
@@ -197,11 +201,11 @@ def _edf(terms: Any, n: int, rate: float, m: int, kind: str, overlapping: bool) 
         n, rate, m = round(n / thin), rate / thin, round(m / thin)
         M = n + 2 - 3 * m
         u, w = _integers(np.arange(min(M, 4 * m)))
-        inner = np.arange(-m + 1, m)
+        inner = np.arange(-m + 1.0, m)
         share = (m - np.abs(inner)) / m**2
     elif overlapping:
         M = n + 1 - (reach - 1) * m
-        kinks = np.array([[*range(reach), 2 * reach, _TAIL * reach]]) * m
+        kinks = np.array([[*range(reach), *(multiple * reach for multiple in _TAIL)]]) * m
         u, w = (x[0] for x in _sum_over_lags(kinks, np.array([M])))
         inner, share = np.zeros(1), np.ones(1)
     else:
@@ -210,18 +214,18 @@ def _edf(terms: Any, n: int, rate: float, m: int, kind: str, overlapping: bool) 
         inner, share = np.zeros(1), np.ones(1)
     stride = 1 if overlapping else m
 
-    def C(term: NoiseTerm) -> Any:
+    def kernel(term: NoiseTerm) -> Any:
         lag = u[:, None] + inner
         steps = np.arange(-reach + 1, reach)
         G = term.phase_covariance(np.abs(lag[..., None] + steps * m) / rate)
         return (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
 
-    kernels = [(term.deterministic, C(term)) for term in terms]
+    kernels = [(term.deterministic, kernel(term)) for term in terms]
     total = sum(k for _, k in kernels)
     deterministic = sum(k for is_deterministic, k in kernels if is_deterministic)
     scatter = (w * (M - u / stride) * (total**2 - deterministic**2)).sum()
     return M**2 * total[0] ** 2 / scatter
 
 
-def _integers(u: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    return u, np.where(u > 0, 2.0, 1.0)
+def _integers(u: Int[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    return u.astype(float), np.where(u > 0, 2.0, 1.0)

@@ -9,15 +9,17 @@ from __future__ import annotations
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from allanjax.covariance import AllanCovariance
 from allanjax.model import Model, ModelParameter
 from allanjax.terms import NoiseTerm
 
 # Relative to the estimates' own variance: rounding and quadrature errors stay below it, and no direction
-# of the data is trusted more than that.
+# of the data is trusted more than that. Oscillating terms have a quadrature of higher order, and larger errors.
 _RIDGE = 1e-4
+_OSCILLATING_RIDGE = 5e-3
+_OSCILLATING_ORDER = 32
 
 
 class _Constants(eqx.Module):
@@ -34,13 +36,18 @@ class Design(eqx.Module):
     model: Model = eqx.field(static=True)
     geometry: AllanCovariance
     octaves: Float[np.ndarray, "m m"]
+    ridge: Float[np.ndarray, ""]
     constants: _Constants
 
     @classmethod
-    def of(cls, model: Model, geometry: AllanCovariance) -> Design:
-        """The design of a model (as sampled) for overlapping Allan variances of this geometry."""
+    def of(cls, model: Model, n: int, rate: float, sizes: Int[np.ndarray, " m"]) -> Design:
+        """The design of a model for overlapping Allan variances at these cluster sizes of n samples."""
+        model = model.sampled(rate)
+        oscillates = any(term.oscillates for term in model.terms)
+        geometry = AllanCovariance.of(n, rate, sizes, *([_OSCILLATING_ORDER] if oscillates else []))
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
-        return cls(model, geometry, np.exp(-distance), _constants(model, geometry))
+        ridge = np.asarray(_OSCILLATING_RIDGE if oscillates else _RIDGE)
+        return cls(model, geometry, np.exp(-distance), ridge, _constants(model, geometry))
 
     @property
     def shapes(self) -> tuple[ModelParameter, ...]:
@@ -65,10 +72,10 @@ class Design(eqx.Module):
         """Covariance of the estimates as a bilinear form in the powers, for each pair of estimates."""
         if self.constants.products is not None:
             return self.constants.products
-        pairs = zip(self._units(shape), self.constants.kernels, strict=True)
-        return _products(
-            self.model, self.geometry, [self.geometry.kernel(t) if k is None else k for t, k in pairs]
-        )
+        units = self._units(shape)
+        pairs = zip(units, self.constants.kernels, strict=True)
+        kernels = [self.geometry.kernel(t) if k is None else k for t, k in pairs]
+        return _products(units, self.geometry, kernels)
 
     def covariance(
         self, power: Float[Array, " terms"], products: Float[Array, "pairs terms terms"]
@@ -81,7 +88,7 @@ class Design(eqx.Module):
     ) -> Float[Array, "m m"]:
         """Covariance of V/mean, with a relative model error correlated over about an octave."""
         relative = covariance / (mean[:, None] * mean)
-        return relative + _RIDGE * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
+        return relative + self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
 
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
@@ -94,13 +101,31 @@ def _unit(term: NoiseTerm) -> NoiseTerm:
 
 
 def _products(
-    model: Model, geometry: AllanCovariance, kernels: list[Float[Array, "pairs lags"]]
+    terms: list[NoiseTerm], geometry: AllanCovariance, kernels: list[Float[Array, "pairs lags"]]
 ) -> Float[Array, "pairs terms terms"]:
-    # A line or a ramp is the same in every record: its own square does not scatter.
-    steady = np.array([t.deterministic for t in model.terms])
+    # A line or a ramp is the same in every record: its own square does not scatter. That of a narrow-band
+    # term does, but its kernel oscillates too fast for the quadrature.
+    own_scatter = np.array([not (t.deterministic or t.narrow_band) for t in terms])
     stacked = jnp.stack(kernels)
     products = jnp.einsum("kpl,pl,jpl->pkj", stacked, geometry.weights, stacked)
-    return products * ~(steady[:, None] & steady)
+    products = products * (own_scatter[:, None] | own_scatter)
+    for k, term in enumerate(terms):
+        if term.narrow_band:
+            products = products.at[:, k, k].set(_narrow_band_scatter(term, geometry))
+    return products
+
+
+def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Array, " pairs"]:
+    """Covariance of the estimates of a narrow-band term alone.
+
+    Its power fluctuates as one, which all estimates share; an estimate's own overlaps of differences add as
+    much once more (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
+    """
+    i, j = geometry.pairs
+    mean = term.allan_variance(geometry.cluster_time)
+    common = term.power_scatter(geometry.duration)
+    clusters = geometry.cluster_time[i] / geometry.duration
+    return mean[i] * mean[j] * (common + jnp.where(i == j, common + 1.5 * clusters, 0.0))
 
 
 @eqx.filter_jit
@@ -111,4 +136,4 @@ def _constants(model: Model, geometry: AllanCovariance) -> _Constants:
     kernels = tuple(None if t is None else geometry.kernel(t) for t in units)
     if with_shape:
         return _Constants(means, kernels, None)
-    return _Constants(means, (), _products(model, geometry, list(kernels)))
+    return _Constants(means, (), _products(units, geometry, list(kernels)))

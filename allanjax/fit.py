@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
 from allanjax.allan import AllanDeviation, allan_deviation
-from allanjax.covariance import AllanCovariance
 from allanjax.design import Design
 from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
-from allanjax.inference import Inference, infer
+from allanjax.inference import HYPOTHESES, Inference, infer
 from allanjax.model import Model
 from allanjax.recording import Recording
 from allanjax.result import AxisFit, Coefficient, Fit
@@ -26,10 +27,15 @@ from allanjax.terms import (
     RateRandomWalk,
 )
 
-# Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four there is nothing to gain.
+# Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
 _PER_OCTAVE = 4
-# A term belongs to the reduced model if zero is rejected at this many standard deviations (one-sided 0.5 %).
-_DETECTION = 2.576
+# A term belongs to the reduced model if zero is rejected at this many standard deviations (one-sided 0.13 %:
+# there are five to choose from).
+_DETECTION = 3.0
+# A term is needed if the discrepancy grows by this factor without it (from nothing, if there was none).
+_SPOILT = 1.2
+# One term is exchanged for another if that lowers minus twice the log-likelihood by more than this.
+_BETTER = 4.0
 _TWO_SIDED_95 = 1.960
 _ONE_SIDED_95 = 1.645
 
@@ -47,9 +53,9 @@ def fit(recording: Recording, model: Model | NoiseTerm | None = None) -> Fit:
 
     Args:
         recording: what `read` returns, or `Recording.from_array`.
-        model: the terms, added up with `+`; parameters with a value start there, those held stay there. Without
-            one, the thesis's five basic terms, reduced for each axis to those that the data support; for the
-            others there is an upper limit.
+        model: the terms, added up with `+`; parameters with a value start there, those held stay there.
+            Without one, the thesis's five basic terms, reduced for each axis to those that the data support;
+            for the others there is an upper limit.
 
     Returns:
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
@@ -62,35 +68,35 @@ def fit(recording: Recording, model: Model | NoiseTerm | None = None) -> Fit:
     free_count = sum(p.free for p in template.parameters)
     if len(curve.cluster_size) <= free_count:
         raise FitError(
-            f"{recording.name or 'the recording'}: {recording.n} samples give {len(curve.cluster_size)} Allan "
-            f"variances, too few for {free_count} parameters; record longer or use fewer terms"
+            f"{recording.name or 'the recording'}: {recording.n} samples give "
+            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; record longer or use fewer terms"
         )
-    # In units of each axis's own scatter no power under- or overflows, and starts need no absolute scale.
-    geometry = AllanCovariance.of(recording.n, recording.rate, curve.cluster_size)
-    design = Design.of(template.sampled(recording.rate), geometry)
+    design = Design.of(template, recording.n, recording.rate, curve.cluster_size)
     variance = curve.variance.T
     starts = find_starts(design, variance, recording.values, recording.rate)
     free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
     active = np.ones((len(recording.axes), len(template)), bool)
 
-    def attempt(active: Bool[np.ndarray, "axes terms"]) -> tuple[Solution, Inference]:
+    def attempt(active: Bool[np.ndarray, "axes terms"]) -> Solution:
         solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
         for k in range(1, starts.power.shape[1]):
-            failed = ~np.asarray(solution.converged)
-            if not failed.any():
+            doubtful = ~np.asarray(solution.converged) | np.asarray(solution.discrepancy > 0.0)
+            if not doubtful.any():
                 break
             other = solve(design, variance, free, active, starts.power[:, k], starts.shape[:, k])
-            solution = Solution(*(_choose(failed, new, old) for new, old in zip(other, solution, strict=True)))
-        return solution, infer(design, variance, free, active, solution)
+            better = np.asarray(other.converged & ~(other.cost >= solution.cost) | ~solution.converged)
+            solution = _choose(doubtful & better, other, solution)
+        return solution
 
-    solution, inference = attempt(active)
+    def at_zero(
+        active: Bool[np.ndarray, "axes terms"], solution: Solution
+    ) -> Float[np.ndarray, "axes terms"]:
+        return np.asarray(infer(design, variance, free, active, solution, np.asarray(1)).pivot_at)[:, :, 0]
+
+    solution = attempt(active)
     if model is None:
-        for _ in range(4 * len(template)):
-            reduced = _reduce(active, solution, inference)
-            if np.array_equal(reduced, active):
-                break
-            active = reduced
-            solution, inference = attempt(active)
+        active, solution = _reduce(attempt, at_zero, active, solution)
+    inference = infer(design, variance, free, active, solution, np.asarray(HYPOTHESES))
     solution = Solution(*(np.asarray(x) for x in solution))
     inference = Inference(*(np.asarray(x) for x in inference))
     results = tuple(
@@ -109,39 +115,73 @@ def fit(recording: Recording, model: Model | NoiseTerm | None = None) -> Fit:
     return Fit(
         recording.name,
         template,
-        _with_model_edf(curve, results, geometry, inference),
+        _with_model_edf(curve, results, inference),
         results,
         recording.notes,
     )
 
 
-def _choose(
-    rows: Bool[np.ndarray, " axes"], new: Num[Array, "axes ..."], old: Num[Array, "axes ..."]
-) -> Num[np.ndarray, "axes ..."]:
-    return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
+def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
+    """The new solution for these axes, the old one for the others."""
+
+    def of(new: Num[Array, "axes ..."], old: Num[Array, "axes ..."]) -> Num[np.ndarray, "axes ..."]:
+        return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
+
+    return Solution(*(of(x, y) for x, y in zip(new, old, strict=True)))
 
 
 def _reduce(
-    active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
-) -> Bool[np.ndarray, "axes terms"]:
-    """One step towards the terms that the data support, for every axis.
+    attempt: Callable[[Bool[np.ndarray, "axes terms"]], Solution],
+    at_zero: Callable[[Bool[np.ndarray, "axes terms"], Solution], Float[np.ndarray, "axes terms"]],
+    active: Bool[np.ndarray, "axes terms"],
+    solution: Solution,
+) -> tuple[Bool[np.ndarray, "axes terms"], Solution]:
+    """Reduce the terms to those that the data support, for every axis.
 
-    Terms without power go first, then the least significant one; when all that remain are significant, one that
-    was dropped comes back if the data ask for it now.
+    Terms without power go, then the least significant one, as long as zero is not rejected and the rest still
+    fits: a term without which the model's curve is further off is kept for good. Where the rest fits badly, each
+    exchange of a term for a neighbour in slope is tried.
     """
-    active = active.copy()
-    at_zero = np.asarray(inference.pivot_at)[:, :, 0]
-    for mine, power, z in zip(active, np.asarray(solution.power), at_zero, strict=True):
-        empty = mine & (power == 0.0)
-        if empty.any():
-            mine[empty] = False
-            continue
-        weakest = np.argmin(np.where(mine, z, np.inf))
-        strongest = np.argmax(np.where(mine, -np.inf, z))
-        if z[weakest] < _DETECTION and mine.sum() > 1:
-            mine[weakest] = False
-        elif not mine[strongest] and z[strongest] > _DETECTION + 0.5:
-            mine[strongest] = True
+    needed = np.zeros_like(active)
+    while True:
+        state = zip(active, needed, np.asarray(solution.power), at_zero(active, solution), strict=True)
+        reduced = np.array([_drop(*of_axis) for of_axis in state])
+        if np.array_equal(reduced, active):
+            break
+        new = attempt(reduced)
+        spoilt = np.asarray((new.discrepancy > _SPOILT * solution.discrepancy) | ~new.converged)
+        needed |= spoilt[:, None] & active & ~reduced
+        active = np.where(spoilt[:, None], active, reduced)
+        solution = _choose(~spoilt, new, solution)
+
+    terms = active.shape[1]
+    exchanges = [(i, j) for i, j in itertools.permutations(range(terms), 2) if abs(i - j) <= 2]
+    for out, into in exchanges:
+        bad = np.asarray(solution.discrepancy) > 0.0
+        possible = bad & active[:, out] & ~active[:, into]
+        if possible.any():
+            exchanged = active.copy()
+            exchanged[possible, out], exchanged[possible, into] = False, True
+            new = attempt(exchanged)
+            better = np.asarray(new.converged & (new.cost < solution.cost - _BETTER)) & possible
+            active = np.where(better[:, None], exchanged, active)
+            solution = _choose(better, new, solution)
+    return active, solution
+
+
+def _drop(
+    active: Bool[np.ndarray, " terms"],
+    needed: Bool[np.ndarray, " terms"],
+    power: Float[np.ndarray, " terms"],
+    at_zero: Float[np.ndarray, " terms"],
+) -> Bool[np.ndarray, " terms"]:
+    """The terms of one axis without those that have no power, or without the least significant one."""
+    empty = active & (power == 0.0)
+    if empty.any():
+        return active & ~empty
+    weakest = np.argmin(np.where(active & ~needed, at_zero, np.inf))
+    if at_zero[weakest] < _DETECTION and active.sum() > 1:
+        return active & (np.arange(len(active)) != weakest)
     return active
 
 
@@ -230,7 +270,8 @@ def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid
     Where the data would like less than no power, they are taken as if they asked for none: an upper limit
     must not shrink because of that.
     """
-    pivot = pivot - min(pivot[0], 0.0) * (power[0] == 0.0) * (level < 0.0)
+    if level < 0.0:
+        pivot = pivot - min(pivot[0], 0.0)
     middle = int(np.argmin(np.abs(pivot)))
     beyond = pivot >= level if level > 0.0 else pivot <= level
     below, above = np.flatnonzero(beyond[:middle]), middle + np.flatnonzero(beyond[middle:])
@@ -247,7 +288,7 @@ def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid
 
 
 def _with_model_edf(
-    curve: AllanDeviation, results: tuple[AxisFit, ...], geometry: AllanCovariance, inference: Inference
+    curve: AllanDeviation, results: tuple[AxisFit, ...], inference: Inference
 ) -> AllanDeviation:
     """The curve with degrees of freedom 2μ²/Var under the fitted models."""
     edf = np.array(curve.edf)

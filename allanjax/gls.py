@@ -25,6 +25,9 @@ from jaxtyping import Array, Bool, Float, Int
 from allanjax.design import Design
 from allanjax.linalg import non_negative_least_squares, whiten
 
+# How far shapes may move from their start, in ln: the spectrum knows better than the Allan curve where
+# a line is; other starts are two to a decade or denser.
+_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 _OUTER_STEPS = 60
 _INNER_STEPS = 50
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
@@ -45,7 +48,6 @@ class Solution(NamedTuple):
     discrepancy: Float[Array, ""]
     converged: Bool[Array, ""]
     cost: Float[Array, ""]
-    steps: Int[Array, ""]
 
 
 class _State(NamedTuple):
@@ -60,19 +62,8 @@ class _State(NamedTuple):
     phase: Int[Array, ""]
     step: Int[Array, ""]
     chi2: Float[Array, ""]
+    cost: Float[Array, ""]
     at_rest: Bool[Array, ""]
-    total: Int[Array, ""]
-
-
-def _chi2(
-    design: Design,
-    covariance: Float[Array, "m m"],
-    mean: Float[Array, " m"],
-    discrepancy: Float[Array, ""],
-    V: Float[Array, " m"],
-) -> Float[Array, ""]:
-    relative = design.relative(covariance, mean, discrepancy)
-    return jnp.sum(whiten(relative, (V / mean - 1.0)[:, None]).values ** 2)
 
 
 def _solve(
@@ -86,12 +77,23 @@ def _solve(
     """The estimate from a start. Inactive terms have no power; those not free keep theirs."""
     owner = jnp.asarray([p.term for p in design.shapes], int)
     power = jnp.where(active, power, 0.0)
+    start = shape
+    reach = jnp.asarray([_REACH[p.parameter.kind] for p in design.shapes])
     dof = jnp.maximum(len(V) - jnp.sum(active & free) - jnp.sum(active[owner]), 1.0)
     # Wilson & Hilferty's (1931) point of χ² at 1e-6; its tail is heavier here, where few clusters remain.
     limit = dof * (1.0 - 2.0 / (9.0 * dof) + 4.75 * jnp.sqrt(2.0 / (9.0 * dof))) ** 3
 
+    def within(u: Array) -> Array:
+        """Shapes that the data can know of: a line where it was found, times inside the record's span."""
+        return jnp.where(active[owner], jnp.clip(u, start - reach, start + reach), start)
+
     def scatter(power: Array, shape: Array) -> tuple[Array, Array]:
         return power @ design.means(shape), design.covariance(power, design.products(shape))
+
+    def misfit(mean: Array, covariance: Array, discrepancy: Array) -> tuple[Array, Array]:
+        relative = design.relative(covariance, mean, discrepancy)
+        residual, log_det = whiten(relative, (V / mean - 1.0)[:, None])
+        return jnp.sum(residual**2), log_det
 
     def best_powers(shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
         """Powers for a shape, and the whitened residual they leave (variable projection)."""
@@ -109,27 +111,28 @@ def _solve(
         if len(shape):
 
             def residual(u: Array, _: None) -> Array:
-                u = jnp.clip(jnp.where(active[owner], u, shape), shape - 3.0, shape + 3.0)
-                return best_powers(u, W, reference)[1]
+                return best_powers(within(u), W, reference)[1]
 
             # Conjugate gradients instead of the default QR: see `linalg` about batches of LAPACK calls.
             linear = lx.NormalCG(rtol=1e-9, atol=1e-12)
             solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=linear)
             found = optx.least_squares(residual, solver, shape, max_steps=_INNER_STEPS, throw=False)
-            shape = jnp.clip(jnp.where(active[owner], found.value, shape), shape - 3.0, shape + 3.0)
+            shape = jnp.where(jnp.isfinite(found.value), within(found.value), shape)
         step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
         # Reweighting converges by a steady factor, sometimes a slow or a negative one. Anderson's (1965)
         # acceleration, with one step of memory and steps measured by how they move the curve, sees to that.
         to_curve = W @ (design.means(state.shape) / reference).T
         change = to_curve @ (step[0] - state.last_step[0])
         gamma = jnp.vdot(change, to_curve @ step[0]) / jnp.maximum(jnp.vdot(change, change), 1e-30)
-        gamma = jnp.where(state.step > 0, jnp.clip(gamma, -5.0, 0.5), 0.0)
+        # While warming up each step solves another problem: nothing to extrapolate.
+        steady = (state.step > 0) & (state.phase != _WARM_UP)
+        gamma = jnp.where(steady, jnp.clip(gamma, -5.0, 0.5), 0.0)
         here = (state.power, state.shape)
         power, shape = (
             x + f - gamma * (x - x_last + f - f_last)
             for x, f, x_last, f_last in zip(here, step, state.last, state.last_step, strict=True)
         )
-        power = jnp.where(free, jnp.maximum(power, 0.0), state.power)
+        power, shape = jnp.where(free, jnp.maximum(power, 0.0), state.power), within(shape)
         moved = W @ (power @ design.means(shape) / reference - 1.0)
         return power, shape, jnp.linalg.norm(moved), step
 
@@ -138,13 +141,17 @@ def _solve(
         k = state.step + 1
         at_rest = moved < _TOLERANCE
         reference, covariance = scatter(power, shape)
-        chi2 = _chi2(design, covariance, reference, jnp.zeros(()), V)
+        (chi2, with_discrepancy), (_, log_det) = jax.vmap(lambda s: misfit(reference, covariance, s))(
+            jnp.stack([jnp.zeros(()), state.discrepancy])
+        )
+        # Minus twice the Gaussian log-likelihood, to choose among starts.
+        cost = with_discrepancy + 2.0 * (log_det + jnp.sum(jnp.log(reference)))
         # Where the discrepancy dominates, χ² goes with its inverse square.
-        excess = _chi2(design, covariance, reference, state.discrepancy, V) / dof
+        excess = with_discrepancy / dof
         s = jnp.clip(state.discrepancy * jnp.sqrt(excess), 1e-4, 10.0)
         warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_DISCREPANCY))
         # Nothing is to be gained from iterating a model that is far off.
-        hopeless = chi2 > 4.0 * limit
+        hopeless = (chi2 > 4.0 * limit) & (k >= 5)
         plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
         incomplete = plain_ends & ~(at_rest & (chi2 < limit))
         settled = at_rest & (jnp.abs(excess - 1.0) < 0.02)
@@ -172,8 +179,8 @@ def _solve(
             discrepancy=discrepancy,
             phase=phase,
             step=jnp.where(phase == state.phase, k, 0),
-            total=state.total + 1,
             chi2=chi2,
+            cost=cost,
             at_rest=jnp.where(state.phase == _DISCREPANT, settled, at_rest),
         )
 
@@ -187,17 +194,12 @@ def _solve(
         phase=jnp.asarray(_WARM_UP),
         step=jnp.asarray(0),
         chi2=jnp.asarray(jnp.inf),
+        cost=jnp.asarray(jnp.inf),
         at_rest=jnp.asarray(False),
-        total=jnp.asarray(0),
     )
     state = jax.lax.while_loop(lambda state: state.phase != _DONE, step, state)
-    reference, covariance = state.mean, state.covariance
-    relative = design.relative(covariance, reference, state.discrepancy)
-    residual, log_det = whiten(relative, (V / reference - 1.0)[:, None])
-    # Minus twice the Gaussian log-likelihood, to choose among starts.
-    cost = jnp.sum(residual**2) + 2.0 * (log_det + jnp.sum(jnp.log(reference)))
-    converged = state.at_rest & jnp.isfinite(cost)
-    return Solution(state.power, state.shape, state.chi2, state.discrepancy, converged, cost, state.total)
+    converged = state.at_rest & jnp.isfinite(state.cost)
+    return Solution(state.power, state.shape, state.chi2, state.discrepancy, converged, state.cost)
 
 
 @eqx.filter_jit

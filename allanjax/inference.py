@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from allanjax.design import Design
 from allanjax.gls import Solution
@@ -19,7 +19,7 @@ class Inference(NamedTuple):
     """What the data say about one axis around its estimate.
 
     `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
-    and the standardized distance of the data from each, positive where the data want more.
+    and the data's distance from each as a normal score, positive where the data want more.
     """
 
     covariance: Float[Array, "params params"]
@@ -28,10 +28,35 @@ class Inference(NamedTuple):
     pivot_at: Float[Array, "terms grid"]
 
 
-# Hypothetical powers, in standard deviations from the estimate.
+class _Linearized(NamedTuple):
+    """One-step estimates at a hypothesis, linear in the relative residuals of the Allan variances.
+
+    `weights` [params, m] are those of the residuals, `weighted` their product with the residuals' covariance.
+    """
+
+    covariance: Float[Array, "params params"]
+    step: Float[Array, " params"]
+    weights: Float[Array, "params m"]
+    weighted: Float[Array, "params m"]
+    estimate_covariance: Float[Array, "m m"]
+
+
+def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
+    """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
+
+    Few clusters make estimates skew, so that a positive t is less surprising than a negative one. Cube roots of
+    gamma variates are nearly normal (Wilson & Hilferty 1931).
+    """
+    g = jnp.where(jnp.abs(skewness) > 1e-3, skewness, 1e-3)
+    return (jnp.cbrt(jnp.maximum(1.0 + g * t / 2.0, 0.0)) - 1.0 + g**2 / 36.0) * 6.0 / g
+
+
+# Hypothetical powers, in standard deviations from the estimate; the first is zero power.
 _GRID = np.array(
-    [-8, -6, -5, -4, -3, -2.5, -2, -1.5, -1, -0.5, 0, 0.5, 1, 1.5, 2, 2.5, 3, 4, 6, 10, 20, 50, 200.0]
+    [-np.inf, -8, -6, -5, -4, -3, -2.5, -2, -1.5, -1, -0.5, 0]
+    + [0.5, 1, 1.5, 2, 2.5, 3, 4, 6, 10, 20, 50, 200]
 )
+HYPOTHESES = len(_GRID)
 
 
 @eqx.filter_jit
@@ -41,14 +66,17 @@ def infer(
     free: Bool[Array, " terms"],
     active: Bool[Array, "axes terms"],
     solution: Solution,
+    hypotheses: Int[Array, ""],
 ) -> Inference:
     """Covariance of the parameters, and for each term the data's distance from hypothetical powers.
+
+    The first hypothesis is v = 0; only as many as asked for are looked at (`HYPOTHESES` are all).
 
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
     powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
     with v. It exists for inactive terms too, whose upper limits it gives.
     """
-    return jax.vmap(lambda V, active, s: _infer(design, V, free, active, s))(V, active, solution)
+    return jax.vmap(lambda V, active, s: _infer(design, V, free, active, s, hypotheses))(V, active, solution)
 
 
 def _infer(
@@ -57,53 +85,72 @@ def _infer(
     free: Bool[Array, " terms"],
     active: Bool[Array, " terms"],
     s: Solution,
+    count: Int[Array, ""],
 ) -> Inference:
     terms = len(s.power)
-    # A power that ended at zero is as good as absent for the others.
-    active = active & (s.power > 0.0)
     owner = jnp.asarray([p.term for p in design.shapes], int)
     means, products = design.means(s.shape), design.products(s.shape)
     by_shape = jax.jacfwd(design.means)(s.shape)  # [terms, m, shapes]
 
-    def analyse(power: Array, estimated: Array) -> tuple[Array, Array, Array]:
-        """Parameter covariance and one-step estimate of the powers at a hypothesis."""
+    def at_hypothesis(power: Array, estimated: Array) -> _Linearized:
         mean = power @ means
         covariance = design.covariance(power, products)
-        D = jnp.concatenate([means.T, jnp.einsum("k,kms->ms", power, by_shape)], axis=1)
-        residual = V / mean - 1.0
-        columns = jnp.concatenate([D / mean[:, None], residual[:, None]], axis=1)
+        raw = jnp.concatenate([means.T, jnp.einsum("k,kms->ms", power, by_shape)], axis=1) / mean[:, None]
+        raw = raw * estimated
+        columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None], jnp.eye(len(V))], axis=1)
         columns = whiten(design.relative(covariance, mean, s.discrepancy), columns).values
-        D, residual = columns[:, :-1] * estimated, columns[:, -1]
+        D, residual, W = columns[:, : len(estimated)], columns[:, len(estimated)], columns[:, -len(V) :]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
         # A zero column (not estimated) gets a unit on the diagonal, and no variance afterwards.
         normal = (D / size).T @ (D / size) + jnp.diag(1.0 - estimated) + 1e-12 * jnp.eye(len(size))
         normal_inverse = inverse(normal) / (size[:, None] * size)
-        step = normal_inverse @ (D.T @ residual)
-        return normal_inverse * (estimated[:, None] * estimated), step, covariance
+        return _Linearized(
+            covariance=normal_inverse * (estimated[:, None] * estimated),
+            step=normal_inverse @ (D.T @ residual),
+            weights=normal_inverse @ (D.T @ W),
+            weighted=normal_inverse @ raw.T,
+            estimate_covariance=covariance,
+        )
 
-    is_active = jnp.concatenate([active & free, active[owner]]).astype(float)
-    parameter_covariance, _, estimate_covariance = analyse(s.power, is_active)
+    # The shape of a term without power is nowhere in the data.
+    has_shape = active[owner] & (s.power[owner] > 0.0)
+    is_active = jnp.concatenate([active & free, has_shape]).astype(float)
+    # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
+    alone = jnp.eye(terms, dtype=bool)
+    own_shape = alone[:, owner]
+    tested = jnp.concatenate([(active & free) | alone, has_shape & ~own_shape], axis=1).astype(float)
+    every = jnp.concatenate([is_active[None], tested])
+    around = jax.vmap(lambda estimated: at_hypothesis(s.power, estimated))(every)
+    found = jax.tree.map(lambda x: x[0], around)
 
-    def hypotheses(term: Array) -> tuple[Array, Array]:
-        # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
-        alone = jnp.arange(terms) == term
-        own_shape = owner == term
-        estimated = jnp.concatenate([(active & free) | alone, active[owner] & ~own_shape]).astype(float)
-        local, _, _ = analyse(s.power, estimated)
+    def hypotheses(
+        term: Array, alone: Array, own_shape: Array, estimated: Array, local: Array
+    ) -> tuple[Array, Array]:
         sd = jnp.sqrt(local[term, term])
         powers = jnp.maximum(s.power[term] + jnp.asarray(_GRID) * sd, 0.0)
         slope = jnp.where(estimated[:terms] > 0.0, local[:terms, term] / local[term, term], 0.0)
 
-        def distance(v: Array) -> Array:
+        def distance(k: Array, distances: Array) -> Array:
+            # A term that is alone cannot vanish altogether.
+            v = jnp.maximum(powers[k], 1e-9 * s.power[term])
             others = jnp.maximum(s.power + slope * (v - s.power[term]), 0.05 * s.power)
             at = jnp.where(alone, v, jnp.where(active, others, 0.0))
-            shaped = jnp.where(v > 0.0, 1.0, ~own_shape) * active[owner]
+            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape)
             fitted = jnp.concatenate([estimated[:terms], shaped])
-            covariance, step, _ = analyse(at, fitted)
-            return step[term] / jnp.sqrt(covariance[term, term])
+            there = at_hypothesis(at, fitted)
+            variance = there.covariance[term, term]
+            # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, with the triple products replaced
+            # by pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
+            third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
+            # An estimate that cannot be negative is no more skew than a χ² of its own mean and variance.
+            skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
+            score = _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
+            return distances.at[k].set(score)
 
-        return powers, jax.lax.map(distance, powers)
+        return powers, jax.lax.fori_loop(0, count, distance, jnp.zeros_like(powers))
 
-    power_at, pivot_at = jax.vmap(hypotheses)(jnp.arange(terms))
-    return Inference(parameter_covariance, estimate_covariance, power_at, pivot_at)
+    power_at, pivot_at = jax.vmap(hypotheses)(
+        jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
+    )
+    return Inference(found.covariance, found.estimate_covariance, power_at, pivot_at)

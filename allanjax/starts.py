@@ -98,8 +98,8 @@ def _shape_candidates(
 def find_lines(x: Float[np.ndarray, " samples"], rate: float) -> Float[np.ndarray, " peaks"]:
     """Frequencies [Hz] of the most conspicuous peaks of the spectrum, sharp lines and broad bumps alike.
 
-    A peak is the excess of the periodogram over its running median, in units of its own scatter, at each of
-    several resolutions; peaks found at one resolution are not counted again at another.
+    A peak is the excess of the periodogram over its running median, weighed by its likelihood, at each of
+    several resolutions; a peak found at one resolution is not counted again at another.
     """
     from scipy.ndimage import median_filter
     from scipy.signal import welch
@@ -107,11 +107,10 @@ def find_lines(x: Float[np.ndarray, " samples"], rate: float) -> Float[np.ndarra
     found: list[tuple[float, float, float]] = []
     for length in {len(x), min(len(x), 8192), min(len(x), 512)}:
         f, S = welch(x, rate, nperseg=length, detrend="linear")
-        averages = max(1.0, 2.0 * len(x) / length - 1.0)
         f, S = f[2:-1], S[2:-1]
-        size = min(101, len(S) // 4 * 2 + 1)
-        # Over the running median, an exponential's median being ln 2 of its mean.
-        excess = (S / (median_filter(S, size) / np.log(2.0)) - 1.0) * np.sqrt(averages)
+        ratio = S / median_filter(S, min(101, len(S) // 4 * 2 + 1))
+        # Log-likelihood gain of a free level for a mean of that many periodograms.
+        excess = len(x) / length * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
         for i in np.argsort(excess)[::-1][:40]:
             found.append((excess[i], f[i], 2.0 * rate / length))
     found.sort(reverse=True)

@@ -87,6 +87,8 @@ class NoiseTerm(eqx.Module):
 
     #: True for a line or a ramp: the signal repeats in every record, so that its square does not scatter.
     deterministic: ClassVar[bool] = False
+    #: True if the term oscillates for long: its whole power fluctuates together, see `power_scatter`.
+    narrow_band: ClassVar[bool] = False
 
     # ------------------------------------------------------------------ what a subclass provides
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
@@ -107,9 +109,18 @@ class NoiseTerm(eqx.Module):
         of θ, by circulant embedding (Davies & Harte 1987), and adds them up from zero: the level itself has
         no law when the term is not stationary.
         """
-        half = next_fast_len(n, real=True)
+        half = next_fast_len(max(n, 2), real=True)
         increments = _gaussian_sequence(key, self._increment_autocovariance(half + 1, rate))[:n]
         return linear_recurrence(1.0, increments)
+
+    @property
+    def oscillates(self) -> bool:
+        """Whether G swings with a period of its own, so that sums over lags must look more closely."""
+        return self.narrow_band
+
+    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        """Relative variance of a narrow-band term's mean square over a record of this duration [s]."""
+        raise NotImplementedError(f"{type(self).__name__} is narrow-band and defines no power_scatter")
 
     def sampled(self, rate: float) -> Self:
         """The term as seen by a sensor that samples at `rate` [Hz]; itself, unless sampling matters."""
@@ -227,9 +238,7 @@ def _second_difference(x: Float[Array, " k"]) -> Float[Array, " k-2"]:
     return x[2:] - 2.0 * x[1:-1] + x[:-2]
 
 
-def _gaussian_sequence(
-    key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]
-) -> Float[Array, " 2*half"]:
+def _gaussian_sequence(key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]) -> Float[Array, " 2*half"]:
     """A stationary Gaussian sequence on a circle of 2·half samples with this autocovariance.
 
     Successive samples up to half + 1 of them are a draw of the process on a line (circulant embedding).

@@ -26,6 +26,10 @@ class BiasInstability(NoiseTerm):
     def _has_no_cutoff(self) -> bool:
         return isinstance(self.cutoff_frequency, float) and math.isinf(self.cutoff_frequency)
 
+    @property
+    def oscillates(self) -> bool:
+        return not self._has_no_cutoff()
+
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         B2 = self.coefficient**2
         if self._has_no_cutoff():

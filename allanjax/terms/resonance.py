@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
@@ -24,6 +26,7 @@ class Resonance(NoiseTerm):
     quality_factor: float | None = parameter("Q_f", "number", lower=0.5)
     #: Sample interval [s]; 0 for the continuous rate.
     sample_interval: float = 0.0
+    narrow_band: ClassVar[bool] = True
 
     def sampled(self, rate: float) -> Resonance:
         return self.replace(sample_interval=1.0 / rate)
@@ -45,6 +48,10 @@ class Resonance(NoiseTerm):
         kappa = c * t0**2 / (4.0 * jnp.sinh(pole * t0 / 2.0) ** 2)
         slope = -t0 / 2.0 + jnp.real(kappa * (jnp.expm1(pole * t0) - pole * t0)) / t0
         return self.amplitude**2 * (slope * lag - jnp.real(kappa * remainder))
+
+    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        """2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
+        return self.quality_factor / (jnp.pi * self.frequency * jnp.asarray(duration))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""

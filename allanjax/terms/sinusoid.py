@@ -29,6 +29,10 @@ class Sinusoid(NoiseTerm):
     sample_interval: float = 0.0
     deterministic: ClassVar[bool] = True
 
+    @property
+    def oscillates(self) -> bool:
+        return True
+
     def sampled(self, rate: float) -> Sinusoid:
         return self.replace(sample_interval=1.0 / rate)
 

@@ -1,0 +1,53 @@
+"""Where compiled programs are kept, so that only the first run on a machine compiles."""
+
+import os
+import sys
+import warnings
+from pathlib import Path
+
+# Shorter compilations take no longer than reading their results back.
+_MIN_COMPILE_SECONDS = 0.1
+
+
+def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) -> Path | None:
+    """Keep compiled programs in a directory for later processes.
+
+    Args:
+        directory: where; by default as the environment variable ALLANJAX_CACHE says (`off` for nowhere), else
+            `allanjax/jax` in the user's cache directory.
+
+    Returns:
+        The directory, or None if there is no cache: it was switched off or, with a warning, is not writable.
+    """
+    chosen = os.environ.get("ALLANJAX_CACHE", "") if directory is None else os.fspath(directory)
+    if chosen.lower() == "off":
+        return None
+    path = Path(chosen).expanduser() if chosen else _user_cache() / "allanjax" / "jax"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        _warn(path, error.strerror)
+        return None
+    if not os.access(path, os.W_OK | os.X_OK):
+        _warn(path, "not writable")
+        return None
+    import jax
+
+    jax.config.update("jax_compilation_cache_dir", str(path))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
+    return path
+
+
+def _warn(path: Path, why: str | None) -> None:
+    warnings.warn(
+        f"{path}: {why}; programs are compiled anew every time; set ALLANJAX_CACHE to a directory or to off",
+        stacklevel=3,
+    )
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

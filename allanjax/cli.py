@@ -1,0 +1,351 @@
+"""The command line: `allanjax characterize`, `simulate` and `demo`."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from allanjax.model import Model
+    from allanjax.result import Fit
+
+Sensor = Literal["gyro", "accel"]
+
+_RESULTS = Path("allanjax-results")
+_WIDTH = 110
+
+
+def _epilog(*examples: str) -> str:
+    """Examples and exit codes, a line each: typer breaks lines at empty ones only."""
+    codes = "Exit codes: 0 success; 1 bad input, or an axis without result; 2 a wrong command line."
+    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
+
+
+app = typer.Typer(
+    name="allanjax",
+    help="Noise coefficients of gyros and accelerometers from a static recording, with honest uncertainties.",
+    epilog=_epilog("allanjax demo", "allanjax characterize imu.csv", "allanjax characterize --help"),
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+def main() -> None:
+    """Entry point of the command `allanjax`."""
+    app(prog_name="allanjax")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"allanjax {version('allanjax')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(
+    help="Estimate the noise coefficients of static recordings. Prints a table a file, and writes NAME.json, "
+    "NAME_allan.csv, NAME_coefficients.csv and NAME_allan.png. Where one of several files is bad, the others "
+    "go on.",
+    epilog=_epilog(
+        "allanjax characterize imu.csv",
+        "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
+        "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
+        "allanjax characterize *.csv --start 60 --json > fits.json",
+    ),
+)
+def characterize(
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="Recordings: CSV and other text, Parquet, .npy, .npz or .mat.", metavar="FILE"),
+    ],
+    rate: Annotated[
+        float | None, typer.Option(help="Sample rate in Hz; needed if the file has no time stamps.")
+    ] = None,
+    gyro_unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit of the gyros if the header has none: deg/s, rad/s, deg/h, ...; rad for increments."
+        ),
+    ] = None,
+    accel_unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit of the accelerometers if the header has none: m/s^2, g, mg, ...; m/s for increments."
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            help="Columns to read, or a name for each in order, - to skip one, e.g. time,gyro_x,-,gyro_z."
+        ),
+    ] = None,
+    time: Annotated[str | None, typer.Option(help="Column of time stamps; none to ignore them.")] = None,
+    time_unit: Annotated[str | None, typer.Option(help="Unit of the time stamps: s, ms, us or ns.")] = None,
+    start: Annotated[float | None, typer.Option(help="Leave out what is before this time, in s.")] = None,
+    stop: Annotated[float | None, typer.Option(help="Leave out what is from this time on, in s.")] = None,
+    terms: Annotated[
+        str | None,
+        typer.Option(
+            help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
+            "markov(correlation_time=100 s held)'. Without: the five basic terms, reduced to those that the "
+            "data support."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help=f"Folder for the results, by default {_RESULTS}; with --json there is none by default."
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
+    ] = False,
+) -> None:
+    from allanjax.errors import AllanjaxError
+    from allanjax.export import SCHEMA_VERSION, to_dict, write_results
+
+    model = None if terms is None else _fit_model(terms)
+    options = {
+        "rate": rate,
+        "gyro_unit": gyro_unit,
+        "accel_unit": accel_unit,
+        "columns": columns,
+        "time": time,
+    }
+    options |= {"time_unit": time_unit, "start": start, "stop": stop}
+    directory = out if as_json else out or _RESULTS
+    _prepare()
+    fits: list[dict[str, Any]] = []
+    errors: list[dict[str, str]] = []
+    for file, name in zip(files, _result_names(files), strict=True):
+        try:
+            fit = _read_and_fit(file, options, model)
+            if directory is not None:
+                with _stage(f"{file}: writing results"):
+                    paths = write_results(fit, directory, name)
+        except (AllanjaxError, OSError) as error:
+            errors.append({"file": str(file), "message": str(error)})
+            _print_error(str(error))
+            continue
+        if as_json:
+            fits.append({"file": str(file), **to_dict(fit)})
+        else:
+            _print_fit(fit)
+        if directory is not None:
+            print(
+                f"wrote {', '.join(str(path) for path in paths)}", file=sys.stderr if as_json else sys.stdout
+            )
+        for result in fit:
+            if not result.converged:
+                message = f"{result.axis.name}: no result, {result.reason}"
+                errors.append({"file": str(file), "message": message})
+                _print_error(f"{file}: {message}")
+    if as_json:
+        document = {"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors}
+        print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    if errors:
+        failed = dict.fromkeys(error["file"] for error in errors)
+        if len(files) > 1:
+            print(f"{len(failed)} of {len(files)} files failed: {', '.join(failed)}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+@app.command(
+    help="Simulate a static recording of a known sensor or of noise terms, and write it to a file.",
+    epilog=_epilog(
+        "allanjax simulate --list",
+        "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
+        "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
+        "allanjax simulate --sensor accel --out a.npz "
+        "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
+    ),
+)
+def simulate(
+    preset: Annotated[str | None, typer.Argument(help="A sensor of --list.", metavar="SENSOR")] = None,
+    terms: Annotated[
+        str | None,
+        typer.Option(help="Noise terms with their values and units, instead of a sensor; sqrt(h) may be √h."),
+    ] = None,
+    sensor: Annotated[Sensor, typer.Option(help="What the terms are those of.")] = "gyro",
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 3600.0,
+    rate: Annotated[
+        float, typer.Option(help="Sample rate in Hz, with --terms: sensors have their own.")
+    ] = 100.0,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same recording.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to write, .csv, .parquet or .npz; axes of another sample rate go to a file each, "
+            "with the rate in its name."
+        ),
+    ] = None,
+    show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
+) -> None:
+    from allanjax.sensors import SENSORS
+
+    if show_list:
+        for known in SENSORS.values():
+            rates = ", ".join(f"{rate:g} Hz" for rate in dict.fromkeys(axis.rate for axis in known.axes))
+            print(f"{known.name:12} {known.description}; {rates}")
+        return
+    if (preset is None) == (terms is None):
+        raise typer.BadParameter("give either a sensor or --terms", param_hint="SENSOR")
+    if out is None:
+        raise typer.BadParameter("give a file to write, e.g. imu.csv", param_hint="--out")
+    if preset is not None and preset not in SENSORS:
+        raise typer.BadParameter(f"no sensor {preset!r}; there are {', '.join(SENSORS)}", param_hint="SENSOR")
+    model = None if terms is None else _parsed(terms, sensor)
+    _prepare()
+    from allanjax.io import write
+    from allanjax.recording import Recording
+    from allanjax.simulate import simulate_recording
+
+    recordings: tuple[Recording, ...]
+    with _reported(), _stage("simulating"):
+        if model is not None:
+            n = round(duration * rate)
+            recordings = (simulate_recording({sensor: model}, n, rate, seed, name=out.stem),)
+        else:
+            recordings = SENSORS[str(preset)].simulate(duration, seed)
+        for recording in recordings:
+            path = out if len(recordings) == 1 else out.with_stem(f"{out.stem}_{recording.rate:g}Hz")
+            write(recording, path)
+            size = f"{recording.n:,} samples at {recording.rate:g} Hz"
+            print(f"wrote {path}: {', '.join(recording.names)}; {size}")
+
+
+@app.command(help="Characterize a simulated six-axis sensor, and compare what is found with what was put in.")
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the recording and the results.")] = Path(
+        "allanjax-demo"
+    ),
+) -> None:
+    _prepare()
+    with _stage("loading allanjax"):
+        from rich.console import Console
+
+        from allanjax.demo import compare, comparison_table, demo_recording
+        from allanjax.export import write_results
+        from allanjax.io import write
+    with _reported():
+        out.mkdir(parents=True, exist_ok=True)
+        file = out / "demo.csv"
+        with _stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+            recording = demo_recording()
+            write(recording, file)
+        print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
+        fit = _read_and_fit(file, {}, None)
+        with _stage("writing results"):
+            paths = write_results(fit, out, file.stem)
+    comparisons = compare(fit)
+    Console(width=_WIDTH).print(comparison_table(comparisons))
+    inside = sum(comparison.inside for comparison in comparisons)
+    print(f"{inside} of {len(comparisons)} intervals hold the truth; of 95 % ones, one in twenty should not.")
+    print(f"wrote {', '.join(str(path) for path in paths)}")
+    print("\nFor a recording of your own:\n    allanjax characterize imu.csv")
+    print("and if it has no time stamps and no units in its header:")
+    print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
+
+
+def _prepare() -> None:
+    """What every command needs before it computes: compiled programs from earlier runs, no windows."""
+    os.environ["MPLBACKEND"] = "Agg"
+    from allanjax.cache import enable_compilation_cache
+
+    enable_compilation_cache()
+
+
+def _parsed(terms: str, sensor: "Sensor | None" = None) -> "Model":
+    from allanjax.errors import AllanjaxError
+    from allanjax.notation import parse_model
+
+    try:
+        return parse_model(terms, sensor)
+    except AllanjaxError as error:
+        raise typer.BadParameter(str(error), param_hint="--terms") from error
+
+
+def _fit_model(terms: str) -> "Model":
+    model = _parsed(terms)
+    for p in model.parameters:
+        if p.parameter.kind == "amplitude" and p.start is not None:
+            raise typer.BadParameter(
+                f"{p.label} is what the fit estimates; leave out its value", param_hint="--terms"
+            )
+    return model
+
+
+def _read_and_fit(file: Path, options: dict[str, Any], model: "Model | None") -> "Fit":
+    with _stage(f"{file}: loading allanjax"):
+        from allanjax.fit import fit
+        from allanjax.io import read
+    with _stage(f"{file}: reading"):
+        recording = read(file, **options)
+    size = f"{recording.n:,} samples of {len(recording.axes)} axes"
+    with _stage(f"{file}: fitting {size} (the first run on a machine also compiles)"):
+        return fit(recording, model)
+
+
+@contextmanager
+def _stage(text: str) -> Iterator[None]:
+    """A spinner on stderr, where that is a terminal."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    with console.status(Text(text)):
+        yield
+
+
+def _print_fit(fit: "Fit") -> None:
+    print(fit, flush=True)
+    for note in fit.notes:
+        print(f"note: {note}")
+
+
+def _print_error(message: str) -> None:
+    print(f"error: {message}", file=sys.stderr)
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    """Bad input and failing files end the program with a message; anything else is a bug and shows itself."""
+    from allanjax.errors import AllanjaxError
+
+    try:
+        yield
+    except (AllanjaxError, OSError) as error:
+        _print_error(str(error))
+        raise typer.Exit(1) from error
+
+
+def _result_names(files: Sequence[Path]) -> list[str]:
+    """A name for the results of each file: its own without suffix, numbered where several share it."""
+    names: list[str] = []
+    for file in files:
+        stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
+        name, number = stem, 1
+        # Some file systems do not tell case apart.
+        while name.casefold() in (taken.casefold() for taken in names):
+            number += 1
+            name = f"{stem}-{number}"
+        names.append(name)
+    return names

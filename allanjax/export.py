@@ -1,0 +1,176 @@
+"""Files of a fit: JSON after `fit.schema.json`, CSV tables and the picture."""
+
+import csv
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from allanjax.recording import Axis
+from allanjax.result import AxisFit, Coefficient, Fit
+from allanjax.units import Sensor, default_coefficient_unit, parse_sample_unit, unit_scale
+
+SCHEMA_VERSION = 1
+
+_SI_UNITS: dict[Sensor, dict[float, str]] = {
+    "gyro": {1.0: "rad", 0.5: "rad/√s", 0.0: "rad/s", -0.5: "rad/s/√s", -1.0: "rad/s²"},
+    "accel": {1.0: "m/s", 0.5: "m/s/√s", 0.0: "m/s²", -0.5: "m/s²/√s", -1.0: "m/s³"},
+}
+_SI_RATE: dict[Sensor, str] = {"gyro": "rad/s", "accel": "m/s²"}
+
+
+def to_dict(fit: Fit) -> dict[str, Any]:
+    """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` says what each means.
+
+    Numbers that do not exist, such as the χ² of an axis without result, are None.
+    """
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "allanjax_version": version("allanjax"),
+        "recording": {
+            "name": fit.name,
+            "n": int(fit.curve.n),
+            "rate_hz": float(fit.curve.rate),
+            "duration_s": fit.curve.n / fit.curve.rate,
+        },
+        "converged": fit.converged,
+        "axes": [_axis(result) for result in fit],
+        "notes": list(fit.notes),
+    }
+
+
+def write_json(fit: Fit, path: str | os.PathLike[str]) -> None:
+    """Write `to_dict(fit)` to a file of JSON."""
+    text = json.dumps(to_dict(fit), indent=2, ensure_ascii=False, allow_nan=False)
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
+    """Write the Allan deviations with their 68 % intervals and the model's, one row a cluster time.
+
+    Each axis is in its recording's unit, which the header states; where that is one of increments, in rad/s
+    or m/s². The model's column is empty for an axis without result.
+    """
+    header, columns = ["cluster_time [s]"], [fit.curve.cluster_time]
+    lower, upper = fit.curve.confidence_interval(0.68)
+    for k, result in enumerate(fit):
+        unit, scale = _rate_unit(result.axis)
+        name = result.axis.name
+        model = (
+            fit.model_deviation(name, fit.curve.cluster_time)
+            if result.converged
+            else np.full(len(fit.curve.cluster_time), np.nan)
+        )
+        header += [f"{name} {kind} [{unit}]" for kind in ("deviation", "lower_68", "upper_68", "model")]
+        columns += [part / scale for part in (fit.curve.deviation[:, k], lower[:, k], upper[:, k], model)]
+    _write_csv(path, header, ([_finite(x) for x in row] for row in np.stack(columns, axis=1)))
+
+
+def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
+    """Write one row a coefficient, in its usual unit; an axis without result has one row with the reason."""
+    header = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "detected", "held"]
+    rows: list[list[Any]] = []
+    for result in fit:
+        if not result.converged:
+            rows.append([result.axis.name, *[""] * len(header), result.reason])
+            continue
+        for c in result.coefficients.values():
+            n = _numbers(c.in_unit())
+            numbers = [n["value"], n["std"], *n["interval_95"]]
+            flags = [str(c.detected).lower(), str(c.held).lower()]
+            rows.append([result.axis.name, c.label, *numbers, c.unit, *flags, n["upper_limit_95"], ""])
+    _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
+
+
+def write_results(fit: Fit, directory: str | os.PathLike[str], name: str) -> tuple[Path, ...]:
+    """Write NAME.json, NAME_allan.csv, NAME_coefficients.csv and NAME_allan.png; returns their paths."""
+    from matplotlib import pyplot as plt
+
+    from allanjax.plot import plot_allan
+
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    suffixes = (".json", "_allan.csv", "_coefficients.csv", "_allan.png")
+    paths = tuple(directory / f"{name}{suffix}" for suffix in suffixes)
+    write_json(fit, paths[0])
+    write_curve_csv(fit, paths[1])
+    write_coefficients_csv(fit, paths[2])
+    plt.close(plot_allan(fit, path=paths[3]))
+    return paths
+
+
+def _axis(result: AxisFit) -> dict[str, Any]:
+    coefficients = list(result.coefficients.values()) if result.converged else []
+    covariance = result.covariance if result.converged else np.zeros((0, 0))
+    return {
+        "name": result.axis.name,
+        "sensor": result.axis.sensor,
+        "unit": result.axis.unit,
+        "converged": result.converged,
+        "reason": result.reason,
+        "chi2": _finite(result.chi2) if result.converged else None,
+        "dof": int(result.dof),
+        "p_value": _finite(result.p_value) if result.converged else None,
+        "discrepancy": _finite(result.discrepancy) if result.converged else None,
+        "coefficients": [_coefficient(c) for c in coefficients],
+        "covariance": {
+            "labels": [c.label for c in coefficients],
+            "units": [_si_unit(c) for c in coefficients],
+            "values": [[_finite(x) for x in row] for row in covariance],
+        },
+    }
+
+
+def _coefficient(c: Coefficient) -> dict[str, Any]:
+    return {
+        "label": c.label,
+        "term": c.term,
+        "symbol": c.parameter.symbol,
+        "kind": c.parameter.kind,
+        "detected": c.detected,
+        "held": c.held,
+        "unit": c.unit,
+        **_numbers(c.in_unit()),
+        "si": {"unit": _si_unit(c), **_numbers(c)},
+    }
+
+
+def _numbers(c: Coefficient) -> dict[str, Any]:
+    return {
+        "value": _finite(c.value),
+        "std": _finite(c.std),
+        "interval_95": [_finite(x) for x in c.interval],
+        "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
+    }
+
+
+def _si_unit(c: Coefficient) -> str:
+    if c.parameter.kind != "amplitude":
+        return c.unit
+    exponent = float(c.parameter.time_exponent)
+    usual = _SI_UNITS[c.axis.sensor].get(exponent)
+    return usual or default_coefficient_unit(c.axis.sensor, exponent)
+
+
+def _rate_unit(axis: Axis) -> tuple[str, float]:
+    """The unit of an axis's rates and its factor to SI."""
+    own = parse_sample_unit(axis.unit, axis.sensor)
+    unit = own.name if own.quantity == "rate" else _SI_RATE[axis.sensor]
+    return unit, unit_scale(unit, axis.sensor)
+
+
+def _finite(x: float) -> float | None:
+    """JSON has no NaN and no infinity, and an empty cell is the CSV for neither."""
+    return float(x) if math.isfinite(x) else None
+
+
+def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with Path(path).open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        writer.writerows(rows)

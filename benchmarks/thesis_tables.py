@@ -1,0 +1,208 @@
+"""Recover the coefficients of tables 5.2, 5.4 and 5.5 of Hou (2004) from simulated two-hour records.
+
+    python benchmarks/thesis_tables.py [--hours 2] [--seed 1]
+
+Each record is analysed twice: by `allanjax.fit`, which is not told which terms are there, and as the thesis
+did it, by lines of fixed slope in the log-log plot of the Allan deviation, with the error of its (4.66). The
+truth is the thesis's own value. Writes results/thesis_tables.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from machine import describe
+
+from allanjax.allan import AllanDeviation, allan_deviation
+from allanjax.fit import fit
+from allanjax.result import Coefficient, format_with_error
+from allanjax.sensors import SENSORS, Tabulated
+from allanjax.terms import (
+    AngleRandomWalk,
+    BiasInstability,
+    DriftRamp,
+    NoiseTerm,
+    Quantization,
+    RateRandomWalk,
+)
+from allanjax.units import unit_scale
+
+RESULT = Path(__file__).parent / "results" / "thesis_tables.md"
+
+# Slope of each term in the plot, and the cluster time [s] at which its line has the coefficient's value.
+SLOPES: dict[type[NoiseTerm], tuple[float, float]] = {
+    Quantization: (-1.0, math.sqrt(3.0)),
+    AngleRandomWalk: (-0.5, 1.0),
+    BiasInstability: (0.0, 1.0),
+    RateRandomWalk: (0.5, 3.0),
+    DriftRamp: (1.0, math.sqrt(2.0)),
+}
+# A point belongs to a term's region if the curve's slope there is this close to the term's.
+SLOPE_TOLERANCE = 0.15
+# The thesis reads up to clusters whose error by (4.66) is a third.
+LARGEST_ERROR = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A coefficient read off the plot, and its standard error by (4.66); both in SI."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """One coefficient of one axis: the table's figures, what the fit found (None: no result), the plot's."""
+
+    sensor: str
+    axis: str
+    label: str
+    truth: Tabulated
+    found: Coefficient | None
+    reading: Reading
+
+    @property
+    def fit_covers(self) -> bool:
+        if self.found is None:
+            return False
+        lower, upper = self.found.interval
+        return lower <= self.truth.value <= upper
+
+    @property
+    def reading_covers(self) -> bool:
+        return abs(self.reading.value - self.truth.value) <= 1.96 * self.reading.error
+
+
+def read_slope(curve: AllanDeviation, column: int, term: type[NoiseTerm]) -> Reading:
+    """Fit a line of the term's slope to the longest run of points that have about this slope.
+
+    Where no point has it, the one that comes nearest is taken. The error is that of the run's longest
+    clusters. The flat part of a curve with bias instability stands at √(2 ln 2/π) B (4.51).
+    """
+    slope, unit_time = SLOPES[term]
+    usable = curve.thesis_relative_error <= LARGEST_ERROR
+    T, deviation = np.log(curve.cluster_time[usable]), np.log(curve.deviation[usable, column])
+    misfit = np.abs(np.gradient(deviation, T) - slope)
+    run = longest_run(misfit <= max(SLOPE_TOLERANCE, misfit.min()))
+    level = float(np.exp(np.mean(deviation[run] - slope * (T[run] - math.log(unit_time)))))
+    value = level / math.sqrt(2.0 * math.log(2.0) / math.pi) if term is BiasInstability else level
+    return Reading(value, value * float(curve.thesis_relative_error[usable][run][-1]))
+
+
+def longest_run(belongs: Float[np.ndarray, " m"]) -> slice:
+    """The longest stretch of consecutive True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], belongs, [False]]).astype(int)))
+    starts, stops = edges[::2], edges[1::2]
+    longest = int(np.argmax(stops - starts))
+    return slice(int(starts[longest]), int(stops[longest]))
+
+
+def analyse(hours: float, seed: int) -> Iterator[tuple[list[Row], str]]:
+    """Rows and a line on the timing, for each simulated recording."""
+    for number, preset in enumerate(SENSORS.values()):
+        start = time.perf_counter()
+        recordings = preset.simulate(3600.0 * hours, seed + number)
+        simulated = time.perf_counter() - start
+        for recording in recordings:
+            start = time.perf_counter()
+            result = fit(recording)
+            fitted = time.perf_counter() - start
+            curve = allan_deviation(recording)
+            rows = []
+            for column, axis in enumerate(recording.axes):
+                for term, truth in preset[axis.name].coefficients.items():
+                    label, scale = term.name(), unit_scale(truth.unit)
+                    found = (
+                        result[axis.name][label].in_unit(truth.unit) if result[axis.name].converged else None
+                    )
+                    reading = read_slope(curve, column, term)
+                    in_unit = Reading(reading.value / scale, reading.error / scale)
+                    rows.append(Row(preset.name, axis.name, label, truth, found, in_unit))
+            extra = [
+                f"{c.axis.name} {c.label}"
+                for c in (c for axis in result if axis.converged for c in axis.coefficients.values())
+                if c.detected and c.label not in {t.name() for t in preset[c.axis.name].coefficients}
+            ]
+            yield (
+                rows,
+                f"- {preset.name}, {len(recording.axes)} axes × {recording.n:,} samples at "
+                f"{recording.rate:g} Hz: "
+                f"fitted in {fitted:.1f} s (the unit was simulated in {simulated:.1f} s); "
+                f"terms found that are not there: {', '.join(extra) or 'none'}",
+            )
+
+
+def table(rows: list[Row]) -> str:
+    """The comparison in Markdown."""
+    lines = [
+        "| unit | axis | coefficient | truth (thesis ± its error) | fit ± 1σ | 95 % interval | covers "
+        "| slope reading ± (4.66) | covers |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        found, reading, unit = row.found, row.reading, row.truth.unit
+        digits = 2 - math.floor(math.log10(row.truth.value)) + 1
+        if found is None:
+            estimate, interval = "no result", ""
+        else:
+            estimate = format_with_error(found.value, found.std) if found.detected else "not detected"
+            interval = " … ".join(f"{end:.5g}" for end in found.interval)
+        lines.append(
+            f"| {row.sensor} | {row.axis} | {row.label.replace('_', ' ')} "
+            f"| {row.truth.value:g} ± {row.truth.error:g} {unit} | {estimate} | {interval} "
+            f"| {'yes' if row.fit_covers else '**no**'} "
+            f"| {reading.value:.{digits}f} ± {reading.error:.{digits}f} "
+            f"| {'yes' if row.reading_covers else '**no**'} |"
+        )
+    return "\n".join(lines)
+
+
+def summary(rows: list[Row]) -> str:
+    """Counts of covered coefficients, and the typical errors."""
+    count = len(rows)
+    detected = [(row.found, row.truth) for row in rows if row.found is not None and row.found.detected]
+    by_fit = [found.value / truth.value - 1.0 for found, truth in detected]
+    by_slope = [row.reading.value / row.truth.value - 1.0 for row in rows]
+    return "\n".join(
+        (
+            f"- Fit: the 95 % interval holds the truth for {sum(r.fit_covers for r in rows)} of {count} "
+            f"coefficients. {len(detected)} were detected; their median error is "
+            f"{100 * np.median(np.abs(by_fit)):.3g} %, the largest {100 * np.max(np.abs(by_fit)):.3g} %.",
+            f"- Slope reading: value ± 1.96 × (4.66) holds it for {sum(r.reading_covers for r in rows)} "
+            f"of {count}; the median error is {100 * np.median(np.abs(by_slope)):.3g} %, the largest "
+            f"{100 * np.max(np.abs(by_slope)):.3g} %.",
+        )
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    rows: list[Row] = []
+    timings: list[str] = []
+    for found, timing in analyse(options.hours, options.seed):
+        rows += found
+        timings.append(timing)
+        print(timing, flush=True)
+    text = (
+        f"# The thesis's tables, recovered\n\n{options.hours:g} h simulated for each unit, "
+        f"seed {options.seed}; the fit chooses among the five basic terms itself.\n\n"
+        f"{table(rows)}\n\n{summary(rows)}\n\n{chr(10).join(timings)}\n\n## Machine\n\n{describe()}\n"
+    )
+    RESULT.parent.mkdir(exist_ok=True)
+    RESULT.write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

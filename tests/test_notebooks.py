@@ -1,0 +1,43 @@
+"""The notebooks run, and their saved outputs are those of a run."""
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+
+
+def outputs(notebook):
+    return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+
+
+def shown(notebook):
+    """All text that a reader sees as output."""
+    return "\n".join(
+        output.get("text", "") or output.data.get("text/plain", "") for output in outputs(notebook)
+    )
+
+
+def pictures(notebook):
+    return [output for output in outputs(notebook) if "image/png" in output.get("data", {})]
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook(path, tmp_path):
+    saved = nbformat.read(path, as_version=4)
+    # nbclient fills in the outputs of the notebook that it is given, and raises where a cell does.
+    executed = nbformat.read(path, as_version=4)
+    NotebookClient(
+        executed, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
+    assert len(pictures(executed)) == len(pictures(saved)) > 0
+    assert not [output for output in outputs(executed) if output.get("name") == "stderr"]
+    for notebook in (saved, executed):
+        for expected in ("angle random walk", "deg/√h", "χ² ="):
+            assert expected in shown(notebook)

@@ -1,0 +1,168 @@
+"""The picture of a fit."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import allanjax as aj
+from allanjax.plot import plot_allan
+from allanjax.simulate import simulate
+
+
+def panels(figure):
+    """Axes by the name above them."""
+    return {axes.get_title(loc="left"): axes for axes in figure.axes if axes.get_title(loc="left")}
+
+
+def texts(figure):
+    return [text.get_text() for axes in figure.axes for text in axes.texts] + [
+        t.get_text() for t in figure.texts
+    ]
+
+
+def labels_of(figure):
+    return [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+
+
+@pytest.fixture(autouse=True)
+def no_windows(monkeypatch):
+    import matplotlib
+    from matplotlib import pyplot as plt
+
+    matplotlib.use("Agg")
+    yield
+    plt.close("all")
+
+
+def test_every_axis_has_a_panel_with_units_and_the_gyros_are_above(small_fit):
+    figure = plot_allan(small_fit)
+    found = panels(figure)
+    assert set(found) == {"gyro_x", "gyro_y", "gyro_z", "accel_z"}
+    assert found["gyro_x"].get_ylabel() == "Allan deviation\n[deg/h]"
+    assert found["accel_z"].get_ylabel() == "Allan deviation\n[µg]"
+    assert labels_of(figure).count("cluster time T [s]") == 4
+    assert found["gyro_x"].get_position().y0 > found["accel_z"].get_position().y1
+    assert found["gyro_x"].get_ylim() == found["gyro_y"].get_ylim() != found["accel_z"].get_ylim()
+
+
+def test_points_and_lines_are_the_deviations_in_display_units(small_fit):
+    panel = panels(plot_allan(small_fit))["accel_z"]
+    (measured,) = [c for c in panel.containers if c.get_label() == "measured"]
+    micro_g = 9.80665e-6
+    np.testing.assert_allclose(measured[0].get_xdata(), small_fit.curve.cluster_time)
+    np.testing.assert_allclose(measured[0].get_ydata(), small_fit.curve.deviation[:, 3] / micro_g, rtol=1e-12)
+    lines = {line.get_label(): line for line in panel.get_lines()}
+    time = lines["model"].get_xdata()
+    expected = small_fit.model_deviation("accel_z", time) / micro_g
+    np.testing.assert_allclose(lines["model"].get_ydata(), expected, rtol=1e-9)
+    walk = small_fit["accel_z"]["angle_random_walk"].value
+    np.testing.assert_allclose(
+        lines["angle random walk"].get_ydata(), walk / np.sqrt(time) / micro_g, rtol=1e-9
+    )
+
+
+def test_the_strip_shows_measured_over_model_in_percent(small_fit):
+    figure = plot_allan(small_fit, axes=["gyro_y"])
+    strip = next(axes for axes in figure.axes if "[%]" in axes.get_ylabel())
+    points = next(c for c in strip.containers if c.get_label() == "residual")[0].get_ydata()
+    model = small_fit.model_deviation("gyro_y", small_fit.curve.cluster_time)
+    np.testing.assert_allclose(points, 100 * (small_fit.curve.deviation[:, 1] / model - 1), atol=1e-9)
+    reach = strip.get_ylim()[1]
+    marked = sum(
+        len(line.get_xdata()) for line in strip.get_lines() if line.get_label() == "beyond the strip"
+    )
+    assert marked == (abs(points) > reach).sum()
+
+
+def test_the_key_names_every_term_with_its_coefficient_or_limit(small_fit):
+    shown = " ".join(" ".join(texts(plot_allan(small_fit))).split())
+    for result in small_fit:
+        for label, c in result.coefficients.items():
+            name = label.replace("_", " ")
+            assert f"{name}{'' if c.detected else ':'} {c.describe()}" in shown
+    assert any(not c.detected for c in small_fit["gyro_x"].coefficients.values())
+    assert "small" in shown
+    assert "200 s" not in shown
+    assert "3.33 min at 100 Hz, 20,000 samples" in shown
+
+
+def test_no_two_texts_overlap(small_fit, half_failed_fit):
+    for figure in (
+        plot_allan(small_fit),
+        plot_allan(half_failed_fit),
+        plot_allan(small_fit, axes=["gyro_x"]),
+    ):
+        figure.canvas.draw()
+        renderer = figure.canvas.get_renderer()
+        drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
+        drawn += (
+            [axes._left_title for axes in figure.axes] + list(figure.texts) + figure.legends[0].get_texts()
+        )
+        boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in drawn if text.get_text()]
+        assert len(boxes) > 8
+        for i, (first, a) in enumerate(boxes):
+            assert 0 <= a.x0 < a.x1 <= figure.bbox.x1, first
+            assert 0 <= a.y0 < a.y1 <= figure.bbox.y1, first
+            for second, b in boxes[i + 1 :]:
+                overlap = min(a.x1, b.x1) - max(a.x0, b.x0) > 1 and min(a.y1, b.y1) - max(a.y0, b.y0) > 1
+                assert not overlap, (first, second)
+
+
+def test_an_axis_without_result_shows_what_was_measured_and_says_so(half_failed_fit):
+    figure = plot_allan(half_failed_fit)
+    panel = panels(figure)["gyro_y"]
+    assert [c.get_label() for c in panel.containers] == ["measured"]
+    assert "model" not in [line.get_label() for line in panel.get_lines()]
+    assert "no result: the start was hopeless" in texts(figure)
+
+
+class WhiteAngle(aj.NoiseTerm):
+    """White noise of the angle over a short correlation time: a term of a user's own."""
+
+    amplitude: float | None = aj.parameter("P", time_exponent=1.0)
+    smoothing: float | None = aj.parameter("s", "time")
+
+    def phase_covariance(self, lag):
+        return self.amplitude**2 * jnp.exp(-0.5 * (lag / self.smoothing) ** 2)
+
+
+def test_a_users_own_term_is_drawn_with_all_its_parameters():
+    truth = aj.AngleRandomWalk(1e-4) + WhiteAngle(amplitude=1e-5, smoothing=0.05)
+    recording = aj.Recording.from_array(np.asarray(simulate(truth, 8000, 100.0, 3)), 100.0, gyro_unit="rad/s")
+    fitted = aj.fit(recording, aj.AngleRandomWalk() + WhiteAngle().hold(smoothing=0.05))
+    figure = plot_allan(fitted)
+    panel = panels(figure)["gyro"]
+    lines = {line.get_label(): line for line in panel.get_lines()}
+    time = lines["white angle"].get_xdata()
+    G = [
+        fitted["gyro"]["white_angle_amplitude"].value ** 2 * np.exp(-0.5 * (k * time / 0.05) ** 2)
+        for k in (0, 1, 2)
+    ]
+    deviation = np.sqrt((6 * G[0] - 8 * G[1] + 2 * G[2]) / (2 * time**2))
+    np.testing.assert_allclose(lines["white angle"].get_ydata(), deviation * 180 / np.pi * 3600, rtol=1e-6)
+    key = " ".join(" ".join(texts(figure)).split())
+    assert f"white angle: P = {fitted['gyro']['white_angle_amplitude'].describe()}, s = 0.05 s (held)" in key
+
+
+def test_saves_a_small_file(small_fit, tmp_path):
+    figure = small_fit.plot(path=tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "fit.png").stat().st_size < 500_000
+    assert len(panels(figure)) == 4
+    assert len(panels(small_fit.plot(axes=["gyro_y"]))) == 1
+
+
+def test_a_curve_alone_of_a_recording_and_of_an_array(small_recording):
+    curve = aj.allan_deviation(small_recording["gyro_x"], kind="hadamard")
+    (panel,) = curve.plot().axes
+    assert panel.get_ylabel() == "Hadamard deviation\n[deg/h]"
+    curve = aj.allan_deviation(np.random.default_rng(0).normal(size=(500, 2)), 10.0)
+    figure = plot_allan(curve)
+    assert set(panels(figure)) == {"0", "1"}
+    assert figure.axes[0].get_ylabel() == "Allan deviation"
+
+
+@pytest.mark.parametrize("axes", [["gyro_q"], []])
+def test_an_axis_that_is_not_there_is_refused(small_fit, axes):
+    with pytest.raises(aj.AllanjaxError, match="gyro_x, gyro_y, gyro_z, accel_z"):
+        plot_allan(small_fit, axes=axes)
