@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 # Points a stretch between two kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
+# With more points than that, a longer sum is taken for an integral.
+_LONG_SUM = 256
 # Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
 # in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
 _TAIL = (2, 5, 20, 80, 320)
@@ -53,16 +55,22 @@ def discrete_gauss(
     Chebyshev polynomials): exact for polynomials up to degree 2·order − 1, and for every function where
     count ≤ order. Weights are zero where count ≤ 0.
     """
-    N = np.maximum(np.asarray(count), 0)[..., None].astype(float)
-    k = np.arange(1, order)
+    counts, which = np.unique(np.maximum(np.asarray(count), 0), return_inverse=True)
+    N = counts[:, None].astype(float)
+    x, w = np.polynomial.legendre.leggauss(order)
+    nodes, weights = (N * (x + 1.0) - 1.0) / 2.0, N * w / 2.0
+    # A long sum is an integral, to 1/(24·count²): worth knowing where eigenvalue problems are large.
+    exact = counts <= (_LONG_SUM if order > _ORDER else np.inf)
+    k, N = np.arange(1, order), N[exact]
     beta = np.maximum(k**2 * (N**2 - k**2) / (4.0 * (4.0 * k**2 - 1.0)), 0.0)
-    jacobi = np.zeros((*N.shape[:-1], order, order))
-    jacobi[..., k - 1, k] = jacobi[..., k, k - 1] = np.sqrt(beta)
-    nodes, vectors = np.linalg.eigh(jacobi)
-    nodes, weights = nodes + (N - 1.0) / 2.0, N * vectors[..., 0, :] ** 2
-    few = order >= N
-    integers = np.broadcast_to(np.arange(order), nodes.shape)
-    return np.where(few, integers, nodes), np.where(few, integers < N, weights)
+    jacobi = np.zeros((len(N), order, order))
+    jacobi[:, k - 1, k] = jacobi[:, k, k - 1] = np.sqrt(beta)
+    values, vectors = np.linalg.eigh(jacobi)
+    few, integers = N <= order, np.arange(order)
+    nodes[exact] = np.where(few, integers, values + (N - 1.0) / 2.0)
+    weights[exact] = np.where(few, integers < N, N * vectors[:, 0, :] ** 2)
+    shape = (*np.shape(count), order)
+    return nodes[which].reshape(shape), weights[which].reshape(shape)
 
 
 def _sum_over_lags(

@@ -13,7 +13,7 @@ from allanjax.allan import AllanDeviation, allan_deviation
 from allanjax.design import Design
 from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
-from allanjax.inference import HYPOTHESES, Inference, infer
+from allanjax.inference import ESTIMATE, HYPOTHESES, Inference, infer
 from allanjax.model import Model
 from allanjax.recording import Recording
 from allanjax.result import AxisFit, Coefficient, Fit
@@ -270,11 +270,13 @@ def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid
     Where the data would like less than no power, they are taken as if they asked for none: an upper limit
     must not shrink because of that.
     """
+    # Without this term the others may leave no noise at all: such a hypothesis is out of the question.
+    side = np.where(np.arange(len(power)) < ESTIMATE, np.inf, -np.inf)
+    pivot = np.where(np.isfinite(pivot), pivot, side)
     if level < 0.0:
         pivot = pivot - min(pivot[0], 0.0)
-    middle = int(np.argmin(np.abs(pivot)))
     beyond = pivot >= level if level > 0.0 else pivot <= level
-    below, above = np.flatnonzero(beyond[:middle]), middle + np.flatnonzero(beyond[middle:])
+    below, above = np.flatnonzero(beyond[:ESTIMATE]), ESTIMATE + np.flatnonzero(beyond[ESTIMATE:])
     if level > 0.0:
         if not below.size:
             return 0.0
@@ -283,6 +285,8 @@ def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid
         if not above.size:
             return float("inf")
         g, inside = above[0], above[0] - 1
+    if not np.isfinite(pivot[g]):
+        return float(power[inside])
     share = (level - pivot[inside]) / (pivot[g] - pivot[inside])
     return float(power[inside] + share * (power[g] - power[inside]))
 

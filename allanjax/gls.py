@@ -114,7 +114,7 @@ def _solve(
                 return best_powers(within(u), W, reference)[1]
 
             # Conjugate gradients instead of the default QR: see `linalg` about batches of LAPACK calls.
-            linear = lx.NormalCG(rtol=1e-9, atol=1e-12)
+            linear = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
             solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=linear)
             found = optx.least_squares(residual, solver, shape, max_steps=_INNER_STEPS, throw=False)
             shape = jnp.where(jnp.isfinite(found.value), within(found.value), shape)

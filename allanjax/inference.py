@@ -57,6 +57,8 @@ _GRID = np.array(
     + [0.5, 1, 1.5, 2, 2.5, 3, 4, 6, 10, 20, 50, 200]
 )
 HYPOTHESES = len(_GRID)
+#: Index of the estimate itself.
+ESTIMATE = int(np.flatnonzero(_GRID == 0.0)[0])
 
 
 @eqx.filter_jit

@@ -62,14 +62,19 @@ def non_negative_least_squares(
     A = A / size
     normal, target = A.T @ A, A.T @ b
 
-    def solution(positive: Bool[Array, " terms"]) -> Float[Array, " terms"]:
+    # Which entries are positive has no derivative.
+    still_normal, still_target = jax.lax.stop_gradient((normal, target))
+
+    def solution(
+        positive: Bool[Array, " terms"], normal: Float[Array, "terms terms"], target: Float[Array, " terms"]
+    ) -> Float[Array, " terms"]:
         both = positive[:, None] & positive
         system = jnp.where(both, normal, 0.0) + jnp.diag(jnp.where(positive, 1e-12, 1.0))
         return solve(system, jnp.where(positive, target, 0.0))
 
     def offenders(positive: Bool[Array, " terms"]) -> Bool[Array, " terms"]:
-        x = solution(positive)
-        wanted = target - normal @ x > 1e-12 * jnp.linalg.norm(b)
+        x = solution(positive, still_normal, still_target)
+        wanted = still_target - still_normal @ x > 1e-12 * jax.lax.stop_gradient(jnp.linalg.norm(b))
         return allowed & jnp.where(positive, x < 0.0, wanted)
 
     def exchange(state: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -82,4 +87,4 @@ def non_negative_least_squares(
         return jnp.any(offenders(state[0])) & (state[1] < 100)
 
     positive, _ = jax.lax.while_loop(goes_on, exchange, (allowed, jnp.asarray(0)))
-    return jnp.maximum(solution(positive), 0.0) / size
+    return jnp.maximum(solution(positive, normal, target), 0.0) / size

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.errors import AllanjaxError
@@ -125,23 +126,23 @@ class Model(eqx.Module):
     def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Generalized covariance of the integrated rate [rad² or (m/s)²] at lags [s]."""
         self.check_complete()
-        return sum((t.phase_covariance(jnp.asarray(lag)) for t in self.terms), jnp.zeros(jnp.shape(lag)))
+        return sum((t.phase_covariance(jnp.asarray(lag)) for t in self.terms), jnp.zeros(np.shape(lag)))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided rate PSD, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]; lines have no density."""
         self.check_complete()
-        return sum((t.psd(frequency) for t in self.terms), jnp.zeros(jnp.shape(frequency)))
+        return sum((t.psd(frequency) for t in self.terms), jnp.zeros(np.shape(frequency)))
 
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]."""
         self.check_complete()
-        return sum((t.allan_variance(cluster_time) for t in self.terms), jnp.zeros(jnp.shape(cluster_time)))
+        return sum((t.allan_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time)))
 
     def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]."""
         self.check_complete()
         return sum(
-            (t.hadamard_variance(cluster_time) for t in self.terms), jnp.zeros(jnp.shape(cluster_time))
+            (t.hadamard_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time))
         )
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:

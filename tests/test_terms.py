@@ -257,7 +257,7 @@ def test_values_and_gradients_are_finite_at_the_edges(name):
     """T ≪ and ≫ every characteristic time; the clusters of a call may span all of that, or one only."""
     curve, logs = curve_of(ALL_TERMS[name])
     value_and_gradient = jax.jit(lambda logs, T: (curve(logs, T), jax.jacrev(curve)(logs, T)))
-    for T in ([1e-9] * 3, [1e-6] * 3, [1e-3] * 3, [1e3] * 3, [1e7] * 3, [1e-9, 1.0, 1e7]):
+    for T in ([1e-9] * 3, [1e-6] * 3, [1e-3] * 3, [1e3] * 3, [1.003e7] * 3, [1e-9, 1.0, 1.003e7]):
         value, gradient = value_and_gradient(logs, jnp.array(T))
         assert np.isfinite(value).all(), T
         assert np.isfinite(gradient).all(), T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.terms.base import NoiseTerm, parameter
@@ -22,7 +23,7 @@ class AngleRandomWalk(NoiseTerm):
         return -(self.coefficient**2) * lag / 2.0
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return jnp.full(jnp.shape(frequency), self.coefficient**2)
+        return jnp.full(np.shape(frequency), self.coefficient**2)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * jnp.sqrt(rate) * jax.random.normal(key, (n,))

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.terms.base import NoiseTerm, in_gauge, parameter
@@ -55,7 +56,7 @@ class Sinusoid(NoiseTerm):
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Zero: a line has power, Ω0²/2, but no density at any frequency but its own."""
-        return jnp.zeros(jnp.shape(frequency))
+        return jnp.zeros(np.shape(frequency))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """A line with random phase."""
