@@ -66,7 +66,7 @@ def discrete_gauss(
     jacobi = np.zeros((len(N), order, order))
     jacobi[:, k - 1, k] = jacobi[:, k, k - 1] = np.sqrt(beta)
     values, vectors = np.linalg.eigh(jacobi)
-    few, integers = N <= order, np.arange(order)
+    few, integers = order >= N, np.arange(order)
     nodes[exact] = np.where(few, integers, values + (N - 1.0) / 2.0)
     weights[exact] = np.where(few, integers < N, N * vectors[:, 0, :] ** 2)
     shape = (*np.shape(count), order)

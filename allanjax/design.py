@@ -1,4 +1,4 @@
-"""A model at given cluster sizes: the means and the covariance of the Allan variances as functions of parameters.
+"""A model at given cluster sizes: means and covariance of the Allan variances as functions of parameters.
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
 bilinear. Other free parameters ("shapes") enter by ln(value − lower bound).
@@ -16,7 +16,8 @@ from allanjax.model import Model, ModelParameter
 from allanjax.terms import NoiseTerm
 
 # Relative to the estimates' own variance: rounding and quadrature errors stay below it, and no direction
-# of the data is trusted more than that. Oscillating terms have a quadrature of higher order, and larger errors.
+# of the data is trusted more than that. Oscillating terms have a quadrature of higher order, and larger
+# errors.
 _RIDGE = 1e-4
 _OSCILLATING_RIDGE = 5e-3
 _OSCILLATING_ORDER = 32
@@ -131,9 +132,11 @@ def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Ar
 @eqx.filter_jit
 def _constants(model: Model, geometry: AllanCovariance) -> _Constants:
     with_shape = {p.term for p in free_shapes(model)}
-    units = [None if k in with_shape else _unit(t) for k, t in enumerate(model.terms)]
-    means = tuple(None if t is None else t.allan_variance(geometry.cluster_time) for t in units)
-    kernels = tuple(None if t is None else geometry.kernel(t) for t in units)
-    if with_shape:
-        return _Constants(means, kernels, None)
-    return _Constants(means, (), _products(units, geometry, list(kernels)))
+    units = [_unit(t) for t in model.terms]
+    steady = [k not in with_shape for k in range(len(units))]
+    T = geometry.cluster_time
+    means = tuple(t.allan_variance(T) if s else None for t, s in zip(units, steady, strict=True))
+    if all(steady):
+        return _Constants(means, (), _products(units, geometry, [geometry.kernel(t) for t in units]))
+    kernels = tuple(geometry.kernel(t) if s else None for t, s in zip(units, steady, strict=True))
+    return _Constants(means, kernels, None)

@@ -6,8 +6,9 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 
+import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num
+from jaxtyping import ArrayLike, Bool, Float, Num
 
 from allanjax.allan import AllanDeviation, allan_deviation
 from allanjax.design import Design
@@ -15,7 +16,7 @@ from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import ESTIMATE, HYPOTHESES, Inference, infer
 from allanjax.model import Model
-from allanjax.recording import Recording
+from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Coefficient, Fit
 from allanjax.starts import find_starts
 from allanjax.terms import (
@@ -69,7 +70,8 @@ def fit(recording: Recording, model: Model | NoiseTerm | None = None) -> Fit:
     if len(curve.cluster_size) <= free_count:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples give "
-            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; record longer or use fewer terms"
+            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; "
+            "record longer or use fewer terms"
         )
     design = Design.of(template, recording.n, recording.rate, curve.cluster_size)
     variance = curve.variance.T
@@ -97,37 +99,22 @@ def fit(recording: Recording, model: Model | NoiseTerm | None = None) -> Fit:
     if model is None:
         active, solution = _reduce(attempt, at_zero, active, solution)
     inference = infer(design, variance, free, active, solution, np.asarray(HYPOTHESES))
-    solution = Solution(*(np.asarray(x) for x in solution))
-    inference = Inference(*(np.asarray(x) for x in inference))
+    solution, inference = jax.device_get((solution, inference))
     results = tuple(
-        _axis_fit(
-            recording,
-            k,
-            template,
-            active[k],
-            free,
-            Solution(*(x[k] for x in solution)),
-            Inference(*(x[k] for x in inference)),
-            len(curve.cluster_size),
-        )
-        for k in range(len(recording.axes))
+        _axis_fit(axis, template, curve, active[k], *jax.tree.map(lambda x, k=k: x[k], (solution, inference)))
+        for k, axis in enumerate(recording.axes)
     )
-    return Fit(
-        recording.name,
-        template,
-        _with_model_edf(curve, results, inference),
-        results,
-        recording.notes,
-    )
+    curve = _with_model_edf(curve, results, inference)
+    return Fit(recording.name, template, curve, results, recording.notes)
 
 
 def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
     """The new solution for these axes, the old one for the others."""
 
-    def of(new: Num[Array, "axes ..."], old: Num[Array, "axes ..."]) -> Num[np.ndarray, "axes ..."]:
+    def of(new: ArrayLike, old: ArrayLike) -> Num[np.ndarray, "axes ..."]:
         return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
 
-    return Solution(*(of(x, y) for x, y in zip(new, old, strict=True)))
+    return jax.tree.map(of, new, old)
 
 
 def _reduce(
@@ -138,9 +125,9 @@ def _reduce(
 ) -> tuple[Bool[np.ndarray, "axes terms"], Solution]:
     """Reduce the terms to those that the data support, for every axis.
 
-    Terms without power go, then the least significant one, as long as zero is not rejected and the rest still
-    fits: a term without which the model's curve is further off is kept for good. Where the rest fits badly, each
-    exchange of a term for a neighbour in slope is tried.
+    Terms without power go, then the least significant one, as long as zero is not rejected and the rest
+    still fits: a term without which the model's curve is further off is kept for good. Where the rest fits
+    badly, each exchange of a term for a neighbour in slope is tried.
     """
     needed = np.zeros_like(active)
     while True:
@@ -186,69 +173,70 @@ def _drop(
 
 
 def _axis_fit(
-    recording: Recording,
-    k: int,
+    axis: Axis,
     template: Model,
+    curve: AllanDeviation,
     active: Bool[np.ndarray, " terms"],
-    free: Bool[np.ndarray, " terms"],
     solution: Solution,
     inference: Inference,
-    points: int,
 ) -> AxisFit:
+    """What a solution and its inference mean for one axis."""
     from scipy.stats import chi2
 
-    axis = recording.axes[k]
-    parameters = template.parameters
+    # Parameters that are infinite, or held without ever having had a value, are no coefficients.
+    parameters = [p for p in template.parameters if p.free or (p.start is not None and np.isfinite(p.start))]
     shapes = [p for p in parameters if p.free and p.parameter.kind != "amplitude"]
+    covariance = np.asarray(inference.covariance)
     coefficients: dict[str, Coefficient] = {}
-    jacobian = np.zeros((len(parameters), len(inference.covariance)))
+    found: dict[int, bool] = {}
+    jacobian = np.zeros((len(parameters), len(covariance)))
     for row, p in enumerate(parameters):
-        label, first = p.label, p.parameter.kind == "amplitude"
-        power = solution.power[p.term]
-        column = p.term if first else (len(template) + shapes.index(p) if p in shapes else 0)
+        is_amplitude = p.parameter.kind == "amplitude"
+        column = p.term if is_amplitude else len(template) + (shapes.index(p) if p.free else 0)
         limit = None
         if not p.free:
-            value, std, interval, detected = p.start, 0.0, (p.start, p.start), True
-            if value is None or np.isinf(value):
-                continue
-        elif first:
-            value = np.sqrt(power)
-            grid, pivot = inference.power_at[p.term], inference.pivot_at[p.term]
-            lower = np.sqrt(_crossing(grid, pivot, _TWO_SIDED_95))
-            interval = (lower, np.sqrt(_crossing(grid, pivot, -_TWO_SIDED_95)))
-            limit = float(np.sqrt(_crossing(grid, pivot, -_ONE_SIDED_95)))
-            detected = bool(active[p.term] and lower > 0.0)
-            slope = 0.5 / value if power > 0.0 else 0.0
-            jacobian[row, column] = slope
-            std = slope * np.sqrt(inference.covariance[column, column])
+            value = float(p.start or 0.0)
+            interval, std = (value, value), 0.0
+            found.setdefault(p.term, True)
+        elif is_amplitude:
+            value = float(np.sqrt(solution.power[p.term]))
+            lower, upper, limit = np.sqrt(
+                [
+                    _crossing(inference.power_at[p.term], inference.pivot_at[p.term], level, value > 0.0)
+                    for level in (_TWO_SIDED_95, -_TWO_SIDED_95, -_ONE_SIDED_95)
+                ]
+            )
+            interval = (float(lower), float(upper))
+            found[p.term] = bool(active[p.term] and lower > 0.0)
+            jacobian[row, column] = 0.5 / value if value > 0.0 else 0.0
+            std = float(jacobian[row, column] * np.sqrt(covariance[column, column]))
         else:
-            u = solution.shape[column - len(template)]
-            slope = np.exp(u)
-            value = p.parameter.lower + slope
-            jacobian[row, column] = slope
-            sd = np.sqrt(inference.covariance[column, column])
-            std = slope * sd
-            interval = tuple(p.parameter.lower + slope * np.exp(np.array([-1.0, 1.0]) * _TWO_SIDED_95 * sd))
-            owner = template.parameters[[q.term for q in parameters].index(p.term)].label
-            detected = coefficients[owner].detected
-        coefficients[label] = Coefficient(
-            label,
-            p.term_label,
-            p.parameter,
-            axis,
-            float(value),
-            float(std),
-            (float(interval[0]), float(interval[1])),
-            limit,
-            detected,
+            distance = np.exp(solution.shape[column - len(template)])
+            sd = np.sqrt(covariance[column, column])
+            ratio = np.exp(min(_TWO_SIDED_95 * sd, 700.0))
+            value = float(p.parameter.lower + distance)
+            interval = (
+                float(p.parameter.lower + distance / ratio),
+                float(p.parameter.lower + distance * ratio),
+            )
+            jacobian[row, column] = distance
+            std = float(distance * sd)
+        coefficients[p.label] = Coefficient(
+            label=p.label,
+            term=p.term_label,
+            parameter=p.parameter,
+            axis=axis,
+            value=value,
+            std=std,
+            interval=interval,
+            upper_limit=None if limit is None else float(limit),
+            detected=found[p.term],
             held=not p.free,
         )
-    estimated = int(np.sum(active & free)) + sum(bool(active[p.term]) for p in shapes)
-    dof = points - estimated
-    present = [
-        t for t, on in zip(template.term_labels, active & (solution.power > 0.0), strict=True) if not on
-    ]
-    values = {label: c.value for label, c in coefficients.items()}
+    estimated = {p.label for p in parameters if p.free and active[p.term]}
+    dof = len(curve.cluster_size) - len(estimated)
+    absent = np.array(template.term_labels)[~active | (solution.power == 0.0)]
+    values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
     return AxisFit(
         axis=axis,
         converged=bool(solution.converged),
@@ -258,23 +246,27 @@ def _axis_fit(
         p_value=float(chi2.sf(solution.chi2, dof)),
         discrepancy=float(solution.discrepancy) / 2.0,
         _coefficients=coefficients,
-        _covariance=jacobian @ inference.covariance @ jacobian.T,
-        _model=template.with_values(**values).without(present),
+        _covariance=jacobian @ covariance @ jacobian.T,
+        _model=template.with_values(**values).without(list(absent)),
     )
 
 
-def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid"], level: float) -> float:
+def _crossing(
+    power: Float[ArrayLike, " grid"], pivot: Float[ArrayLike, " grid"], level: float, present: bool
+) -> float:
     """The hypothetical power at which the data are `level` standard deviations away.
 
     Positive levels are sought below the estimate (zero if none is reached), negative ones above (infinity).
-    Where the data would like less than no power, they are taken as if they asked for none: an upper limit
-    must not shrink because of that.
     """
+    power, pivot = np.asarray(power), np.asarray(pivot)
     # Without this term the others may leave no noise at all: such a hypothesis is out of the question.
     side = np.where(np.arange(len(power)) < ESTIMATE, np.inf, -np.inf)
     pivot = np.where(np.isfinite(pivot), pivot, side)
-    if level < 0.0:
-        pivot = pivot - min(pivot[0], 0.0)
+    # Where others' powers ended at zero the data may still pull at this one. It is taken as if they were
+    # content with the estimate; so is an absent term of which they would like less than nothing, lest its
+    # limit shrink.
+    at_estimate = pivot[ESTIMATE] if np.isfinite(pivot[ESTIMATE]) else 0.0
+    pivot = pivot - (at_estimate if present else min(at_estimate, 0.0))
     beyond = pivot >= level if level > 0.0 else pivot <= level
     below, above = np.flatnonzero(beyond[:ESTIMATE]), ESTIMATE + np.flatnonzero(beyond[ESTIMATE:])
     if level > 0.0:
@@ -284,8 +276,8 @@ def _crossing(power: Float[np.ndarray, " grid"], pivot: Float[np.ndarray, " grid
     else:
         if not above.size:
             return float("inf")
-        g, inside = above[0], above[0] - 1
-    if not np.isfinite(pivot[g]):
+        g, inside = above[0], max(above[0] - 1, ESTIMATE)
+    if g == inside or not np.isfinite(pivot[g]):
         return float(power[inside])
     share = (level - pivot[inside]) / (pivot[g] - pivot[inside])
     return float(power[inside] + share * (power[g] - power[inside]))

@@ -5,7 +5,7 @@ estimates V all at the current model: unbiased whatever the shape of V's law, an
 record's likelihood. Inside, each variance is written in units of its model mean.
 
 Where a model cannot follow the curve within the scatter (χ² beyond all doubt, p < 1e-6), the covariance
-gains a discrepancy: a relative error s of the model curve, correlated over about an octave, with s such that χ²
+gains a discrepancy: a relative error s of the model curve, correlated over about an octave, such that χ²
 equals its degrees of freedom. Intervals then say how well the coefficients are known *given that the model is
 incomplete*, instead of being absurdly narrow.
 """
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.design import Design
 from allanjax.linalg import non_negative_least_squares, whiten
@@ -113,10 +113,14 @@ def _solve(
             def residual(u: Array, _: None) -> Array:
                 return best_powers(within(u), W, reference)[1]
 
-            # Conjugate gradients instead of the default QR: see `linalg` about batches of LAPACK calls.
-            linear = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
-            solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=linear)
-            found = optx.least_squares(residual, solver, shape, max_steps=_INNER_STEPS, throw=False)
+            # Not the default QR: see `linalg` about batches of LAPACK calls.
+            linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
+            solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
+                rtol=1e-6, atol=1e-6, linear_solver=linear
+            )
+            found: optx.Solution = optx.least_squares(
+                residual, solver, shape, max_steps=_INNER_STEPS, throw=False
+            )
             shape = jnp.where(jnp.isfinite(found.value), within(found.value), shape)
         step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
         # Reweighting converges by a steady factor, sometimes a slow or a negative one. Anderson's (1965)
@@ -172,7 +176,10 @@ def _solve(
         robust = jax.tree.map(lambda new, old: jnp.where(warmed, new, old), new, state.robust)
         new = jax.tree.map(lambda new, old: jnp.where(incomplete, old, new), new, robust)
         return _State(
-            *new,
+            power=new[0],
+            shape=new[1],
+            mean=new[2],
+            covariance=new[3],
             robust=robust,
             last=(state.power, state.shape),
             last_step=last_step,
@@ -186,7 +193,10 @@ def _solve(
 
     first = (power, shape, *scatter(power, shape))
     state = _State(
-        *first,
+        power=first[0],
+        shape=first[1],
+        mean=first[2],
+        covariance=first[3],
         robust=first,
         last=(power, shape),
         last_step=(power, shape),
@@ -205,11 +215,11 @@ def _solve(
 @eqx.filter_jit
 def solve(
     design: Design,
-    V: Float[Array, "axes m"],
-    free: Bool[Array, " terms"],
-    active: Bool[Array, "axes terms"],
-    power: Float[Array, "axes terms"],
-    shape: Float[Array, "axes shapes"],
+    V: Float[ArrayLike, "axes m"],
+    free: Bool[ArrayLike, " terms"],
+    active: Bool[ArrayLike, "axes terms"],
+    power: Float[ArrayLike, "axes terms"],
+    shape: Float[ArrayLike, "axes shapes"],
 ) -> Solution:
     """The estimate of every axis from its start.
 
@@ -220,4 +230,6 @@ def solve(
         active: the terms in use, for each axis.
         power, shape: start values.
     """
-    return jax.vmap(lambda *of_axis: _solve(design, of_axis[0], free, *of_axis[1:]))(V, active, power, shape)
+    return jax.vmap(lambda *of_axis: _solve(design, of_axis[0], jnp.asarray(free), *of_axis[1:]))(
+        V, active, power, shape
+    )

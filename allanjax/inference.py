@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.design import Design
 from allanjax.gls import Solution
@@ -44,31 +44,30 @@ class _Linearized(NamedTuple):
 def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
-    Few clusters make estimates skew, so that a positive t is less surprising than a negative one. Cube roots of
-    gamma variates are nearly normal (Wilson & Hilferty 1931).
+    Few clusters make estimates skew, so that a positive t is less surprising than a negative one. Cube roots
+    of gamma variates are nearly normal (Wilson & Hilferty 1931).
     """
     g = jnp.where(jnp.abs(skewness) > 1e-3, skewness, 1e-3)
     return (jnp.cbrt(jnp.maximum(1.0 + g * t / 2.0, 0.0)) - 1.0 + g**2 / 36.0) * 6.0 / g
 
 
 # Hypothetical powers, in standard deviations from the estimate; the first is zero power.
-_GRID = np.array(
-    [-np.inf, -8, -6, -5, -4, -3, -2.5, -2, -1.5, -1, -0.5, 0]
-    + [0.5, 1, 1.5, 2, 2.5, 3, 4, 6, 10, 20, 50, 200]
-)
+_BELOW = [-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5]
+_ABOVE = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0]
+_GRID = np.array([*_BELOW, 0.0, *_ABOVE])
 HYPOTHESES = len(_GRID)
 #: Index of the estimate itself.
-ESTIMATE = int(np.flatnonzero(_GRID == 0.0)[0])
+ESTIMATE = len(_BELOW)
 
 
 @eqx.filter_jit
 def infer(
     design: Design,
-    V: Float[Array, "axes m"],
-    free: Bool[Array, " terms"],
-    active: Bool[Array, "axes terms"],
+    V: Float[ArrayLike, "axes m"],
+    free: Bool[ArrayLike, " terms"],
+    active: Bool[ArrayLike, "axes terms"],
     solution: Solution,
-    hypotheses: Int[Array, ""],
+    hypotheses: Int[ArrayLike, ""],
 ) -> Inference:
     """Covariance of the parameters, and for each term the data's distance from hypothetical powers.
 
@@ -78,7 +77,8 @@ def infer(
     powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
     with v. It exists for inactive terms too, whose upper limits it gives.
     """
-    return jax.vmap(lambda V, active, s: _infer(design, V, free, active, s, hypotheses))(V, active, solution)
+    shared, count = jnp.asarray(free), jnp.asarray(hypotheses)
+    return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s, count))(V, active, solution)
 
 
 def _infer(
@@ -142,8 +142,8 @@ def _infer(
             fitted = jnp.concatenate([estimated[:terms], shaped])
             there = at_hypothesis(at, fitted)
             variance = there.covariance[term, term]
-            # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, with the triple products replaced
-            # by pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
+            # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
+            # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
             third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
             # An estimate that cannot be negative is no more skew than a χ² of its own mean and variance.
             skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))

@@ -141,9 +141,7 @@ class Model(eqx.Module):
     def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]."""
         self.check_complete()
-        return sum(
-            (t.hadamard_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time))
-        )
+        return sum((t.hadamard_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time)))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """n rate samples of the sum, every term with its own share of the key."""

@@ -60,6 +60,12 @@ class Coefficient:
             return default_coefficient_unit(self.axis.sensor, self.parameter.time_exponent)
         return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(self.parameter.kind, "1")
 
+    @property
+    def title(self) -> str:
+        """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
+        words = self.label.replace("_", " ")
+        return words.replace("angle", "velocity") if self.axis.sensor == "accel" else words
+
     def in_unit(self, unit: str | None = None) -> Coefficient:
         """A copy whose numbers are in this unit (by default the usual one) instead of SI.
 
@@ -105,6 +111,15 @@ def format_with_error(value: float, std: float) -> str:
     digits = max(0, 1 - int(np.floor(np.log10(std / scale))))
     text = f"{value / scale:.{digits}f} ± {std / scale:.{digits}f}"
     return text if scale == 1.0 else f"({text})e{exponent:+03d}"
+
+
+def format_interval(lower: float, upper: float) -> str:
+    """Both ends with as many digits as it takes to tell them apart, at least four."""
+    width = upper - lower
+    digits = 4
+    if np.isfinite(width) and width > 0.0:
+        digits = max(4, 3 + int(np.ceil(np.log10(max(abs(lower), abs(upper)) / width))))
+    return f"{lower:.{digits}g} … {upper:.{digits}g}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -261,8 +276,8 @@ class Fit:
             for c in result.coefficients.values():
                 shown = c.in_unit()
                 known = c.detected and not c.held
-                interval = f"{shown.interval[0]:.4g} … {shown.interval[1]:.4g}" if known else ""
-                cells.append((result.axis.name, c.label.replace("_", " "), c.describe(), interval))
+                interval = format_interval(*shown.interval) if known else ""
+                cells.append((result.axis.name, c.title, c.describe(), interval))
             cells.append((result.axis.name, "", result.verdict(), ""))
         return cells
 

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.design import Design
 from allanjax.model import ModelParameter
@@ -37,8 +37,8 @@ def find_starts(
     """
     shape = np.stack([_shape_candidates(design.shapes, x, rate) for x in values.T])
     given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
-    power, misfit = _rough_powers(design, V, shape, len(values))
-    power = np.array(power)
+    rough, misfit = _rough_powers(design, V, shape, len(values))
+    power = np.array(rough)
     for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
         if value is not None and not term.is_free(term.parameters()[0]):
             power[:, :, k] = value**2
@@ -49,7 +49,7 @@ def find_starts(
 
 @eqx.filter_jit
 def _rough_powers(
-    design: Design, V: Float[Array, "axes m"], shape: Float[Array, "axes candidates shapes"], n: int
+    design: Design, V: Float[ArrayLike, "axes m"], shape: Float[ArrayLike, "axes candidates shapes"], n: int
 ) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
     weight = n / jnp.asarray(design.geometry.sizes)
 

@@ -174,9 +174,10 @@ def test_covariance_is_that_of_the_coefficients() -> None:
 
 
 def test_errors_say_what_to_do() -> None:
+    markovs = aj.Markov() + aj.Markov() + aj.Markov() + aj.Markov() + aj.Markov()
+    short = recording(WHITE, 20)
     with pytest.raises(aj.FitError, match="too few for 10 parameters; record longer or use fewer terms"):
-        markovs = aj.Markov() + aj.Markov() + aj.Markov() + aj.Markov() + aj.Markov()
-        aj.fit(recording(WHITE, 20), markovs)
+        aj.fit(short, markovs)
     fit = aj.fit(recording(WHITE, 2048), aj.Model((aj.AngleRandomWalk(),)))
     with pytest.raises(aj.FitError, match="no axis 'gyro_x'; it has gyro_0"):
         fit["gyro_x"]

@@ -15,7 +15,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias
 
 import equinox as eqx
 import jax
@@ -29,6 +29,9 @@ from allanjax.terms.recursion import linear_recurrence
 
 if TYPE_CHECKING:
     from allanjax.model import Model
+
+#: A parameter's value: a number, an array inside compiled functions, or None for "to be estimated".
+Value: TypeAlias = Any
 
 ParameterKind = Literal["amplitude", "time", "frequency", "line", "number"]
 

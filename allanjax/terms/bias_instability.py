@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.special import sici
 from jaxtyping import Array, ArrayLike, Float
 
-from allanjax.terms.base import NoiseTerm, parameter
+from allanjax.terms.base import NoiseTerm, Value, parameter
 
 
 class BiasInstability(NoiseTerm):
@@ -20,8 +20,8 @@ class BiasInstability(NoiseTerm):
     The thesis's (4.44) has the wrong sign, Ci(x) = −∫ₓ^∞ cos t/t dt; (4.46)–(4.48) use the right one.
     """
 
-    coefficient: float | None = parameter("B", time_exponent=0.0)
-    cutoff_frequency: float | None = parameter("f0", "frequency", default=math.inf)
+    coefficient: Value = parameter("B", time_exponent=0.0)
+    cutoff_frequency: Value = parameter("f0", "frequency", default=math.inf)
 
     def _has_no_cutoff(self) -> bool:
         return isinstance(self.cutoff_frequency, float) and math.isinf(self.cutoff_frequency)

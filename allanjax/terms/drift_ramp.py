@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, parameter
+from allanjax.terms.base import NoiseTerm, Value, parameter
 
 
 class DriftRamp(NoiseTerm):
@@ -17,7 +17,7 @@ class DriftRamp(NoiseTerm):
     covariance: second differences over T_i and T_j then have the product R²T_i²T_j², as they should.
     """
 
-    coefficient: float | None = parameter("R", time_exponent=-1.0)
+    coefficient: Value = parameter("R", time_exponent=-1.0)
     deterministic: ClassVar[bool] = True
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, exponential_remainder, parameter
+from allanjax.terms.base import NoiseTerm, Value, exponential_remainder, parameter
 from allanjax.terms.recursion import linear_recurrence
 
 
@@ -16,8 +16,8 @@ class Markov(NoiseTerm):
     `amplitude` q_c in rad/s/√s or m/s²/√s; `correlation_time` T_c in s.
     """
 
-    amplitude: float | None = parameter("q_c", time_exponent=-0.5)
-    correlation_time: float | None = parameter("T_c", "time")
+    amplitude: Value = parameter("q_c", time_exponent=-0.5)
+    correlation_time: Value = parameter("T_c", "time")
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         T_c = self.correlation_time

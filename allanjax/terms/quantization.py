@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, parameter
+from allanjax.terms.base import NoiseTerm, Value, parameter
 
 
 class Quantization(NoiseTerm):
@@ -15,7 +15,7 @@ class Quantization(NoiseTerm):
     `coefficient` Q in rad or m/s. A rounding of the angle to steps S has Q = S/√12.
     """
 
-    coefficient: float | None = parameter("Q", time_exponent=1.0)
+    coefficient: Value = parameter("Q", time_exponent=1.0)
     #: Sample interval [s]; only the PSD needs it (4.28).
     sample_interval: float = 0.0
 

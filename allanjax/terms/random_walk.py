@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, parameter
+from allanjax.terms.base import NoiseTerm, Value, parameter
 from allanjax.terms.recursion import linear_recurrence
 
 
@@ -17,7 +17,7 @@ class AngleRandomWalk(NoiseTerm):
     `coefficient` N in rad/√s or m/s/√s (two-sided PSD N²; the thesis calls it Q).
     """
 
-    coefficient: float | None = parameter("N", time_exponent=0.5)
+    coefficient: Value = parameter("N", time_exponent=0.5)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return -(self.coefficient**2) * lag / 2.0
@@ -35,7 +35,7 @@ class RateRandomWalk(NoiseTerm):
     `coefficient` K in rad/s/√s or m/s²/√s.
     """
 
-    coefficient: float | None = parameter("K", time_exponent=-0.5)
+    coefficient: Value = parameter("K", time_exponent=-0.5)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return self.coefficient**2 * lag**3 / 12.0

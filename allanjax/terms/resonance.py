@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, exponential_remainder, parameter
+from allanjax.terms.base import NoiseTerm, Value, exponential_remainder, parameter
 from allanjax.terms.recursion import linear_recurrence
 
 
@@ -21,9 +21,9 @@ class Resonance(NoiseTerm):
     (`sampled`) the oscillator is read at the sample instants; otherwise averaged between them.
     """
 
-    amplitude: float | None = parameter("σ", time_exponent=0.0)
-    frequency: float | None = parameter("f0", "line")
-    quality_factor: float | None = parameter("Q_f", "number", lower=0.5)
+    amplitude: Value = parameter("σ", time_exponent=0.0)
+    frequency: Value = parameter("f0", "line")
+    quality_factor: Value = parameter("Q_f", "number", lower=0.5)
     #: Sample interval [s]; 0 for the continuous rate.
     sample_interval: float = 0.0
     narrow_band: ClassVar[bool] = True

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, in_gauge, parameter
+from allanjax.terms.base import NoiseTerm, Value, in_gauge, parameter
 
 
 class Sinusoid(NoiseTerm):
@@ -24,8 +24,8 @@ class Sinusoid(NoiseTerm):
     (Ω0²/4)[δ(f−f0) + δ(f+f0)], and (4.64) is right.
     """
 
-    amplitude: float | None = parameter("Ω0", time_exponent=0.0)
-    frequency: float | None = parameter("f0", "line")
+    amplitude: Value = parameter("Ω0", time_exponent=0.0)
+    frequency: Value = parameter("f0", "line")
     #: Sample interval [s]; 0 for the continuous rate.
     sample_interval: float = 0.0
     deterministic: ClassVar[bool] = True
