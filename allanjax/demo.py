@@ -82,7 +82,7 @@ def comparison_table(comparisons: Iterable[Comparison]) -> "Table":
         truth = replace(c, value=comparison.truth).in_unit().value
         table.add_row(
             c.axis.name,
-            c.label.replace("_", " "),
+            c.title,
             c.describe(),
             f"{truth:.4g} {c.unit}" if truth else "nothing",
             "inside" if comparison.inside else "OUTSIDE",

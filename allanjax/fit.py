@@ -277,7 +277,7 @@ def _crossing(
         if not above.size:
             return float("inf")
         g, inside = above[0], max(above[0] - 1, ESTIMATE)
-    if g == inside or not np.isfinite(pivot[g]):
+    if pivot[g] == pivot[inside] or not np.isfinite(pivot[g]):
         return float(power[inside])
     share = (level - pivot[inside]) / (pivot[g] - pivot[inside])
     return float(power[inside] + share * (power[g] - power[inside]))

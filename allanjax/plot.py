@@ -13,7 +13,7 @@ import numpy as np
 from allanjax.allan import AllanDeviation
 from allanjax.errors import AllanjaxError
 from allanjax.recording import Axis
-from allanjax.result import AxisFit, Fit
+from allanjax.result import AxisFit, Fit, title_of
 from allanjax.units import unit_scale
 
 if TYPE_CHECKING:
@@ -228,7 +228,9 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, unit: _Unit) -> None:
     for label, term in zip(model.term_labels, model.terms, strict=True):
         variance = np.asarray(term.allan_variance(time))
         total += variance
-        panel.plot(time, np.sqrt(variance) / unit.scale, label=_readable(label), **_style(fit, label))
+        panel.plot(
+            time, np.sqrt(variance) / unit.scale, label=title_of(label, result.axis), **_style(fit, label)
+        )
     panel.plot(time, np.sqrt(total) / unit.scale, color="black", linewidth=1.4, label="model", zorder=2.5)
 
 
@@ -304,13 +306,11 @@ def _key(fit: Fit, result: AxisFit) -> list[_KeyEntry]:
     if result.converged:
         for term in fit.template.term_labels:
             found = [c for c in result.coefficients.values() if c.term == term]
-            amplitude = found[0]
+            amplitude, name = found[0], title_of(term, result.axis)
             if amplitude.detected and len(found) > 1:
-                text = f"{_readable(term)}: " + ", ".join(
-                    f"{c.parameter.symbol} = {c.describe()}" for c in found
-                )
+                text = f"{name}: " + ", ".join(f"{c.parameter.symbol} = {c.describe()}" for c in found)
             else:
-                text = f"{_readable(term)}{'' if amplitude.detected else ':'} {amplitude.describe()}"
+                text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
             drawn = term in result.model.term_labels
             entries.append(_KeyEntry(_wrapped(text), _style(fit, term) if drawn else None))
     return [*entries, _KeyEntry(_wrapped(result.verdict()))]
@@ -344,10 +344,6 @@ def _unit(axis: Axis | None) -> _Unit:
 
 def _kind(curve: AllanDeviation) -> str:
     return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"
-
-
-def _readable(label: str) -> str:
-    return label.replace("_", " ")
 
 
 def _shortened(text: str, length: int) -> str:

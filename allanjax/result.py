@@ -63,8 +63,7 @@ class Coefficient:
     @property
     def title(self) -> str:
         """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
-        words = self.label.replace("_", " ")
-        return words.replace("angle", "velocity") if self.axis.sensor == "accel" else words
+        return title_of(self.label, self.axis)
 
     def in_unit(self, unit: str | None = None) -> Coefficient:
         """A copy whose numbers are in this unit (by default the usual one) instead of SI.
@@ -100,6 +99,12 @@ class Coefficient:
 
     def __str__(self) -> str:
         return f"{self.axis.name} {self.label}: {self.describe()}"
+
+
+def title_of(label: str, axis: Axis) -> str:
+    """A term's or a coefficient's name for people, e.g. "velocity random walk" on an accelerometer."""
+    words = label.replace("_", " ")
+    return words.replace("angle random walk", "velocity random walk") if axis.sensor == "accel" else words
 
 
 def format_with_error(value: float, std: float) -> str:

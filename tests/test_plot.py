@@ -57,7 +57,7 @@ def test_points_and_lines_are_the_deviations_in_display_units(small_fit):
     np.testing.assert_allclose(lines["model"].get_ydata(), expected, rtol=1e-9)
     walk = small_fit["accel_z"]["angle_random_walk"].value
     np.testing.assert_allclose(
-        lines["angle random walk"].get_ydata(), walk / np.sqrt(time) / micro_g, rtol=1e-9
+        lines["velocity random walk"].get_ydata(), walk / np.sqrt(time) / micro_g, rtol=1e-9
     )
 
 
