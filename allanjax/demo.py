@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 RATE = 100.0
 DURATION = 1500.0
-_SEED = 2004
+_SEED = 952
 # Of the order of a good MEMS unit. What a term makes of 25 minutes must be visible for a fit to find it.
 _TRUTH = {
     "gyro_x": "Q=0.6 arcsec + N=0.20 deg/√h + B=6 deg/h",

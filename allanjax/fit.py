@@ -150,7 +150,8 @@ def _reduce(
             exchanged = active.copy()
             exchanged[possible, out], exchanged[possible, into] = False, True
             new = attempt(exchanged)
-            better = np.asarray(new.converged & (new.cost < solution.cost - _BETTER)) & possible
+            closer = (new.cost < solution.cost - _BETTER) & (new.discrepancy <= solution.discrepancy)
+            better = np.asarray(new.converged & closer) & possible
             active = np.where(better[:, None], exchanged, active)
             solution = _choose(better, new, solution)
     return active, solution
