@@ -92,8 +92,8 @@ class Coefficient:
         if self.held:
             return f"{shown.value:.6g}{name} (held)"
         if not self.detected:
-            if shown.upper_limit is None:
-                return "not determined"
+            if shown.upper_limit is None or not np.isfinite(shown.upper_limit):
+                return "not determined by these data"
             return f"not detectable, below {shown.upper_limit:.3g}{name} (95 %)"
         return f"{format_with_error(shown.value, shown.std)}{name}"
 
@@ -124,6 +124,9 @@ def format_interval(lower: float, upper: float) -> str:
     digits = 4
     if np.isfinite(width) and width > 0.0:
         digits = max(4, 3 + int(np.ceil(np.log10(max(abs(lower), abs(upper)) / width))))
+    largest = max(abs(lower), abs(upper))
+    if 1e4 <= largest < 1e9:
+        digits = max(digits, 1 + int(np.log10(largest)))  # rather than an exponent
     return f"{lower:.{digits}g} … {upper:.{digits}g}"
 
 

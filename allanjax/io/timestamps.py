@@ -87,7 +87,9 @@ def rate_from_times(
     if np.any(long):
         raise source.error(_gap_message(times, label, np.flatnonzero(long), typical, source))
     measured = (len(times) - 1) / float(times[-1] - times[0])
-    stamped = f"{measured:.9g} Hz from column {label!r}, jitter {jitter * 1e6:.3g} µs rms"
+    # Below a nanosecond it is the rounding of the stamps.
+    shaken = f"jitter {jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "jitter below 1 ns"
+    stamped = f"{measured:.9g} Hz from column {label!r}, {shaken}"
     if rate is None:
         return measured, f"sample rate {stamped}"
     if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
