@@ -79,6 +79,8 @@ def test_the_key_names_every_term_with_its_coefficient_or_limit(small_fit):
     for result in small_fit:
         for label, c in result.coefficients.items():
             name = label.replace("_", " ")
+            if result.axis.sensor == "accel":
+                name = name.replace("angle random walk", "velocity random walk")
             assert f"{name}{'' if c.detected else ':'} {c.describe()}" in shown
     assert any(not c.detected for c in small_fit["gyro_x"].coefficients.values())
     assert "small" in shown
