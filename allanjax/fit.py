@@ -164,11 +164,12 @@ def _drop(
     at_zero: Float[np.ndarray, " terms"],
 ) -> Bool[np.ndarray, " terms"]:
     """The terms of one axis without those that have no power, or without the least significant one."""
-    empty = active & (power == 0.0)
+    dispensable = active & ~needed
+    empty = dispensable & (power == 0.0)
     if empty.any():
         return active & ~empty
-    weakest = np.argmin(np.where(active & ~needed, at_zero, np.inf))
-    if at_zero[weakest] < _DETECTION and active.sum() > 1:
+    weakest = np.argmin(np.where(dispensable, at_zero, np.inf))
+    if dispensable[weakest] and at_zero[weakest] < _DETECTION and active.sum() > 1:
         return active & (np.arange(len(active)) != weakest)
     return active
 
