@@ -141,12 +141,6 @@ class AllanCovariance(eqx.Module):
 
         return jax.vmap(of_pair)(sizes[i], sizes[j], jnp.asarray(self.lags))
 
-    def matrix(
-        self, total: Float[Array, "pairs lags"], deterministic: Float[Array, "pairs lags"]
-    ) -> Float[Array, "m m"]:
-        """Covariance [rate⁴] of the estimates from the summed kernels of all and of deterministic terms."""
-        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=1))
-
     def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
         """The symmetric matrix with these values for the pairs."""
         i, j = self.pairs
@@ -158,7 +152,8 @@ class AllanCovariance(eqx.Module):
         kernels = [(term.deterministic, self.kernel(term)) for term in terms]
         nothing = jnp.zeros(self.lags.shape)
         total = sum((k for _, k in kernels), nothing)
-        return self.matrix(total, sum((k for is_deterministic, k in kernels if is_deterministic), nothing))
+        deterministic = sum((k for is_deterministic, k in kernels if is_deterministic), nothing)
+        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=1))
 
 
 # Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.
