@@ -1,0 +1,387 @@
+"""The posterior of a fit's coefficients: credible intervals, upper limits, and what follows from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from allanjax.derived import BiasMinimum, Derived, curves, lowest_point, with_draw
+from allanjax.errors import AllanjaxError, FitError
+from allanjax.marginals import Marginal
+from allanjax.model import Model
+from allanjax.priors import Prior
+from allanjax.recording import Axis
+from allanjax.result import Fit, format_interval
+from allanjax.text_table import html_table, text_table
+from allanjax.units import default_coefficient_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from allanjax.allan import AllanDeviation
+
+# Draws from which curves and derived quantities are computed.
+_DERIVED_DRAWS = 1000
+# Cluster times at which the minimum of a curve is sought.
+_MINIMUM_POINTS = 200
+_INTEGRAL_UNIT = {"gyro": "deg", "accel": "m/s"}
+_HEADINGS = ("axis", "coefficient", "median ± 1σ", "95 % interval")
+
+
+class PosteriorWarning(UserWarning):
+    """A posterior whose chain has not converged."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisPosterior:
+    """The posterior of one axis.
+
+    Attributes:
+        axis: whose it is.
+        labels: the parameters sampled.
+        draws: nearly independent draws of them [draws, params], SI.
+        chain: all steps after the burn-in [steps, walkers, params], SI.
+        log_probability: ln of the posterior density (per SI unit of every parameter, not normalized) along
+            the chain [steps, walkers].
+        coefficients: the marginal posterior of every free parameter of the model, sampled or not, and the
+            held ones, by label.
+        priors: the prior of every free parameter, by label.
+        converged: whether the chain is as long as asked, τ has settled and R̂ is near one.
+        tau: integrated autocorrelation time of each parameter [steps].
+        r_hat: rank-normalized split R̂ over the walkers, of each parameter.
+        acceptance: share of the proposals accepted.
+        steps: steps of every walker, burn-in included.
+        rate: sampling rate of the recording [Hz].
+        duration: of the recording [s].
+    """
+
+    axis: Axis
+    labels: tuple[str, ...]
+    draws: Float[np.ndarray, "draws params"]
+    chain: Float[np.ndarray, "steps walkers params"]
+    log_probability: Float[np.ndarray, "steps walkers"]
+    coefficients: Mapping[str, Marginal]
+    priors: Mapping[str, Prior]
+    converged: bool
+    tau: Float[np.ndarray, " params"]
+    r_hat: Float[np.ndarray, " params"]
+    acceptance: float
+    steps: int
+    rate: float
+    duration: float
+    _template: Model
+
+    def __getitem__(self, label: str) -> Marginal:
+        if label not in self.coefficients:
+            known = ", ".join(self.coefficients)
+            raise AllanjaxError(f"{self.axis.name} has no coefficient {label!r}; it has {known}")
+        return self.coefficients[label]
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Correlations of the parameters sampled, by label."""
+        import pandas as pd
+
+        matrix = np.corrcoef(self.draws.T).reshape(2 * (len(self.labels),))
+        return pd.DataFrame(matrix, index=self.labels, columns=self.labels)
+
+    def verdict(self) -> str:
+        """One line on how the chain ended."""
+        state = "converged" if self.converged else "NOT CONVERGED"
+        return (
+            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
+            f"R̂ ≤ {self.r_hat.max():.4f}"
+        )
+
+    # ------------------------------------------------------------------ models and curves
+    @property
+    def _absent(self) -> tuple[str, ...]:
+        """Names of the terms that were not sampled; held ones stay in the model."""
+        return tuple(
+            p.term_label
+            for p in self._template.parameters
+            if p.parameter.kind == "amplitude" and p.free and p.label not in self.labels
+        )
+
+    def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
+        """So many draws, evenly spaced; some of them repeatedly if there are fewer."""
+        return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
+
+    def models(self, count: int = 100) -> list[Model]:
+        """So many draws as models, without the terms not sampled."""
+        draws = self._some_draws(count).tolist()
+        return [with_draw(self._template, self.labels, self._absent, x) for x in draws]
+
+    def deviation_curves(
+        self, cluster_time: ArrayLike, count: int = 300
+    ) -> Float[np.ndarray, "count points"]:
+        """Allan deviation [rad/s or m/s²] at cluster times [s] of the models of so many draws."""
+        return self._curves(cluster_time, count, "deviation")
+
+    def density_curves(self, frequency: ArrayLike, count: int = 300) -> Float[np.ndarray, "count points"]:
+        """One-sided PSD of the samples, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz], aliases included."""
+        return self._curves(frequency, count, "density")
+
+    def _curves(self, at: ArrayLike, count: int, kind: Any) -> Float[np.ndarray, "count points"]:
+        points = np.atleast_1d(np.asarray(at, float))
+        draws = self._some_draws(count)
+        return np.asarray(curves(self._template, self.labels, self._absent, draws, points, self.rate, kind))
+
+    # ------------------------------------------------------------------ derived quantities
+    def bias_instability_minimum(self) -> BiasMinimum:
+        """Minimum of the model's Allan deviation from one sample to half the record, and where it lies.
+
+        Where the curve still falls at half the record in most draws, it is an upper bound, and says so.
+        """
+        largest = max(self.duration * self.rate / 2.0, 3.0)
+        sizes = np.unique(np.rint(np.geomspace(1.0, np.floor(largest), _MINIMUM_POINTS)))
+        time = sizes / self.rate
+        unit = default_coefficient_unit(self.axis.sensor, 0.0)
+        return lowest_point(self.axis, time, self.deviation_curves(time, _DERIVED_DRAWS), unit)
+
+    def predicted_drift(self, times: Sequence[float] = (60.0, 600.0, 3600.0)) -> dict[float, Derived]:
+        """1-σ error of the integrated rate (angle or velocity) after each time t [s].
+
+        The bias is the mean rate over as long a time just before. The error is then the second difference of
+        the integrated rate, of standard deviation √2·t·σ_A(t) exactly. Beyond half the record it rests on
+        the model, and says so.
+
+        Raises:
+            AllanjaxError: a time is not positive and finite.
+        """
+        t = np.atleast_1d(np.asarray(times, float))
+        if not (np.all(np.isfinite(t)) and np.all(t > 0.0)):
+            raise AllanjaxError(f"times of drift must be positive and finite, got {times!r}")
+        errors = np.sqrt(2.0) * t * self.deviation_curves(t, _DERIVED_DRAWS)
+        unit = _INTEGRAL_UNIT[self.axis.sensor]
+        word = "angle" if self.axis.sensor == "gyro" else "velocity"
+        return {
+            float(time): Derived.of(
+                f"{word} error after {time:g} s",
+                self.axis,
+                unit,
+                error,
+                "extrapolated beyond the record" if 2.0 * time > self.duration else "",
+            )
+            for time, error in zip(t, errors.T, strict=True)
+        }
+
+    # ------------------------------------------------------------------ other programs and pictures
+    def to_arviz(self) -> Any:
+        """The chain as ArviZ's InferenceData (a DataTree from ArviZ 1.0 on), walkers as chains, in SI.
+
+        `sample_stats` holds `lp`, the log-posterior density, and `log_likelihood_total`.
+
+        Raises:
+            AllanjaxError: ArviZ is not installed.
+        """
+        try:
+            import arviz
+        except ImportError as error:
+            raise AllanjaxError('ArviZ is not installed; pip install "allanjax[arviz]"') from error
+        prior = sum(
+            np.asarray(self.priors[label].log_density(self.chain[:, :, i]))
+            for i, label in enumerate(self.labels)
+        )
+        groups = {
+            "posterior": {label: self.chain[:, :, i].T for i, label in enumerate(self.labels)},
+            "sample_stats": {
+                "lp": self.log_probability.T,
+                "log_likelihood_total": (self.log_probability - prior).T,
+            },
+        }
+        if int(arviz.__version__.split(".")[0]) >= 1:
+            return arviz.from_dict(groups)
+        return arviz.from_dict(**groups)
+
+    def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the marginal and joint posteriors; see `allanjax.plot_posterior.plot_corner`."""
+        from allanjax.plot_posterior import plot_corner
+
+        return plot_corner(self, path)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Posterior:
+    """The posteriors of a fit's axes; a mapping from axis names to `AxisPosterior`.
+
+    Attributes:
+        fit: what was sampled.
+        results: one an axis.
+    """
+
+    fit: Fit
+    results: tuple[AxisPosterior, ...]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes' names."""
+        return tuple(result.axis.name for result in self.results)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every axis has."""
+        return all(result.converged for result in self.results)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.axes)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def __getitem__(self, axis: str) -> AxisPosterior:
+        if axis not in self.axes:
+            raise AllanjaxError(f"the posterior has no axis {axis!r}; it has {', '.join(self.axes)}")
+        return self.results[self.axes.index(axis)]
+
+    def keys(self) -> tuple[str, ...]:
+        """The axes' names."""
+        return self.axes
+
+    def values(self) -> tuple[AxisPosterior, ...]:
+        """The axes' posteriors."""
+        return self.results
+
+    def items(self) -> tuple[tuple[str, AxisPosterior], ...]:
+        """Both."""
+        return tuple(zip(self.axes, self.results, strict=True))
+
+    def table(self) -> pd.DataFrame:
+        """One row a coefficient, in its usual unit; columns as in `Fit.table`, and 68 % intervals."""
+        import pandas as pd
+
+        rows = []
+        for result in self.results:
+            for m in result.coefficients.values():
+                shown = m.in_unit()
+                rows.append(
+                    {
+                        "axis": m.axis.name,
+                        "coefficient": m.label,
+                        "median": shown.value,
+                        "std": shown.std,
+                        "lower_68": shown.interval_68[0],
+                        "upper_68": shown.interval_68[1],
+                        "lower_95": shown.interval[0],
+                        "upper_95": shown.interval[1],
+                        "unit": m.unit,
+                        "detected": m.detected,
+                        "upper_limit_95": shown.upper_limit,
+                    }
+                )
+        return pd.DataFrame(rows)
+
+    def to_arviz(self) -> dict[str, Any]:
+        """`AxisPosterior.to_arviz` of every axis, by its name. Raises AllanjaxError if ArviZ is missing."""
+        return {axis: result.to_arviz() for axis, result in self.items()}
+
+    def plot(
+        self,
+        curve: AllanDeviation | Fit | None = None,
+        axes: Sequence[str] | None = None,
+        path: str | os.PathLike[str] | None = None,
+        spectrum: Any = None,
+    ) -> Figure:
+        """Draw Allan deviation and PSD with the posterior's bands; see `allanjax.plot_posterior`."""
+        from allanjax.plot_posterior import plot_posterior
+
+        return plot_posterior(self, curve, axes, path, spectrum)
+
+    def _title(self) -> str:
+        name = f"{self.fit.name}: " if self.fit.name else ""
+        curve = self.fit.curve
+        hours = curve.n / curve.rate / 3600.0
+        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({hours:.3g} h)"
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        rows = []
+        for result in self.results:
+            for m in result.coefficients.values():
+                known = m.detected and not m.held
+                interval = format_interval(*m.in_unit().interval) if known else ""
+                rows.append((result.axis.name, m.title, m.describe(), interval))
+            rows.append((result.axis.name, "", result.verdict(), ""))
+        return rows
+
+    def __str__(self) -> str:
+        return text_table(self._title(), _HEADINGS, self._rows())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), _HEADINGS, self._rows())
+
+
+def sample(
+    fit: Fit,
+    axes: Sequence[str] | str | None = None,
+    *,
+    priors: Mapping[str, Prior] | None = None,
+    seed: int = 0,
+    walkers: int | None = None,
+    max_steps: int = 20_000,
+    min_length: float = 50.0,
+    max_change: float = 0.05,
+    max_r_hat: float = 1.01,
+    absent_draws: int = 256,
+    progress: bool | None = None,
+) -> Posterior:
+    """Sample the posterior of a fit's coefficients with emcee's ensemble of walkers.
+
+    The likelihood is the one the fit was made with. Where the fit chose its terms, those it found are
+    sampled, and the amplitude of each of the others, one at a time, gets its marginal posterior by
+    reweighting; of a model that the user gave all free parameters are sampled. Chains run until they are
+    longer than `min_length` integrated autocorrelation times τ of every parameter (Goodman & Weare 2010,
+    Comm. App. Math. Comp. Sci. 5:65; five τ of burn-in not counted), no τ has changed by more than
+    `max_change` since the last look, and the rank-normalized split R̂ over the walkers (Vehtari et al. 2021,
+    Bayesian Analysis 16:667) is below `max_r_hat`.
+
+    Args:
+        fit: what `allanjax.fit` returns.
+        axes: names of the axes to sample; all by default.
+        priors: priors by label, in SI, that replace those of `default_priors`, e.g.
+            `{"rate_random_walk": LogUniform(1e-6, 1e-4)}`; for every axis.
+        seed: the same seed yields the same draws of an axis, whichever others are sampled.
+        walkers: an even number, at least twice as many as parameters sampled; by default 32, or four a
+            parameter if that is more.
+        max_steps: steps of every walker at most, burn-in included.
+        min_length: length of the chain in τ.
+        max_change: relative change of τ.
+        max_r_hat: R̂ at most.
+        absent_draws: draws of the others from which a term that was not sampled gets its posterior; 256
+            yield its upper limit to about 1 %.
+        progress: whether to show a progress bar on stderr; by default if that is a terminal.
+
+    Returns:
+        The posterior. Chains that have not converged by `max_steps` say so and raise a `PosteriorWarning`.
+
+    Raises:
+        AllanjaxError: an unknown axis or label, a bad number.
+        FitError: an axis of which there is no fit, or a posterior without density anywhere.
+    """
+    from allanjax.sample_axis import AxisSampler
+
+    names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
+    if not names:
+        raise AllanjaxError(f"name at least one axis to sample of {', '.join(fit.axes)}")
+    for name in names:
+        if not fit[name].converged:
+            raise FitError(f"{name}: no posterior, {fit[name].reason}; name the other axes in axes=[…]")
+    sampler = AxisSampler(
+        fit=fit,
+        priors=dict(priors or {}),
+        seed=seed,
+        walkers=walkers,
+        max_steps=max_steps,
+        min_length=min_length,
+        max_change=max_change,
+        max_r_hat=max_r_hat,
+        absent_draws=absent_draws,
+    )
+    return Posterior(fit, sampler.all_axes(names, progress))

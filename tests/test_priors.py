@@ -1,0 +1,111 @@
+"""Priors of single parameters."""
+
+import itertools
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import quad
+
+from allanjax.errors import AllanjaxError
+from allanjax.priors import LogNormal, LogUniform, ModifiedLogUniform, Prior, Uniform
+
+PRIORS = [
+    Uniform(0.2, 7.0),
+    Uniform(-1.0, 1.0),
+    LogUniform(1e-3, 2.0),
+    LogUniform(0.7, 50.0, 0.5),
+    LogNormal(3.0, 2.5),
+    ModifiedLogUniform(1e-2, 40.0),
+    ModifiedLogUniform(5.0, 1.0),
+]
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=str)
+def test_density_integrates_to_one_and_quantile_is_its_inverse(prior):
+    density = lambda x: float(np.exp(prior.log_density(x)))  # noqa: E731
+    for u in (0.0, 0.03, 0.4, 0.9, 1.0):
+        end = prior.quantile(u)
+        # Piecewise between quantiles, since densities span decades.
+        pieces = prior.quantile(np.linspace(1e-9, 1.0 - 1e-9, 40))
+        pieces = [prior.lower, *pieces[pieces < end], end]
+        below = sum(quad(density, a, b, epsrel=1e-9)[0] for a, b in itertools.pairwise(pieces))
+        assert below == pytest.approx(u, abs=1e-7)
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=str)
+def test_outside_the_support_there_is_no_density_and_no_nan_gradient(prior):
+    outside = np.array([prior.lower - 0.5, prior.lower - 1e-9])
+    if np.isfinite(prior.upper):
+        outside = np.append(outside, [prior.upper * 1.001, prior.upper + 100.0])
+    assert np.all(np.asarray(prior.log_density(outside)) == -np.inf)
+    inside = prior.quantile(np.linspace(0.01, 0.99, 9))
+    assert np.all(np.isfinite(prior.log_density(inside)))
+    assert np.all(np.isfinite(jax.vmap(jax.grad(prior.log_density))(inside)))
+
+
+def test_densities_are_those_of_scipy():
+    x = np.geomspace(0.02, 1.9, 11)
+    np.testing.assert_allclose(
+        PRIORS[2].log_density(x), stats.loguniform(1e-3, 2.0).logpdf(x), rtol=1e-12, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        PRIORS[4].log_density(x), stats.lognorm(np.log(2.5), scale=3.0).logpdf(x), rtol=1e-12, atol=1e-12
+    )
+    # Gregory (2005): uniform far below the knee, 1/x far above it.
+    gregory = PRIORS[5]
+    assert gregory.log_density(0.0) == pytest.approx(-np.log(1e-2 * np.log(1.0 + 40.0 / 1e-2)))
+    assert np.exp(gregory.log_density(2.0) - gregory.log_density(20.0)) == pytest.approx(10.0, rel=5e-3)
+
+
+def test_a_prior_is_a_pytree_so_that_other_numbers_do_not_compile_again():
+    traces = []
+
+    @jax.jit
+    def density(prior, x):
+        traces.append(1)
+        return prior.log_density(x)
+
+    first = density(LogUniform(1e-3, 2.0), 0.5)
+    second = density(LogUniform(1e-2, 3.0), 0.5)
+    assert len(traces) == 1
+    assert first != second
+    assert LogUniform(1e-3, 2.0) == LogUniform(1e-3, 2.0)
+    assert repr(LogUniform(1e-3, 2.0)) == "LogUniform(lower=0.001, upper=2.0)"
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Uniform(1.0, 1.0),
+        lambda: Uniform(0.0, np.inf),
+        lambda: LogUniform(0.0, 1.0),
+        lambda: LogUniform(0.4, 1.0, 0.5),
+        lambda: LogUniform(2.0, 1.0),
+        lambda: LogNormal(0.0, 2.0),
+        lambda: LogNormal(1.0, 1.0),
+        lambda: ModifiedLogUniform(0.0, 1.0),
+        lambda: ModifiedLogUniform(np.nan, 1.0),
+        lambda: ModifiedLogUniform(1.0, 0.0),
+    ],
+)
+def test_improper_priors_are_refused(make):
+    with pytest.raises(AllanjaxError, match="give "):
+        make()
+
+
+def test_a_user_may_write_another_prior():
+    class Triangle(Prior):
+        lower: float
+        upper: float
+
+        def log_density(self, x):
+            inside = (x >= self.lower) & (x <= self.upper)
+            height = 2.0 * (x - self.lower) / (self.upper - self.lower) ** 2
+            return jax.numpy.where(inside, jax.numpy.log(jax.numpy.where(inside, height, 1.0)), -np.inf)
+
+        def quantile(self, u):
+            return self.lower + (self.upper - self.lower) * np.sqrt(u)
+
+    assert np.exp(Triangle(0.0, 2.0).log_density(2.0)) == pytest.approx(1.0)
