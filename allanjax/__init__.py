@@ -17,14 +17,19 @@ from allanjax.allan import AllanDeviation, allan_deviation  # noqa: E402
 from allanjax.cache import enable_compilation_cache  # noqa: E402
 from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
 from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
-from allanjax.fit import basic_terms, fit  # noqa: E402
+from allanjax.fit import fit  # noqa: E402
 from allanjax.io import read, write  # noqa: E402
 from allanjax.model import Model  # noqa: E402
 from allanjax.plot import plot_allan  # noqa: E402
+from allanjax.plot_spectrum import plot_psd  # noqa: E402
+from allanjax.posterior import AxisPosterior, Posterior, PosteriorWarning, sample  # noqa: E402
+from allanjax.priors import LogNormal, LogUniform, ModifiedLogUniform, Uniform  # noqa: E402
 from allanjax.recording import Axis, Recording  # noqa: E402
 from allanjax.result import AxisFit, Coefficient, Fit  # noqa: E402
+from allanjax.selection import AxisSelection, TermSelection, TermSet, basic_terms, select_terms  # noqa: E402
 from allanjax.sensors import SENSORS, SensorPreset  # noqa: E402
 from allanjax.simulate import simulate, simulate_recording  # noqa: E402
+from allanjax.spectrum import PowerSpectrum, power_spectrum  # noqa: E402
 from allanjax.terms import (  # noqa: E402
     AngleRandomWalk,
     BiasInstability,
@@ -46,14 +51,22 @@ __all__ = [
     "AngleRandomWalk",
     "Axis",
     "AxisFit",
+    "AxisPosterior",
+    "AxisSelection",
     "BiasInstability",
     "Coefficient",
     "DriftRamp",
     "Fit",
     "FitError",
+    "LogNormal",
+    "LogUniform",
     "Markov",
     "Model",
+    "ModifiedLogUniform",
     "NoiseTerm",
+    "Posterior",
+    "PosteriorWarning",
+    "PowerSpectrum",
     "Quantization",
     "RateRandomWalk",
     "Recording",
@@ -61,6 +74,9 @@ __all__ = [
     "Resonance",
     "SensorPreset",
     "Sinusoid",
+    "TermSelection",
+    "TermSet",
+    "Uniform",
     "UnitError",
     "allan_deviation",
     "basic_terms",
@@ -69,7 +85,11 @@ __all__ = [
     "fit",
     "parameter",
     "plot_allan",
+    "plot_psd",
+    "power_spectrum",
     "read",
+    "sample",
+    "select_terms",
     "simulate",
     "simulate_recording",
     "to_dict",

@@ -12,6 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from allanjax.model import Model
+    from allanjax.recording import Recording
     from allanjax.result import Fit
 
 Sensor = Literal["gyro", "accel"]
@@ -62,8 +63,8 @@ def _common(
 
 @app.command(
     help="Estimate the noise coefficients of static recordings. Prints a table a file, and writes NAME.json, "
-    "NAME_allan.csv, NAME_coefficients.csv and NAME_allan.png. Where one of several files is bad, the others "
-    "go on.",
+    "NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. Where one of several "
+    "files is bad, the others go on.",
     epilog=_epilog(
         "allanjax characterize imu.csv",
         "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
@@ -105,9 +106,19 @@ def characterize(
         str | None,
         typer.Option(
             help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
-            "markov(correlation_time=100 s held)'. Without: the five basic terms, reduced to those that the "
-            "data support."
+            "markov(correlation_time=100 s held)'. Without: those of the five basic terms and a Markov "
+            "process that the data call for, by their evidence."
         ),
+    ] = None,
+    objective: Annotated[
+        Literal["allan", "whittle"],
+        typer.Option(
+            help="Fit the Allan variances, or the spectrum by Whittle's likelihood: better for lines."
+        ),
+    ] = "allan",
+    regressors: Annotated[
+        str | None,
+        typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -121,6 +132,7 @@ def characterize(
 ) -> None:
     from allanjax.errors import AllanjaxError
     from allanjax.export import SCHEMA_VERSION, to_dict, write_results
+    from allanjax.spectrum import power_spectrum
 
     model = None if terms is None else _fit_model(terms)
     options = {
@@ -137,10 +149,10 @@ def characterize(
     errors: list[dict[str, str]] = []
     for file, name in zip(files, _result_names(files), strict=True):
         try:
-            fit = _read_and_fit(file, options, model)
+            recording, fit = _read_and_fit(file, options, model, objective, _names(regressors))
             if directory is not None:
                 with _stage(f"{file}: writing results"):
-                    paths = write_results(fit, directory, name)
+                    paths = write_results(fit, power_spectrum(recording), directory, name)
         except (AllanjaxError, OSError) as error:
             errors.append({"file": str(file), "message": str(error)})
             _print_error(str(error))
@@ -245,6 +257,7 @@ def demo(
         from allanjax.demo import compare, comparison_table, demo_recording
         from allanjax.export import write_results
         from allanjax.io import write
+        from allanjax.spectrum import power_spectrum
     with _reported():
         out.mkdir(parents=True, exist_ok=True)
         file = out / "demo.csv"
@@ -252,9 +265,9 @@ def demo(
             recording = demo_recording()
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        fit = _read_and_fit(file, {}, None)
+        recording, fit = _read_and_fit(file, {}, None)
         with _stage("writing results"):
-            paths = write_results(fit, out, file.stem)
+            paths = write_results(fit, power_spectrum(recording), out, file.stem)
     comparisons = compare(fit)
     Console(width=_WIDTH).print(comparison_table(comparisons))
     inside = sum(comparison.inside for comparison in comparisons)
@@ -293,7 +306,17 @@ def _fit_model(terms: str) -> "Model":
     return model
 
 
-def _read_and_fit(file: Path, options: dict[str, Any], model: "Model | None") -> "Fit":
+def _names(text: str | None) -> list[str]:
+    return [] if text is None else [name.strip() for name in text.split(",")]
+
+
+def _read_and_fit(
+    file: Path,
+    options: dict[str, Any],
+    model: "Model | None",
+    objective: Literal["allan", "whittle"] = "allan",
+    regressors: Sequence[str] = (),
+) -> "tuple[Recording, Fit]":
     with _stage(f"{file}: loading allanjax"):
         from allanjax.fit import fit
         from allanjax.io import read
@@ -301,7 +324,7 @@ def _read_and_fit(file: Path, options: dict[str, Any], model: "Model | None") ->
         recording = read(file, **options)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
     with _stage(f"{file}: fitting {size} (the first run on a machine also compiles)"):
-        return fit(recording, model)
+        return recording, fit(recording, model, objective, regressors=regressors)
 
 
 @contextmanager

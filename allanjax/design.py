@@ -1,17 +1,21 @@
-"""A model at given cluster sizes: means and covariance of the Allan variances as functions of parameters.
+"""A model of estimates of power: means and covariance as functions of the parameters.
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
-bilinear. Other free parameters ("shapes") enter by ln(value − lower bound).
+bilinear. Other free parameters ("shapes") enter by ln(value − lower bound). The estimates are Allan variances
+at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`cosine.SpectralDesign`).
 """
 
 from __future__ import annotations
 
+import abc
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from allanjax.covariance import AllanCovariance
+from allanjax.linalg import Whitened, whiten
 from allanjax.model import Model, ModelParameter
 from allanjax.terms import NoiseTerm
 
@@ -32,7 +36,71 @@ class _Constants(eqx.Module):
 
 
 class Design(eqx.Module):
-    """See the module's docstring."""
+    """What the solver and the inference know of the estimates: see the module's docstring."""
+
+    model: eqx.AbstractVar[Model]
+
+    @property
+    def shapes(self) -> tuple[ModelParameter, ...]:
+        """The free parameters that are not amplitudes."""
+        return free_shapes(self.model)
+
+    @property
+    def movable(self) -> Bool[np.ndarray, " shapes"]:
+        """Which shapes are estimated from these estimates: frequencies of lines are known from the record."""
+        return np.array([not self.model.terms[p.term].deterministic for p in self.shapes], bool)
+
+    def units(self, shape: Float[Array, " shapes"]) -> list[NoiseTerm]:
+        """The terms with unit amplitude at these shapes."""
+        terms = [unit(t) for t in self.model.terms]
+        for p, u in zip(self.shapes, shape, strict=True):
+            value = p.parameter.lower + jnp.exp(u)
+            terms[p.term] = terms[p.term].replace(**{p.parameter.name: value})
+        return terms
+
+    @abc.abstractmethod
+    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
+        """Expectation of the estimates for each term with unit amplitude."""
+
+    @abc.abstractmethod
+    def products(self, shape: Float[Array, " shapes"]) -> Array:
+        """What the covariance needs of the terms at these shapes."""
+
+    @abc.abstractmethod
+    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
+        """Covariance of the estimates where each term has this power: a matrix, or variances alone."""
+
+    @abc.abstractmethod
+    def variances(self, covariance: Array) -> Float[Array, " m"]:
+        """The variances in a covariance."""
+
+    @abc.abstractmethod
+    def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Residuals of estimates over their means, with zero mean and this variance, for χ²."""
+
+    @abc.abstractmethod
+    def whiten(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        discrepancy: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> Whitened:
+        """L⁻¹X, LL' the covariance of the relative residuals with a relative model error `discrepancy`."""
+
+    @property
+    @abc.abstractmethod
+    def weight(self) -> Float[Array, " m"]:
+        """Rough relative weight of each estimate, where no model is known."""
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> Float[Array, ""]:
+        """How many estimates there are."""
+
+
+class AllanDesign(Design):
+    """Allan variances at the cluster sizes of `geometry`."""
 
     model: Model = eqx.field(static=True)
     geometry: AllanCovariance
@@ -41,7 +109,7 @@ class Design(eqx.Module):
     constants: _Constants
 
     @classmethod
-    def of(cls, model: Model, n: int, rate: float, sizes: Int[np.ndarray, " m"]) -> Design:
+    def of(cls, model: Model, n: int, rate: float, sizes: Int[np.ndarray, " m"]) -> AllanDesign:
         """The design of a model for overlapping Allan variances at these cluster sizes of n samples."""
         model = model.sampled(rate)
         oscillates = any(term.oscillates for term in model.terms)
@@ -50,30 +118,17 @@ class Design(eqx.Module):
         ridge = np.asarray(_OSCILLATING_RIDGE if oscillates else _RIDGE)
         return cls(model, geometry, np.exp(-distance), ridge, _constants(model, geometry))
 
-    @property
-    def shapes(self) -> tuple[ModelParameter, ...]:
-        """The free parameters that are not amplitudes."""
-        return free_shapes(self.model)
-
-    def _units(self, shape: Float[Array, " shapes"]) -> list[NoiseTerm]:
-        """The terms with unit amplitude at these shapes."""
-        terms = [_unit(t) for t in self.model.terms]
-        for p, u in zip(self.shapes, shape, strict=True):
-            value = p.parameter.lower + jnp.exp(u)
-            terms[p.term] = terms[p.term].replace(**{p.parameter.name: value})
-        return terms
-
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
         """Allan variance of each term with unit amplitude."""
         T = self.geometry.cluster_time
-        pairs = zip(self._units(shape), self.constants.means, strict=True)
+        pairs = zip(self.units(shape), self.constants.means, strict=True)
         return jnp.stack([t.allan_variance(T) if b is None else b for t, b in pairs])
 
     def products(self, shape: Float[Array, " shapes"]) -> Float[Array, "pairs terms terms"]:
         """Covariance of the estimates as a bilinear form in the powers, for each pair of estimates."""
         if self.constants.products is not None:
             return self.constants.products
-        units = self._units(shape)
+        units = self.units(shape)
         pairs = zip(units, self.constants.kernels, strict=True)
         kernels = [self.geometry.kernel(t) if k is None else k for t, k in pairs]
         return _products(units, self.geometry, kernels)
@@ -84,12 +139,33 @@ class Design(eqx.Module):
         """Covariance of the estimates where each term has this power."""
         return self.geometry.symmetric(jnp.einsum("pkj,k,j->p", products, power, power))
 
-    def relative(
-        self, covariance: Float[Array, "m m"], mean: Float[Array, " m"], discrepancy: Float[Array, ""]
-    ) -> Float[Array, "m m"]:
-        """Covariance of V/mean, with a relative model error correlated over about an octave."""
+    def variances(self, covariance: Array) -> Float[Array, " m"]:
+        return jnp.diag(covariance)
+
+    def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Plain ones: neighbours correlate so much that what makes each normal would not make all."""
+        return ratio - 1.0
+
+    def whiten(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        discrepancy: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> Whitened:
+        """The model error is correlated over about an octave."""
         relative = covariance / (mean[:, None] * mean)
-        return relative + self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
+        relative += self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
+        return whiten(relative, X)
+
+    @property
+    def weight(self) -> Float[Array, " m"]:
+        """As the number of clusters."""
+        return 1.0 / self.geometry.cluster_time
+
+    @property
+    def count(self) -> Float[Array, ""]:
+        return jnp.asarray(float(len(self.geometry.sizes)))
 
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
@@ -97,7 +173,8 @@ def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
     return tuple(p for p in model.parameters if p.free and p.parameter.kind != "amplitude")
 
 
-def _unit(term: NoiseTerm) -> NoiseTerm:
+def unit(term: NoiseTerm) -> NoiseTerm:
+    """The term with unit amplitude."""
     return term.replace(**{term.parameters()[0].name: 1.0})
 
 
@@ -132,7 +209,7 @@ def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Ar
 @eqx.filter_jit
 def _constants(model: Model, geometry: AllanCovariance) -> _Constants:
     with_shape = {p.term for p in free_shapes(model)}
-    units = [_unit(t) for t in model.terms]
+    units = [unit(t) for t in model.terms]
     steady = [k not in with_shape for k in range(len(units))]
     T = geometry.cluster_time
     means = tuple(t.allan_variance(T) if s else None for t, s in zip(units, steady, strict=True))

@@ -13,6 +13,8 @@ import numpy as np
 
 from allanjax.recording import Axis
 from allanjax.result import AxisFit, Coefficient, Fit
+from allanjax.selection import AxisSelection, TermSelection
+from allanjax.spectrum import PowerSpectrum
 from allanjax.units import Sensor, default_coefficient_unit, parse_sample_unit, unit_scale
 
 SCHEMA_VERSION = 1
@@ -38,8 +40,9 @@ def to_dict(fit: Fit) -> dict[str, Any]:
             "rate_hz": float(fit.curve.rate),
             "duration_s": fit.curve.n / fit.curve.rate,
         },
+        "objective": fit.objective,
         "converged": fit.converged,
-        "axes": [_axis(result) for result in fit],
+        "axes": [_axis(result, fit.selection) for result in fit],
         "notes": list(fit.notes),
     }
 
@@ -87,24 +90,28 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
 
 
-def write_results(fit: Fit, directory: str | os.PathLike[str], name: str) -> tuple[Path, ...]:
-    """Write NAME.json, NAME_allan.csv, NAME_coefficients.csv and NAME_allan.png; returns their paths."""
+def write_results(
+    fit: Fit, spectrum: PowerSpectrum, directory: str | os.PathLike[str], name: str
+) -> tuple[Path, ...]:
+    """Write NAME.json, NAME_{allan,coefficients}.csv and NAME_{allan,psd}.png; returns their paths."""
     from matplotlib import pyplot as plt
 
     from allanjax.plot import plot_allan
+    from allanjax.plot_spectrum import plot_psd
 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    suffixes = (".json", "_allan.csv", "_coefficients.csv", "_allan.png")
+    suffixes = (".json", "_allan.csv", "_coefficients.csv", "_allan.png", "_psd.png")
     paths = tuple(directory / f"{name}{suffix}" for suffix in suffixes)
     write_json(fit, paths[0])
     write_curve_csv(fit, paths[1])
     write_coefficients_csv(fit, paths[2])
     plt.close(plot_allan(fit, path=paths[3]))
+    plt.close(plot_psd(spectrum, fit, path=paths[4]))
     return paths
 
 
-def _axis(result: AxisFit) -> dict[str, Any]:
+def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
     coefficients = list(result.coefficients.values()) if result.converged else []
     covariance = result.covariance if result.converged else np.zeros((0, 0))
     return {
@@ -123,7 +130,24 @@ def _axis(result: AxisFit) -> dict[str, Any]:
             "units": [_si_unit(c) for c in coefficients],
             "values": [[_finite(x) for x in row] for row in covariance],
         },
+        "selection": None if selection is None else _ranking(selection[result.axis.name]),
+        "regression": {
+            name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
+        },
     }
+
+
+def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
+    sets = selection.ranking[: max(3, len(selection.indistinguishable))]
+    return [
+        {
+            "terms": list(s.terms),
+            "probability": s.probability,
+            "log_evidence": s.log_evidence - selection.best.log_evidence,
+            "chosen": s == selection.chosen,
+        }
+        for s in sets
+    ]
 
 
 def _coefficient(c: Coefficient) -> dict[str, Any]:
@@ -144,6 +168,7 @@ def _numbers(c: Coefficient) -> dict[str, Any]:
     return {
         "value": _finite(c.value),
         "std": _finite(c.std),
+        "interval_68": [_finite(x) for x in c.interval_68],
         "interval_95": [_finite(x) for x in c.interval],
         "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
     }

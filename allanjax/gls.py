@@ -1,4 +1,4 @@
-"""Iterated generalized least squares on the Allan variance, compiled and vectorised over axes.
+"""Iterated generalized least squares on estimates of power, compiled and vectorised over axes.
 
 The estimating equation is D'C⁻¹(V − μ) = 0 with mean μ, its derivatives D and the covariance C of the
 estimates V all at the current model: unbiased whatever the shape of V's law, and nearly as good as the whole
@@ -23,7 +23,7 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.design import Design
-from allanjax.linalg import non_negative_least_squares, whiten
+from allanjax.linalg import non_negative_least_squares
 
 # How far shapes may move from their start, in ln: the spectrum knows better than the Allan curve where
 # a line is; other starts are two to a decade or denser.
@@ -54,7 +54,7 @@ class _State(NamedTuple):
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
     mean: Float[Array, " m"]
-    covariance: Float[Array, "m m"]
+    covariance: Array
     robust: tuple[Array, Array, Array, Array]
     last: tuple[Array, Array]
     last_step: tuple[Array, Array]
@@ -79,20 +79,22 @@ def _solve(
     power = jnp.where(active, power, 0.0)
     start = shape
     reach = jnp.asarray([_REACH[p.parameter.kind] for p in design.shapes])
-    dof = jnp.maximum(len(V) - jnp.sum(active & free) - jnp.sum(active[owner]), 1.0)
+    moves = active[owner] & design.movable
+    dof = jnp.maximum(design.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
     # Wilson & Hilferty's (1931) point of χ² at 1e-6; its tail is heavier here, where few clusters remain.
     limit = dof * (1.0 - 2.0 / (9.0 * dof) + 4.75 * jnp.sqrt(2.0 / (9.0 * dof))) ** 3
 
     def within(u: Array) -> Array:
         """Shapes that the data can know of: a line where it was found, times inside the record's span."""
-        return jnp.where(active[owner], jnp.clip(u, start - reach, start + reach), start)
+        return jnp.where(moves, jnp.clip(u, start - reach, start + reach), start)
 
     def scatter(power: Array, shape: Array) -> tuple[Array, Array]:
         return power @ design.means(shape), design.covariance(power, design.products(shape))
 
     def misfit(mean: Array, covariance: Array, discrepancy: Array) -> tuple[Array, Array]:
-        relative = design.relative(covariance, mean, discrepancy)
-        residual, log_det = whiten(relative, (V / mean - 1.0)[:, None])
+        """χ² of the residuals, and ln det of their covariance."""
+        score = design.residual(V / mean, design.variances(covariance) / mean**2)
+        residual, log_det = design.whiten(covariance, mean, discrepancy, score[:, None])
         return jnp.sum(residual**2), log_det
 
     def best_powers(shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
@@ -105,8 +107,7 @@ def _solve(
     def improve(state: _State) -> tuple[Array, Array, Array, tuple[Array, Array]]:
         """One generalized least squares fit, and how far it moved the curve, in standard deviations."""
         reference, covariance = state.mean, state.covariance
-        relative = design.relative(covariance, reference, state.discrepancy)
-        W = whiten(relative, jnp.eye(len(V))).values
+        W = design.whiten(covariance, reference, state.discrepancy, jnp.eye(len(V))).values
         shape = state.shape
         if len(shape):
 
@@ -224,8 +225,8 @@ def solve(
     """The estimate of every axis from its start.
 
     Args:
-        design: the model and the cluster sizes.
-        V: Allan variances [rate²].
+        design: the model, and what is known of the estimates.
+        V: the estimates of power, such as Allan variances [rate²].
         free: the terms whose power is estimated.
         active: the terms in use, for each axis.
         power, shape: start values.

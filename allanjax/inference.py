@@ -1,4 +1,4 @@
-"""What the Allan variances say about each coefficient around its estimate."""
+"""What estimates of power say about each coefficient around its estimate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.design import Design
 from allanjax.gls import Solution
-from allanjax.linalg import inverse, whiten
+from allanjax.linalg import inverse
 
 
 class Inference(NamedTuple):
@@ -23,7 +23,7 @@ class Inference(NamedTuple):
     """
 
     covariance: Float[Array, "params params"]
-    estimate_covariance: Float[Array, "m m"]
+    estimate_variance: Float[Array, " m"]
     power_at: Float[Array, "terms grid"]
     pivot_at: Float[Array, "terms grid"]
 
@@ -38,7 +38,7 @@ class _Linearized(NamedTuple):
     step: Float[Array, " params"]
     weights: Float[Array, "params m"]
     weighted: Float[Array, "params m"]
-    estimate_covariance: Float[Array, "m m"]
+    estimate_variance: Float[Array, " m"]
 
 
 def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
@@ -100,7 +100,7 @@ def _infer(
         raw = jnp.concatenate([means.T, jnp.einsum("k,kms->ms", power, by_shape)], axis=1) / mean[:, None]
         raw = raw * estimated
         columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None], jnp.eye(len(V))], axis=1)
-        columns = whiten(design.relative(covariance, mean, s.discrepancy), columns).values
+        columns = design.whiten(covariance, mean, s.discrepancy, columns).values
         D, residual, W = columns[:, : len(estimated)], columns[:, len(estimated)], columns[:, -len(V) :]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
@@ -112,11 +112,11 @@ def _infer(
             step=normal_inverse @ (D.T @ residual),
             weights=normal_inverse @ (D.T @ W),
             weighted=normal_inverse @ raw.T,
-            estimate_covariance=covariance,
+            estimate_variance=design.variances(covariance),
         )
 
     # The shape of a term without power is nowhere in the data.
-    has_shape = active[owner] & (s.power[owner] > 0.0)
+    has_shape = active[owner] & (s.power[owner] > 0.0) & design.movable
     is_active = jnp.concatenate([active & free, has_shape]).astype(float)
     # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
     alone = jnp.eye(terms, dtype=bool)
@@ -155,4 +155,4 @@ def _infer(
     power_at, pivot_at = jax.vmap(hypotheses)(
         jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
     )
-    return Inference(found.covariance, found.estimate_covariance, power_at, pivot_at)
+    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at)

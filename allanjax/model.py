@@ -133,6 +133,11 @@ class Model(eqx.Module):
         self.check_complete()
         return sum((t.psd(frequency) for t in self.terms), jnp.zeros(np.shape(frequency)))
 
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Two-sided PSD of samples at `rate` [Hz], aliases included; lines and ramps have none."""
+        self.check_complete()
+        return sum((t.sampled_psd(frequency, rate) for t in self.terms), jnp.zeros(np.shape(frequency)))
+
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]."""
         self.check_complete()

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from allanjax.deterministic import AxisSpectrum
+    from allanjax.selection import TermSelection
+
 
 @dataclasses.dataclass(frozen=True)
 class Coefficient:
@@ -37,6 +40,7 @@ class Coefficient:
         value: the estimate; zero for an amplitude that the data do not call for.
         std: its standard deviation.
         interval: 95 % interval; its lower end is zero where zero is not excluded.
+        interval_68: 68 % interval.
         upper_limit: one-sided 95 % limit, of an amplitude.
         detected: whether zero is excluded.
         held: whether the value was given and not estimated.
@@ -49,6 +53,7 @@ class Coefficient:
     value: float
     std: float
     interval: tuple[float, float]
+    interval_68: tuple[float, float]
     upper_limit: float | None
     detected: bool
     held: bool = False
@@ -82,6 +87,7 @@ class Coefficient:
             value=self.value * factor,
             std=self.std * factor,
             interval=(self.interval[0] * factor, self.interval[1] * factor),
+            interval_68=(self.interval_68[0] * factor, self.interval_68[1] * factor),
             upper_limit=limit,
         )
 
@@ -137,9 +143,13 @@ class AxisFit:
     Attributes:
         axis: whose it is.
         converged: whether it may be trusted; `reason` says why not.
-        chi2, dof, p_value: misfit of the Allan variances to the model within their own scatter.
-        discrepancy: relative error of the model's Allan deviation that brings χ² down to `dof`; 0 if the
-            model suffices. Standard deviations and intervals include it.
+        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels, to the model within
+            their own scatter.
+        discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
+            that brings χ² down to `dof`; 0 if the model suffices. Standard deviations and intervals
+            include it.
+        regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
+        spectrum: with Whittle's likelihood, the statistics it was fitted to.
     """
 
     axis: Axis
@@ -152,6 +162,8 @@ class AxisFit:
     _coefficients: Mapping[str, Coefficient]
     _covariance: Float[np.ndarray, "params params"]
     _model: Model
+    regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    spectrum: AxisSpectrum | None = None
 
     def _checked(self) -> None:
         if not self.converged:
@@ -205,6 +217,8 @@ class Fit:
         curve: the Allan deviations it was fitted to, with degrees of freedom under the fitted models.
         results: one a recording axis.
         notes: what the reader or the fit want the user to know.
+        objective: "allan" or "whittle".
+        selection: the ranking of terms, if the fit chose them itself.
     """
 
     name: str
@@ -212,6 +226,13 @@ class Fit:
     curve: AllanDeviation
     results: tuple[AxisFit, ...]
     notes: tuple[str, ...] = ()
+    objective: str = "allan"
+    selection: TermSelection | None = None
+
+    @property
+    def chosen(self) -> bool:
+        """Whether the fit chose the terms itself."""
+        return self.selection is not None
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ def find_starts(
     """
     shape = np.stack([_shape_candidates(design.shapes, x, rate) for x in values.T])
     given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
-    rough, misfit = _rough_powers(design, V, shape, len(values))
+    rough, misfit = _rough_powers(design, V, shape)
     power = np.array(rough)
     for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
         if value is not None and not term.is_free(term.parameters()[0]):
@@ -49,9 +49,9 @@ def find_starts(
 
 @eqx.filter_jit
 def _rough_powers(
-    design: Design, V: Float[ArrayLike, "axes m"], shape: Float[ArrayLike, "axes candidates shapes"], n: int
+    design: Design, V: Float[ArrayLike, "axes m"], shape: Float[ArrayLike, "axes candidates shapes"]
 ) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
-    weight = n / jnp.asarray(design.geometry.sizes)
+    weight = design.weight
 
     def at(V: Float[Array, " m"], shape: Float[Array, " shapes"]) -> tuple[Array, Array]:
         A = design.means(shape) / V

@@ -40,7 +40,7 @@ def names(folder):
     return sorted(path.name for path in Path(folder).iterdir())
 
 
-RESULTS = ["small.json", "small_allan.csv", "small_allan.png", "small_coefficients.csv"]
+RESULTS = ["small.json", "small_allan.csv", "small_allan.png", "small_coefficients.csv", "small_psd.png"]
 
 
 def test_characterize_prints_the_table_and_writes_the_results(recorded, small_fit):
@@ -216,7 +216,14 @@ def test_simulate_says_what_it_cannot_write():
 def test_the_demo_finds_what_was_put_in():
     result = run("demo")
     assert result.exit_code == 0, result.stderr
-    expected = ["demo.csv", "demo.json", "demo_allan.csv", "demo_allan.png", "demo_coefficients.csv"]
+    expected = [
+        "demo.csv",
+        "demo.json",
+        "demo_allan.csv",
+        "demo_allan.png",
+        "demo_coefficients.csv",
+        "demo_psd.png",
+    ]
     assert names("allanjax-demo") == expected
     assert result.stdout.count("inside") >= 26
     assert f"{result.stdout.count('inside')} of 30 intervals" in result.stdout

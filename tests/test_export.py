@@ -12,6 +12,7 @@ import pytest
 
 from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json, write_results
 from allanjax.recording import Recording
+from allanjax.spectrum import power_spectrum
 from allanjax.units import unit_scale
 
 # SI to the usual units, by hand.
@@ -140,12 +141,13 @@ def test_coefficients_are_the_table(small_fit, half_failed_fit, tmp_path):
     assert len(written) == 16
 
 
-def test_all_results(small_fit, tmp_path):
-    paths = write_results(small_fit, tmp_path / "a" / "b", "unit 1")
+def test_all_results(small_fit, small_recording, tmp_path):
+    paths = write_results(small_fit, power_spectrum(small_recording), tmp_path / "a" / "b", "unit 1")
     assert [path.name for path in paths] == [
         "unit 1.json",
         "unit 1_allan.csv",
         "unit 1_coefficients.csv",
         "unit 1_allan.png",
+        "unit 1_psd.png",
     ]
     assert all(path.stat().st_size > 500 for path in paths)

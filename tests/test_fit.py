@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.fit import _drop
 
 RATE = 100.0
 # Estimates of true coefficients lie within this many of their standard deviations (once in 16,000 not).
@@ -197,22 +196,3 @@ def test_prints_with_units_in_terminal_and_notebook() -> None:
     row = table.loc["angle_random_walk"]
     assert row["unit"] == "deg/√h"
     assert row["value"] == pytest.approx(fit["gyro_0"]["angle_random_walk"].value * 180.0 / np.pi * 60.0)
-
-
-@pytest.mark.parametrize(
-    ("needed", "power", "at_zero", "left"),
-    [
-        ([0, 0, 0], [1.0, 0.0, 1.0], [9.0, -1.0, 9.0], [1, 0, 1]),  # no power
-        ([0, 0, 0], [1.0, 1.0, 1.0], [9.0, 2.0, 1.0], [1, 1, 0]),  # the weakest
-        (
-            [0, 1, 0],
-            [1.0, 0.0, 1.0],
-            [9.0, -1.0, 9.0],
-            [1, 1, 1],
-        ),  # without power, but the fit fails without it
-        ([1, 1, 1], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [1, 1, 1]),  # all needed: or the reduction never ends
-    ],
-)
-def test_a_needed_term_is_never_dropped_again(needed, power, at_zero, left) -> None:
-    found = _drop(np.ones(3, bool), np.array(needed, bool), np.array(power), np.array(at_zero))
-    np.testing.assert_array_equal(found, np.array(left, bool))

@@ -21,6 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import erfc
 from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
 from scipy.fft import next_fast_len
 
@@ -29,6 +30,9 @@ from allanjax.terms.recursion import linear_recurrence
 
 if TYPE_CHECKING:
     from allanjax.model import Model
+
+# Lags that the default of `sampled_psd` takes one by one.
+_SINGLE_LAGS = 512
 
 #: A parameter's value: a number, an array inside compiled functions, or None for "to be estimated".
 Value: TypeAlias = Any
@@ -130,6 +134,59 @@ class NoiseTerm(eqx.Module):
         return self
 
     # ------------------------------------------------------------------ what follows from it
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Two-sided PSD of the samples, aliases included, (rad/s)²/Hz or (m/s²)²/Hz, up to the Nyquist
+        frequency.
+
+        The samples are means over 1/rate, so that minus the second difference of G takes the place of
+        their autocovariance H, and S(f) = Σ_d H(d) cos(2πf·d/rate) / rate. This default sums it numerically;
+        terms with a closed form override it. Zero for a deterministic term.
+        """
+        f = jnp.asarray(frequency, float)
+        if self.deterministic:
+            return jnp.zeros(f.shape)
+        return jax.vmap(lambda f: self._density(2.0 * jnp.pi * f / rate, rate))(f.ravel()).reshape(f.shape)
+
+    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Power [rate²] that the two ends of a record add to its cosine spectrum, times its number of
+        samples.
+
+        It spreads over all frequencies, and matters for terms whose own density falls off towards low ones.
+        Zero unless overridden; see `cosine` for the lowest frequencies, where it is never neglected.
+        """
+        return jnp.zeros(np.shape(frequency))
+
+    def _density(self, a: Float[Array, ""], rate: float) -> Float[Array, ""]:
+        """`sampled_psd` at a radians per sample.
+
+        Lags are taken singly at first, then in stretches that grow up to half a period, as integrals. H need
+        not decay: the sum fades out smoothly over many periods, which leaves what oscillates untouched.
+        """
+        h = 1.0 / rate
+
+        def fading(d: Array) -> Array:
+            return erfc(4.0 * (d * a / (12.0 * jnp.pi) - 2.0)) / 2.0
+
+        G = self.phase_covariance(jnp.arange(_SINGLE_LAGS + 2) * h)
+        single = -_second_difference(jnp.concatenate([G[1:2], G])) / h**2
+        lag = jnp.arange(_SINGLE_LAGS + 1)
+        total = jnp.sum(jnp.where(lag > 0, 2.0, 1.0) * single * fading(lag) * jnp.cos(a * lag))
+
+        def summand(d: Array) -> Array:
+            # Another call may have another gauge, which the last single lag tells.
+            H = -_derivative(_derivative(self.phase_covariance))(jnp.append(d, _SINGLE_LAGS) * h)
+            return 2.0 * (H[:-1] - H[-1] + single[-1]) * fading(d) * jnp.cos(a * d)
+
+        x, w = np.polynomial.legendre.leggauss(12)
+        growing = jnp.minimum(_SINGLE_LAGS * 1.5 ** jnp.arange(22.0), jnp.pi / a)
+        lengths = jnp.append(growing, jnp.full(36, jnp.pi / a))
+        starts = _SINGLE_LAGS + 0.5 + jnp.append(0.0, jnp.cumsum(lengths))
+        d = starts[:-1, None] + lengths[:, None] * (x + 1.0) / 2.0
+        integral = jnp.dot((lengths[:, None] / 2.0 * w).ravel(), summand(d.ravel()))
+        # Euler and Maclaurin's first correction, of a sum over the integers that starts half a step before.
+        correction = _derivative(summand)(starts[:1])[0] / 24.0
+        return (total + integral + correction) / rate
+
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
         return self._filter_variance(cluster_time, (6.0, -8.0, 2.0), 2.0)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 
 import jax.numpy as jnp
-from jax.scipy.special import sici
+from jax.scipy.special import sici, zeta
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.terms.base import NoiseTerm, Value, parameter
+
+# Aliases summed where a cutoff forbids a closed form; the rest is below 1e-3 of the first.
+_ALIASES = 16
 
 
 class BiasInstability(NoiseTerm):
@@ -41,6 +44,16 @@ class BiasInstability(NoiseTerm):
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         f = jnp.abs(jnp.asarray(frequency))
         return jnp.where(f <= self.cutoff_frequency, self.coefficient**2 / (2.0 * jnp.pi * f), 0.0)
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Σ_m psd(f + m·rate)·sinc²: without a cutoff, Hurwitz's zeta sums the aliases."""
+        u = jnp.asarray(frequency, float) / rate
+        sine = (jnp.sin(jnp.pi * u) / jnp.pi) ** 2 * self.coefficient**2 / (2.0 * jnp.pi * rate)
+        if self._has_no_cutoff():
+            return sine * (zeta(3.0, u) + zeta(3.0, 1.0 - u))
+        m = jnp.arange(-_ALIASES, _ALIASES + 1)
+        f = jnp.abs(u[..., None] + m)
+        return sine * jnp.sum(jnp.where(f * rate <= self.cutoff_frequency, f**-3.0, 0.0), axis=-1)
 
 
 def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:

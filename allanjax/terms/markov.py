@@ -27,6 +27,22 @@ class Markov(NoiseTerm):
         w = 2.0 * jnp.pi * jnp.asarray(frequency) * self.correlation_time
         return (self.amplitude * self.correlation_time) ** 2 / (1.0 + w**2)
 
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Of means over the sample interval: their autocovariance is geometric from the first lag on."""
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        x = 1.0 / (rate * self.correlation_time)
+        # (e^{-x} − 1 + x)/x² and ((1 − e^{-x})/x)²; their series where the first would cancel.
+        at_zero = jnp.where(
+            x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + jnp.expm1(-x)) / jnp.maximum(x, 1e-3) ** 2
+        )
+        at_one = (jnp.expm1(-x) / x) ** 2
+        # cos a − e^{-x} and 1 − 2e^{-x} cos a + e^{-2x}, without cancellation where both are small.
+        s = 2.0 * jnp.sin(a / 2.0) ** 2
+        numerator = -s - jnp.expm1(-x)
+        denominator = jnp.expm1(-x) ** 2 + 2.0 * jnp.exp(-x) * s
+        variance = self.amplitude**2 * self.correlation_time / 2.0
+        return variance / rate * (at_zero + 2.0 * at_one * numerator / denominator)
+
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Exact: the state at the sample instants recurs; its mean between two of them is Gaussian."""
         x = 1.0 / (rate * self.correlation_time)

@@ -30,5 +30,13 @@ class Quantization(NoiseTerm):
         T_z = self.sample_interval
         return 4.0 * self.coefficient**2 / T_z * jnp.sin(jnp.pi * jnp.asarray(frequency) * T_z) ** 2
 
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return self.sampled(rate).psd(frequency)
+
+    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """The first and the last reading have no neighbour that takes their error back."""
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        return 2.0 * (self.coefficient * rate) ** 2 * (1.0 + jnp.cos(a))
+
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * rate * jnp.diff(jax.random.normal(key, (n + 1,)))

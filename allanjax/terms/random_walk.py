@@ -25,6 +25,9 @@ class AngleRandomWalk(NoiseTerm):
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return jnp.full(np.shape(frequency), self.coefficient**2)
 
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return self.psd(frequency)
+
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * jnp.sqrt(rate) * jax.random.normal(key, (n,))
 
@@ -42,6 +45,11 @@ class RateRandomWalk(NoiseTerm):
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return (self.coefficient / (2.0 * jnp.pi * jnp.asarray(frequency))) ** 2
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """(K/rate)²·(2 + cos a)/(12 sin²(a/2)), a = 2πf/rate: increments of means correlate to one lag."""
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        return (self.coefficient / rate) ** 2 * (2.0 + jnp.cos(a)) / (12.0 * jnp.sin(a / 2.0) ** 2)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Means of a Brownian path over sample intervals: its end points, and the bridge between them."""

@@ -60,6 +60,15 @@ class Resonance(NoiseTerm):
         shape = (w0**2 - w**2) ** 2 + (w0 * w / self.quality_factor) ** 2
         return 2.0 * self.amplitude**2 * w0**3 / self.quality_factor / shape
 
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """The geometric series of the autocovariance at the sample instants, R(d/rate) = σ² Re[c z^d]."""
+        if self.sample_interval == 0.0:
+            return super().sampled_psd(frequency, rate)
+        pole, c = self._poles()
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        up, down = (-jnp.expm1(pole / rate + sign * 1j * a) for sign in (1.0, -1.0))
+        return self.amplitude**2 / rate * jnp.real(c * (1.0 / up + 1.0 / down - 1.0))
+
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Exact recursion of position and velocity, as one complex mode."""
         if self.sample_interval == 0.0:

@@ -1,0 +1,237 @@
+"""The cosine spectrum of a record: levels whose law, under any model, is known almost exactly.
+
+The orthonormal cosine transform (DCT-II) of n rate samples has coefficients
+
+    c_j = √(2/n) Σ_k x_k cos(a_j (k + ½)),    a_j = πj/n,    j = 1 … n−1,
+
+at frequencies j·rate/2n. The bias is in c_0 alone and leaves with it. White noise and a random walk have
+uncorrelated coefficients exactly (the mean-free random walk's principal components *are* cosines), flicker
+and Markov noise almost: the squared correlations of a coefficient with all others sum to 1 % at the lowest
+frequencies, to 0.02 % elsewhere. So this is Whittle's likelihood without what makes it approximate for
+drifting sensors: the periodogram of the differenced record, its usual form, has leakage from the record's
+ends that is common to all low frequencies.
+
+The expectation of c_j² follows from the phase covariance G (`terms.base`) without approximation,
+
+    E c_j² = −(1/h²) Σ_s G(s·h) δ²r_j(s),   r_j(d) = (1 − d/n) cos(a_j d) − sin(a_j d)/(n sin a_j),
+
+h being the sample interval, r_j the autocorrelation of the cosine and δ² its second difference. That is
+done for the lowest frequencies, where the record's finite length matters; above, E c_j² is rate times the
+PSD of the samples, aliases included. High frequencies are averaged in bins: c_j² over its expectation is
+χ² with one degree of freedom, and the mean of k of them has k.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from allanjax.covariance import discrete_gauss
+from allanjax.design import Design
+from allanjax.linalg import Whitened
+from allanjax.model import Model
+from allanjax.terms import NoiseTerm
+
+# Coefficients up to this one are a bin each, and have their exact expectation.
+_SINGLE = 64
+_PER_OCTAVE = 6
+# Points of the quadratures over lags (of the exact expectation) and over a bin.
+_LAG_ORDER = 12
+_BIN_ORDER = 3
+# Around a line bins are single for so many coefficients, then grow by this factor.
+_AROUND = 12
+_GROWTH = 1.25
+
+
+def cosine_transform(x: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n-1 ..."]:
+    """The coefficients c_1 … c_{n−1} along the first axis."""
+    from scipy.fft import dct
+
+    return dct(x, type=2, norm="ortho", axis=0, workers=-1)[1:]
+
+
+class CosineBins(eqx.Module):
+    """Bins of the coefficients of n samples: where they are, and what a noise term puts into them.
+
+    Attributes:
+        n: number of samples.
+        rate: sample rate [Hz].
+        first: index j of each bin's first coefficient.
+        size: coefficients in each bin; 0 for bins that only fill up the array.
+    """
+
+    n: int = eqx.field(static=True)
+    rate: float = eqx.field(static=True)
+    first: Int[np.ndarray, " m"]
+    size: Int[np.ndarray, " m"]
+    lags: Float[np.ndarray, " lags"]
+    lag_weights: Float[np.ndarray, "low lags"]
+    nodes: Float[np.ndarray, "m order"]
+    node_weights: Float[np.ndarray, "m order"]
+
+    @classmethod
+    def of(cls, n: int, rate: float, around: tuple[float, ...] = ()) -> CosineBins:
+        """Single coefficients first, then six bins an octave; finer ones around lines at `around` [Hz]."""
+        top = min(_SINGLE, n - 1)
+        octaves = np.log2(n / top)
+        growing = top * 2.0 ** (np.arange(1, np.floor(_PER_OCTAVE * octaves)) / _PER_OCTAVE)
+        edges = np.concatenate([np.arange(1, top + 2), np.rint(growing) + 1.0])
+        steps = np.arange(1.0, _AROUND + 1.0)
+        while steps[-1] * (_GROWTH - 1.0) < n / 16.0:
+            steps = np.append(steps, np.ceil(steps[-1] * _GROWTH))
+        for f in around:
+            j = np.rint(2.0 * n * f / rate)
+            # Farther out they would be wider than the bins that are there anyway.
+            near = steps[steps < max(0.6 * j, _AROUND + 1.0)]
+            edges = np.concatenate([edges, j - near + 1.0, j + near])
+        edges = np.unique(edges[(edges > top + 1) & (edges < n)])
+        edges = np.concatenate([np.arange(1, top + 2), edges, [n]]).astype(int)
+        first, size = edges[:-1], np.diff(edges)
+        first, size = first[size > 0], size[size > 0]
+        # The same number of bins wherever the lines are, so that compiled functions serve again.
+        most = top + int(_PER_OCTAVE * octaves) + 1 + 2 * len(steps) * len(around)
+        pad = most - len(first)
+        first, size = np.append(first, np.full(pad, n // 2)), np.append(size, np.zeros(pad, int))
+        nodes, weights = discrete_gauss(np.maximum(size, 1), _BIN_ORDER)
+        lags, lag_weights = _exact_expectation(n, rate, top)
+        nodes = (first[:, None] + nodes) * rate / (2.0 * n)
+        weights = weights * rate / np.maximum(size, 1)[:, None]
+        return cls(n, rate, first, size, lags, lag_weights, nodes, weights)
+
+    @property
+    def frequency(self) -> Float[np.ndarray, " m"]:
+        """Middle of each bin [Hz]."""
+        return (self.first + (self.size - 1) / 2.0) * self.rate / (2.0 * self.n)
+
+    def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
+        """Mean expectation [rate²] of the squared coefficients in each bin; zero for a deterministic term."""
+        density = term.sampled_psd(self.nodes, self.rate)
+        density += term.end_effect(self.nodes, self.rate) / (self.n * self.rate)
+        above = jnp.sum(self.node_weights * density, axis=1)
+        if term.oscillates or term.deterministic:
+            # An oscillating covariance is too fast for a few lags, and has ended long before the record.
+            return above
+        low = jnp.asarray(self.lag_weights) @ term.phase_covariance(jnp.asarray(self.lags))
+        return above.at[: len(low)].set(low)
+
+    def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
+        """Sum of products of coefficients over each bin."""
+        real = self.size > 0
+        found = np.zeros((len(self.first), *products.shape[1:]))
+        found[real] = np.add.reduceat(products, self.first[real] - 1, axis=0)
+        return found
+
+
+def _exact_expectation(
+    n: int, rate: float, top: int
+) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, "top lags"]]:
+    """Lags [s], and the weights of G there that make up E c_j² for j = 1 … top."""
+    knee = max(n // (top // 2), 1)
+    edges = np.concatenate([2.0 ** np.arange(np.log2(knee)), np.linspace(knee, n, max(top // 2, 1))])
+    edges = np.unique(np.rint(edges)).astype(int)
+    nodes, weights = discrete_gauss(np.diff(edges), _LAG_ORDER)
+    s = (edges[:-1, None] + nodes).ravel()
+    used = weights.ravel() > 0.0
+    s, w = s[used], weights.ravel()[used]
+    j = np.arange(1, top + 1)[:, None]
+    a = np.pi * j / n
+    curvature = 4.0 * np.sin(a / 2.0) ** 2
+    # δ²r_j(s) between its kinks at 0 and n, where a one-sided difference is left.
+    inside = -curvature * (1.0 - s / n) * np.cos(a * s)
+    inside += (2.0 * np.sin(a) + curvature / np.sin(a)) / n * np.sin(a * s)
+    at_zero = 2.0 * ((1.0 - 1.0 / n) * np.cos(a) - 1.0 / n - 1.0)
+    at_end = np.where(j % 2, -1.0, 1.0) * (1.0 + np.cos(a)) / n
+    all_weights = -(rate**2) * np.concatenate([at_zero, 2.0 * w * inside, 2.0 * at_end], axis=1)
+    return np.concatenate([[0.0], s, [n]]) / rate, all_weights
+
+
+class SpectralDesign(Design):
+    """Levels of the cosine spectrum, χ² with `dof` degrees of freedom around their expectations.
+
+    Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are no
+    part of `model`. A relative model error is correlated over about an octave, as the sum over the bins of an
+    octave would see it.
+    """
+
+    model: Model = eqx.field(static=True)
+    bins: CosineBins
+    dof: Float[np.ndarray, " m"]
+    per_octave: Float[np.ndarray, " m"]
+    constants: tuple[Float[Array, " m"] | None, ...]
+
+    @classmethod
+    def of(cls, model: Model, bins: CosineBins, dof: Float[np.ndarray, " m"]) -> SpectralDesign:
+        """The design of a model of random terms only."""
+        model = model.sampled(bins.rate)
+        return cls(model, bins, dof, bins_per_octave(bins), _constants(model, bins))
+
+    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
+        pairs = zip(self.units(shape), self.constants, strict=True)
+        return jnp.stack([self.bins.expected(t) if b is None else b for t, b in pairs])
+
+    def products(self, shape: Float[Array, " shapes"]) -> Array:
+        return self.means(shape)
+
+    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
+        return 2.0 * (power @ products) ** 2 / jnp.maximum(self.dof, 1e-9)
+
+    def variances(self, covariance: Array) -> Float[Array, " m"]:
+        return covariance
+
+    def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
+        return cube_root_score(ratio, self.dof) * jnp.sqrt(variance)
+
+    def whiten(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        discrepancy: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> Whitened:
+        relative = covariance / mean**2 + discrepancy**2 * self.per_octave
+        known = jnp.asarray(self.dof) > 0.0
+        scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
+        return Whitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
+
+    @property
+    def weight(self) -> Float[Array, " m"]:
+        return jnp.asarray(self.dof)
+
+    @property
+    def count(self) -> Float[Array, ""]:
+        return jnp.sum(jnp.minimum(self.dof, 1.0))
+
+
+def cube_root_score(ratio: Float[Array, " m"], dof: Float[ArrayLike, " m"]) -> Float[Array, " m"]:
+    """A nearly normal score of a χ² variate over its mean: its cube root (Wilson & Hilferty 1931).
+
+    Standardized with the exact moments E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2), of which the usual
+    approximation is 15 % off at one degree of freedom.
+    """
+    dof = jnp.maximum(jnp.asarray(dof), 1e-3)
+    few = jnp.minimum(dof, 1e3) / 2.0
+    first, second = (
+        jnp.exp(gammaln(few + p) - gammaln(few) - p * jnp.log(few)) for p in (1.0 / 3.0, 2.0 / 3.0)
+    )
+    g = 2.0 / (9.0 * dof)
+    mean = jnp.where(dof < 1e3, first, 1.0 - g)
+    return (jnp.cbrt(ratio) - mean) / jnp.sqrt(jnp.where(dof < 1e3, second - first**2, g))
+
+
+@eqx.filter_jit
+def _constants(model: Model, bins: CosineBins) -> tuple[Float[Array, " m"] | None, ...]:
+    """Expectations of the terms whose shape is not free, with unit amplitude."""
+    from allanjax.design import free_shapes, unit
+
+    with_shape = {p.term for p in free_shapes(model)}
+    return tuple(None if k in with_shape else bins.expected(unit(t)) for k, t in enumerate(model.terms))
+
+
+def bins_per_octave(bins: CosineBins) -> Float[np.ndarray, " m"]:
+    """How many bins lie in the octave around each."""
+    f = bins.frequency
+    inside = abs(np.log2(f[:, None] / f)) <= 0.5
+    return (inside & (bins.size > 0)).sum(axis=1).astype(float)
