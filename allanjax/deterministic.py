@@ -124,14 +124,13 @@ def take_out_lines(
             line, beta = max(options, key=lambda option: option[0].gain)
             rest -= _wave(angle, line.frequency, beta)
             found[k] = (line, beta)
-    c = cosine_transform(rest)
-    lines = []
+    rest_c = cosine_transform(rest)
+    c, lines = rest_c.copy(), []
     for k in range(len(wanted)):
         line, beta = found[k]
         own = line_columns(line.frequency, line.indices, n, rate) @ beta
-        lines.append(dataclasses.replace(line, coefficients=c[line.indices - 1] + own))
-    for line in lines:
-        c[line.indices - 1] = line.coefficients
+        lines.append(dataclasses.replace(line, coefficients=rest_c[line.indices - 1] + own))
+        c[line.indices - 1] += own
     return c, tuple(lines)
 
 
@@ -207,6 +206,7 @@ class AxisSpectrum:
     Attributes:
         bins: where they are.
         squares: of the record's coefficients with themselves.
+        overlap: what `squares` have of two lines at once.
         cross: with those of the deterministic columns.
         gram: of the columns among themselves.
         owners: what each column is: a regressor's name, or the index of its term.
@@ -215,6 +215,7 @@ class AxisSpectrum:
 
     bins: CosineBins
     squares: Float[np.ndarray, " m"]
+    overlap: Float[np.ndarray, " m"]
     cross: Float[np.ndarray, "m columns"]
     gram: Float[np.ndarray, "m columns columns"]
     owners: tuple[str | int, ...]
@@ -230,11 +231,17 @@ class AxisSpectrum:
     ) -> AxisSpectrum:
         """Sums for coefficients c, columns that reach everywhere, and lines, which do not."""
         everywhere = list(columns)
+        present, apart = np.zeros(bins.n - 1), np.zeros(bins.n - 1)
         for term, line in lines.items():
+            near = line.indices - 1
             own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
+            # The part of the others is what a line's own coefficients lack.
+            fitted = own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
+            apart[near] += fitted**2
+            present[near] += fitted
             for column in own.T:
                 whole = np.zeros(bins.n - 1)
-                whole[line.indices - 1] = column
+                whole[near] = column
                 everywhere.append((term, whole))
         q = len(everywhere)
         cross = np.zeros((len(bins.first), q))
@@ -243,7 +250,8 @@ class AxisSpectrum:
             cross[:, a] = bins.sums(c * one)
             for b, (_, other) in enumerate(everywhere[: a + 1]):
                 gram[:, a, b] = gram[:, b, a] = bins.sums(one * other)
-        return cls(bins, bins.sums(c**2), cross, gram, tuple(owner for owner, _ in everywhere), lines)
+        owners = tuple(owner for owner, _ in everywhere)
+        return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
 
     def used(self, absent: Sequence[int] = ()) -> np.ndarray:
         """Which columns are in use where the terms `absent` are not in the model."""

@@ -6,13 +6,14 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Num
+from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
 from allanjax.allan import AllanDeviation, allan_deviation
 from allanjax.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
-from allanjax.covariance import equivalent_degrees_of_freedom
 from allanjax.design import AllanDesign
 from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
@@ -90,7 +91,7 @@ def fit(
     else:
         axes = range(len(recording.axes))
         results = tuple(_fit_whittle(recording, k, template, active[k], given) for k in axes)
-        curve = _edf_of_models(curve, results)
+        curve = _with_model_edf(curve, results, _variances_under(template, curve, results))
     return Fit(
         recording.name,
         template,
@@ -247,12 +248,28 @@ def _with_model_edf(
     return dataclasses.replace(curve, edf=edf)
 
 
-def _edf_of_models(curve: AllanDeviation, results: tuple[AxisFit, ...]) -> AllanDeviation:
-    """The same where the fit has not looked at the Allan variances."""
-    edf = np.array(curve.edf)
+def _variances_under(
+    template: Model, curve: AllanDeviation, results: tuple[AxisFit, ...]
+) -> Float[np.ndarray, "axes m"]:
+    """Variances of the Allan variances, where the fit has not looked at them."""
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size)
+    power = np.zeros((len(results), len(template)))
+    shape = np.zeros((len(results), len(design.shapes)))
     for k, result in enumerate(results):
         if result.converged:
-            edf[:, k] = equivalent_degrees_of_freedom(
-                curve.n, curve.rate, curve.cluster_size, model=result.model
-            )
-    return dataclasses.replace(curve, edf=edf)
+            values = {label: c.value for label, c in result.coefficients.items()}
+            amplitudes = [p for p in template.parameters if p.parameter.kind == "amplitude"]
+            power[k] = [float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes]
+            shape[k] = [np.log(values[p.label] - p.parameter.lower) for p in design.shapes]
+    # The shape of an absent term does not matter.
+    return np.asarray(_variances(design, power, np.nan_to_num(shape)))
+
+
+@eqx.filter_jit
+def _variances(
+    design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
+) -> Float[Array, "axes m"]:
+    def of_axis(power: Array, shape: Array) -> Array:
+        return design.variances(design.covariance(power, design.products(shape)))
+
+    return jax.vmap(of_axis)(jnp.asarray(power), jnp.asarray(shape))

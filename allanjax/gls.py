@@ -30,6 +30,8 @@ from allanjax.linalg import non_negative_least_squares
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 _OUTER_STEPS = 60
 _INNER_STEPS = 50
+# Acceleration multiplies the last move by at most as much.
+_STRIDE = 5.0
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
 # An iteration warms up with large discrepancies: nearly a log-log fit, which finds its way from anywhere;
@@ -88,8 +90,15 @@ def _solve(
         """Shapes that the data can know of: a line where it was found, times inside the record's span."""
         return jnp.where(moves, jnp.clip(u, start - reach, start + reach), start)
 
+    # Where no shape moves, what depends on shapes alone is computed once.
+    if design.movable.any():
+        means, products = design.means, design.products
+    else:
+        still_means, still_products = design.means(start), design.products(start)
+        means, products = (lambda _: still_means), (lambda _: still_products)
+
     def scatter(power: Array, shape: Array) -> tuple[Array, Array]:
-        return power @ design.means(shape), design.covariance(power, design.products(shape))
+        return power @ means(shape), design.covariance(power, products(shape))
 
     def misfit(mean: Array, covariance: Array, discrepancy: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
@@ -99,7 +108,7 @@ def _solve(
 
     def best_powers(shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
         """Powers for a shape, and the whitened residual they leave (variable projection)."""
-        A = W @ (design.means(shape) / reference).T
+        A = W @ (means(shape) / reference).T
         target = W @ (V / reference) - A @ jnp.where(free, 0.0, power)
         v = jnp.where(free, non_negative_least_squares(A, target, active & free), power)
         return v, target - A @ jnp.where(free, v, 0.0)
@@ -109,7 +118,7 @@ def _solve(
         reference, covariance = state.mean, state.covariance
         W = design.whiten(covariance, reference, state.discrepancy, jnp.eye(len(V))).values
         shape = state.shape
-        if len(shape):
+        if design.movable.any():
 
             def residual(u: Array, _: None) -> Array:
                 return best_powers(within(u), W, reference)[1]
@@ -126,19 +135,23 @@ def _solve(
         step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
         # Reweighting converges by a steady factor, sometimes a slow or a negative one. Anderson's (1965)
         # acceleration, with one step of memory and steps measured by how they move the curve, sees to that.
-        to_curve = W @ (design.means(state.shape) / reference).T
-        change = to_curve @ (step[0] - state.last_step[0])
-        gamma = jnp.vdot(change, to_curve @ step[0]) / jnp.maximum(jnp.vdot(change, change), 1e-30)
+        to_curve = W @ (means(state.shape) / reference).T
+        here_step, last_step = to_curve @ step[0], to_curve @ state.last_step[0]
+        change = here_step - last_step
+        gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
+        # Steps that grow in one direction leave a place where there was almost a solution: on, not back.
+        leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
+        gamma = jnp.where(leaving, -_STRIDE, gamma)
         # While warming up each step solves another problem: nothing to extrapolate.
         steady = (state.step > 0) & (state.phase != _WARM_UP)
-        gamma = jnp.where(steady, jnp.clip(gamma, -5.0, 0.5), 0.0)
+        gamma = jnp.where(steady, jnp.clip(gamma, -_STRIDE, 0.5), 0.0)
         here = (state.power, state.shape)
         power, shape = (
             x + f - gamma * (x - x_last + f - f_last)
             for x, f, x_last, f_last in zip(here, step, state.last, state.last_step, strict=True)
         )
         power, shape = jnp.where(free, jnp.maximum(power, 0.0), state.power), within(shape)
-        moved = W @ (power @ design.means(shape) / reference - 1.0)
+        moved = W @ (power @ means(shape) / reference - 1.0)
         return power, shape, jnp.linalg.norm(moved), step
 
     def step(state: _State) -> _State:

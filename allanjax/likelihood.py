@@ -243,7 +243,8 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
         _found(result, parameters),
         design,
         placed,
-        spectrum.squares,
+        # Each line's own likelihood ratio knows nothing of the others.
+        spectrum.squares - spectrum.overlap,
         spectrum.cross[:, columns],
         spectrum.gram[:, columns][:, :, columns],
         share,

@@ -30,6 +30,7 @@ from allanjax.starts import find_lines, find_starts
 
 # The levels and the noise's fit to them settle after as many rounds.
 _ROUNDS = 3
+_FEW = 8.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,7 +142,9 @@ def _fit_noise(
         design = SpectralDesign.of(noise, bins, projection.dof)
         V = projection.level[None]
         if solution is None:
-            starts = find_starts(design, V, x[:, None], bins.rate)
+            # Single coefficients scatter too much to be compared with anything.
+            rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
+            starts = find_starts(design, rough[None], x[:, None], bins.rate)
             tried = range(starts.power.shape[1] if design.shapes else 1)
             for k in tried:
                 other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])
