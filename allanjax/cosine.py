@@ -6,10 +6,11 @@ The orthonormal cosine transform (DCT-II) of n rate samples has coefficients
 
 at frequencies j·rate/2n. The bias is in c_0 alone and leaves with it. White noise and a random walk have
 uncorrelated coefficients exactly (the mean-free random walk's principal components *are* cosines), flicker
-and Markov noise almost: the squared correlations of a coefficient with all others sum to 1 % at the lowest
-frequencies, to 0.02 % elsewhere. So this is Whittle's likelihood without what makes it approximate for
-drifting sensors: the periodogram of the differenced record, its usual form, has leakage from the record's
-ends that is common to all low frequencies.
+and Markov noise almost: the squared correlations of a coefficient with all others sum to 3 % (flicker) and at
+most 9 % (Markov) at the lowest frequency, to 0.1 % at the sixtieth. Quantization is an exception: its first
+and its last reading are in all coefficients, which matters where hardly any other noise is. So this is
+Whittle's likelihood without what makes it approximate for drifting sensors: the periodogram of the
+differenced record, its usual form, has leakage from the record's ends that is common to all low frequencies.
 
 The expectation of c_j² follows from the phase covariance G (`terms.base`) without approximation,
 
@@ -108,14 +109,21 @@ class CosineBins(eqx.Module):
 
     def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
         """Mean expectation [rate²] of the squared coefficients in each bin; zero for a deterministic term."""
+        above = self._from_density(term)
+        # An oscillating covariance is too fast for a few lags: what differs from a smooth one has no memory.
+        smooth = term.at_low_frequencies() if term.oscillates else term
+        if smooth is None or term.deterministic:
+            return above
+        low = jnp.asarray(self.lag_weights) @ smooth.phase_covariance(jnp.asarray(self.lags))
+        if smooth is not term:
+            low += (above - self._from_density(smooth))[: len(low)]
+        return above.at[: len(low)].set(low)
+
+    def _from_density(self, term: NoiseTerm) -> Float[Array, " m"]:
+        """The same from the density of the samples, but for the memory of the record's ends."""
         density = term.sampled_psd(self.nodes, self.rate)
         density += term.end_effect(self.nodes, self.rate) / (self.n * self.rate)
-        above = jnp.sum(self.node_weights * density, axis=1)
-        if term.oscillates or term.deterministic:
-            # An oscillating covariance is too fast for a few lags, and has ended long before the record.
-            return above
-        low = jnp.asarray(self.lag_weights) @ term.phase_covariance(jnp.asarray(self.lags))
-        return above.at[: len(low)].set(low)
+        return jnp.sum(self.node_weights * density, axis=1)
 
     def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
         """Sum of products of coefficients over each bin."""

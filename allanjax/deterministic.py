@@ -16,11 +16,14 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.model import Model
-from allanjax.starts import find_lines
 
 # A line is fitted to so many coefficients on both sides of it; beyond, its best fit is subtracted.
 LINE_REACH = 64
-_GRID = 8
+_GRID = 4
+# A searched line is sought within so many coefficients of the most conspicuous places.
+_SEARCH = 4.0
+_CORE = 5
+_CANDIDATES = 8
 _LEVEL_REACH = 512
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _OUTLYING = 16.0  # beyond which it is once in 16 000
@@ -114,9 +117,9 @@ def take_out_lines(
             if sweep:
                 line, beta = found[k]
                 rest += _wave(angle, line.frequency, beta)
-                starts, reach = [line.frequency], 1.0
+                starts, reach = [line.frequency], _SEARCH
             elif start is None:
-                starts, reach = list(find_lines(rest, rate)), 2.0
+                starts, reach = _conspicuous(cosine_transform(rest), n, rate), _SEARCH
             else:
                 starts, reach = [start], LINE_REACH / 2.0
             c = cosine_transform(rest)
@@ -141,6 +144,23 @@ def _wave(
     return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
 
 
+def _conspicuous(c: Float[np.ndarray, " n-1"], n: int, rate: float) -> list[float]:
+    """Frequencies where a few neighbouring coefficients have most power, compared with what is around."""
+    from scipy.ndimage import median_filter, uniform_filter1d
+
+    # A line of any phase has nine tenths of its power in so many coefficients.
+    power = uniform_filter1d(c**2, _CORE, mode="nearest")
+    level = median_filter(power[::_CORE], min(2 * (len(power) // (4 * _CORE)) + 1, 201), mode="nearest")
+    ratio = power / np.maximum(np.repeat(level, _CORE)[: len(power)], 1e-300)
+    found: list[int] = []
+    for j in np.argsort(ratio)[::-1][: 16 * _CANDIDATES]:
+        if all(abs(j - k) > _SEARCH for k in found):
+            found.append(int(j))
+        if len(found) == _CANDIDATES:
+            break
+    return [(j + 1) * rate / (2.0 * n) for j in found]
+
+
 def _refined(
     c: Float[np.ndarray, " n-1"], start: float, reach: float, n: int, rate: float
 ) -> tuple[Line, Float[np.ndarray, " 2"]]:
@@ -158,7 +178,7 @@ def _refined(
 
     def fitted(f: float) -> tuple[float, np.ndarray, float]:
         D = line_columns(f, indices, n, rate)
-        beta = np.linalg.lstsq(D, data, rcond=None)[0]
+        beta = np.linalg.solve(D.T @ D + 1e-12 * np.eye(2), D.T @ data)
         return float(data @ D @ beta) / (2.0 * level), beta, float(np.sqrt(2.0 * level / np.sum(D**2)))
 
     def loss(f: float) -> float:
@@ -167,7 +187,7 @@ def _refined(
     f, std = start, 0.0
     if reach > 0.0:
         offsets = np.arange(-reach, reach + 1e-9, 1.0 / _GRID) * spacing
-        grid = np.clip(start + offsets, 0.25 * spacing, (n - 0.25) * spacing)
+        grid = np.clip(start + offsets, spacing, (n - 1.0) * spacing)
         f = grid[np.argmin([loss(g) for g in grid])]
         step = spacing / _GRID
         f = float(

@@ -3,7 +3,8 @@
 An amplitude c has the prior 1/[(c + knee)·Y], uniform where the term could not be seen and uniform in ln c
 above (the modified Jeffreys prior, Gregory 2005, ApJ 631:1198). The knee is the amplitude whose power
 would be one standard deviation in these data; Y = ln(1 + 10⁴): four decades. So the price of a term
-depends on how sharply the data determine it, not on units, and is two to five nats.
+depends on how sharply the data determine it, not on units, and is two to five nats. (The knee of a ramp is
+its standard deviation under each set's own noise.)
 
 The integral is Laplace's over the powers, where the Fisher information is exact; the factor of each
 amplitude along its own axis is a quadrature, which keeps it right next to and at the boundary

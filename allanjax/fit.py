@@ -140,7 +140,7 @@ def _fit_allan(
     """Every axis by generalized least squares, and the variances of its Allan variances under the fit."""
     design = AllanDesign.of(template, recording.n, recording.rate, curve.cluster_size)
     variance = curve.variance.T
-    starts = find_starts(design, variance, recording.values, recording.rate)
+    starts = find_starts(design, variance, active, recording.values, recording.rate)
     free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
     # A line is seen in the record far better than in its Allan variances, which get to know of it.
     indices, wanted = lines_of(template)
@@ -220,7 +220,7 @@ def _axis_fit(
     from scipy.stats import chi2
 
     values = {label: c.value for label, c in coefficients.values.items() if np.isfinite(c.value)}
-    amplitudes = [values[p.label] for p in reported(template) if p.parameter.kind == "amplitude"]
+    amplitudes = [values.get(p.label, 0.0) for p in reported(template) if p.parameter.kind == "amplitude"]
     absent = np.array(template.term_labels)[~active | (np.array(amplitudes) == 0.0)]
     return AxisFit(
         axis=axis,

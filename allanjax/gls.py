@@ -91,11 +91,14 @@ def _solve(
         return jnp.where(moves, jnp.clip(u, start - reach, start + reach), start)
 
     # Where no shape moves, what depends on shapes alone is computed once.
-    if design.movable.any():
-        means, products = design.means, design.products
-    else:
-        still_means, still_products = design.means(start), design.products(start)
-        means, products = (lambda _: still_means), (lambda _: still_products)
+    moving = design.movable.any()
+    still = (design.means(start), design.products(start)) if not moving else None
+
+    def means(shape: Array) -> Array:
+        return design.means(shape) if still is None else still[0]
+
+    def products(shape: Array) -> Array:
+        return design.products(shape) if still is None else still[1]
 
     def scatter(power: Array, shape: Array) -> tuple[Array, Array]:
         return power @ means(shape), design.covariance(power, products(shape))
@@ -118,7 +121,7 @@ def _solve(
         reference, covariance = state.mean, state.covariance
         W = design.whiten(covariance, reference, state.discrepancy, jnp.eye(len(V))).values
         shape = state.shape
-        if design.movable.any():
+        if moving:
 
             def residual(u: Array, _: None) -> Array:
                 return best_powers(within(u), W, reference)[1]

@@ -92,7 +92,9 @@ def _infer(
     terms = len(s.power)
     owner = jnp.asarray([p.term for p in design.shapes], int)
     means, products = design.means(s.shape), design.products(s.shape)
-    by_shape = jax.jacfwd(design.means)(s.shape)  # [terms, m, shapes]
+    # [terms, m, shapes]
+    moving = design.movable.any()
+    by_shape = jax.jacfwd(design.means)(s.shape) if moving else jnp.zeros((*means.shape, len(s.shape)))
 
     def at_hypothesis(power: Array, estimated: Array) -> _Linearized:
         mean = power @ means

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from allanjax.design import Design
 from allanjax.model import ModelParameter
@@ -28,16 +28,24 @@ class Starts(NamedTuple):
 
 
 def find_starts(
-    design: Design, V: Float[np.ndarray, "axes m"], values: Float[np.ndarray, "samples axes"], rate: float
+    design: Design,
+    V: Float[np.ndarray, "axes m"],
+    active: Bool[np.ndarray, "axes terms"],
+    values: Float[np.ndarray, "samples axes"],
+    rate: float,
 ) -> Starts:
     """Start values for every axis, from its Allan variances and, for lines, its spectrum.
 
     Shape parameters without a value of their own are tried on a grid; the powers at each point come from a
     non-negative least squares fit weighted by cluster counts; the best few points are the starts, best first.
     """
+    from scipy.ndimage import median_filter
+
     shape = np.stack([_shape_candidates(design.shapes, x, rate) for x in values.T])
     given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
-    rough, misfit = _rough_powers(design, V, shape)
+    # One estimate that happens to be small must not pull everything down.
+    smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
+    rough, misfit = _rough_powers(design, smooth, active, shape)
     power = np.array(rough)
     for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
         if value is not None and not term.is_free(term.parameters()[0]):
@@ -49,11 +57,16 @@ def find_starts(
 
 @eqx.filter_jit
 def _rough_powers(
-    design: Design, V: Float[ArrayLike, "axes m"], shape: Float[ArrayLike, "axes candidates shapes"]
+    design: Design,
+    V: Float[ArrayLike, "axes m"],
+    active: Bool[ArrayLike, "axes terms"],
+    shape: Float[ArrayLike, "axes candidates shapes"],
 ) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
     weight = design.weight
 
-    def at(V: Float[Array, " m"], shape: Float[Array, " shapes"]) -> tuple[Array, Array]:
+    def at(
+        V: Float[Array, " m"], active: Bool[Array, " terms"], shape: Float[Array, " shapes"]
+    ) -> tuple[Array, Array]:
         A = design.means(shape) / V
         normal, target = (A * weight) @ A.T, A @ weight
 
@@ -62,10 +75,14 @@ def _rough_powers(
             return v * target / (normal @ v)
 
         # From below: no term alone explains more than the curve.
-        v = jax.lax.fori_loop(0, 500, step, 1.0 / jnp.max(A, axis=1) / len(A))
+        start = jnp.where(active, 1.0 / jnp.max(A, axis=1) / len(A), 0.0)
+        v = jax.lax.fori_loop(0, 500, step, start)
         return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
 
-    return jax.vmap(lambda V, shapes: jax.vmap(lambda u: at(V, u))(shapes))(V, shape)
+    def of_axis(V: Array, active: Array, shapes: Array) -> tuple[Array, Array]:
+        return jax.vmap(lambda u: at(V, active, u))(shapes)
+
+    return jax.vmap(of_axis)(jnp.asarray(V), jnp.asarray(active), jnp.asarray(shape))
 
 
 def _shape_candidates(

@@ -144,7 +144,7 @@ def _fit_noise(
         if solution is None:
             # Single coefficients scatter too much to be compared with anything.
             rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
-            starts = find_starts(design, rough[None], x[:, None], bins.rate)
+            starts = find_starts(design, rough[None], active[None], x[:, None], bins.rate)
             tried = range(starts.power.shape[1] if design.shapes else 1)
             for k in tried:
                 other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])

@@ -139,13 +139,22 @@ class NoiseTerm(eqx.Module):
         frequency.
 
         The samples are means over 1/rate, so that minus the second difference of G takes the place of
-        their autocovariance H, and S(f) = Σ_d H(d) cos(2πf·d/rate) / rate. This default sums it numerically;
-        terms with a closed form override it. Zero for a deterministic term.
+        their autocovariance H, and S(f) = Σ_d H(d) cos(2πf·d/rate) / rate. This default sums it numerically
+        over a dozen periods, enough for a covariance that is smooth or has ended by then; narrow-band terms
+        and those with a closed form override it. Zero for a deterministic term.
         """
         f = jnp.asarray(frequency, float)
         if self.deterministic:
             return jnp.zeros(f.shape)
         return jax.vmap(lambda f: self._density(2.0 * jnp.pi * f / rate, rate))(f.ravel()).reshape(f.shape)
+
+    def at_low_frequencies(self) -> NoiseTerm | None:
+        """For a term whose covariance oscillates: one of smooth covariance that it becomes at low
+        frequencies.
+
+        None if there the term is white.
+        """
+        return None
 
     def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power [rate²] that the two ends of a record add to its cosine spectrum, times its number of

@@ -45,6 +45,9 @@ class BiasInstability(NoiseTerm):
         f = jnp.abs(jnp.asarray(frequency))
         return jnp.where(f <= self.cutoff_frequency, self.coefficient**2 / (2.0 * jnp.pi * f), 0.0)
 
+    def at_low_frequencies(self) -> BiasInstability:
+        return self.replace(cutoff_frequency=math.inf)
+
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Σ_m psd(f + m·rate)·sinc²: without a cutoff, Hurwitz's zeta sums the aliases."""
         u = jnp.asarray(frequency, float) / rate

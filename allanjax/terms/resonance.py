@@ -11,6 +11,8 @@ from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 from allanjax.terms.base import NoiseTerm, Value, exponential_remainder, parameter
 from allanjax.terms.recursion import linear_recurrence
 
+_ALIASES = 8
+
 
 class Resonance(NoiseTerm):
     """Noise of a damped oscillator, Ω'' + (ω0/Q_f)Ω' + ω0²Ω = white noise. Not in the thesis, but in sensors.
@@ -63,7 +65,9 @@ class Resonance(NoiseTerm):
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """The geometric series of the autocovariance at the sample instants, R(d/rate) = σ² Re[c z^d]."""
         if self.sample_interval == 0.0:
-            return super().sampled_psd(frequency, rate)
+            # Of means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
+            aliases = jnp.asarray(frequency, float)[..., None] + rate * jnp.arange(-_ALIASES, _ALIASES + 1)
+            return jnp.sum(self.psd(aliases) * jnp.sinc(aliases / rate) ** 2, axis=-1)
         pole, c = self._poles()
         a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
         up, down = (-jnp.expm1(pole / rate + sign * 1j * a) for sign in (1.0, -1.0))
