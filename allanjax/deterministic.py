@@ -308,6 +308,8 @@ def amplitude_quantile(square: float, degrees: int, probability: float) -> float
     from scipy.optimize import brentq
     from scipy.stats import chi2, ncx2, norm
 
+    if not np.isfinite(square):
+        return float("nan")
     if probability < 0.5:
         square = max(square, float(chi2.ppf(0.5, degrees)))
     if square > 400.0:

@@ -32,6 +32,8 @@ _PANEL_WIDTH, _PANEL_HEIGHT, _STRIP_HEIGHT = 4.1, 2.5, 0.8
 _HEADING, _GAP, _X_LABEL, _LINE = 0.3, 0.25, 0.45, 0.155
 _KEY_COLUMNS = 62
 _FONT_SIZE = 8.5
+# Residuals beyond so many per cent are marked at the edge: a line must not hide all else.
+_WIDEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ def draw_residuals(
     """The strips, in the same scale along the row; an axis without a residual has no result."""
     reach = 2.0
     for r in residuals.values():
-        reach = max(reach, 1.2 * abs(r.value[r.precise]).max(initial=0.0), 120.0 * r.off)
+        reach = max(reach, min(1.2 * abs(r.value[r.precise]).max(initial=0.0), _WIDEST), 120.0 * r.off)
     for k, strip in strips.items():
         strip.set_ylim(-reach, reach)
         if k not in residuals:

@@ -28,12 +28,18 @@ from allanjax.linalg import non_negative_least_squares
 # How far shapes may move from their start, in ln: the spectrum knows better than the Allan curve where
 # a line is; other starts are two to a decade or denser.
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-_OUTER_STEPS = 60
+_OUTER_STEPS = 100
 _INNER_STEPS = 50
 # Acceleration multiplies the last move by at most as much.
 _STRIDE = 5.0
+# Steps taken in full, before they are cut short; shapes then move by so much in ln, each time less.
+_PATIENCE = 25
+_LATE, _SHORTER = 0.5, 0.92
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
+# Where a direction is hardly determined, as that of a long correlation time, steps stay longer than that;
+# so much of a standard deviation is good enough in the end.
+_CLOSE = 0.05
 # An iteration warms up with large discrepancies: nearly a log-log fit, which finds its way from anywhere;
 # then runs without, and, if that leaves too large a χ², with the discrepancy that the data call for.
 _WARM_UP, _PLAIN, _DISCREPANT, _DONE = range(4)
@@ -135,6 +141,9 @@ def _solve(
                 residual, solver, shape, max_steps=_INNER_STEPS, throw=False
             )
             shape = jnp.where(jnp.isfinite(found.value), within(found.value), shape)
+            late = state.step - _PATIENCE
+            longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
+            shape = state.shape + jnp.clip(shape - state.shape, -longest, longest)
         step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
         # Reweighting converges by a steady factor, sometimes a slow or a negative one. Anderson's (1965)
         # acceleration, with one step of memory and steps measured by how they move the curve, sees to that.
@@ -145,8 +154,9 @@ def _solve(
         # Steps that grow in one direction leave a place where there was almost a solution: on, not back.
         leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
         gamma = jnp.where(leaving, -_STRIDE, gamma)
-        # While warming up each step solves another problem: nothing to extrapolate.
-        steady = (state.step > 0) & (state.phase != _WARM_UP)
+        # While warming up each step solves another problem: nothing to extrapolate; nor after many, when
+        # the iteration goes round in circles.
+        steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _PATIENCE)
         gamma = jnp.where(steady, jnp.clip(gamma, -_STRIDE, 0.5), 0.0)
         here = (state.power, state.shape)
         power, shape = (
@@ -160,7 +170,7 @@ def _solve(
     def step(state: _State) -> _State:
         power, shape, moved, last_step = improve(state)
         k = state.step + 1
-        at_rest = moved < _TOLERANCE
+        at_rest = moved < jnp.where(k == _OUTER_STEPS, _CLOSE, _TOLERANCE)
         reference, covariance = scatter(power, shape)
         (chi2, with_discrepancy), (_, log_det) = jax.vmap(lambda s: misfit(reference, covariance, s))(
             jnp.stack([jnp.zeros(()), state.discrepancy])

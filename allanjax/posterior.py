@@ -94,10 +94,17 @@ class AxisPosterior:
     def verdict(self) -> str:
         """One line on how the chain ended."""
         state = "converged" if self.converged else "NOT CONVERGED"
-        return (
+        text = (
             f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
             f"R̂ ≤ {self.r_hat.max():.4f}"
         )
+        # Curves and drift are those of the sampled terms, which may not be all.
+        wanted = [c.title for c in self.coefficients.values() if c.detected and not c.sampled and not c.held]
+        if wanted:
+            text += (
+                f"; the data also call for {' and '.join(wanted)}, which was not sampled: add it to the model"
+            )
+        return text
 
     # ------------------------------------------------------------------ models and curves
     @property

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.design import Design
 from allanjax.model import ModelParameter
@@ -18,6 +18,8 @@ from allanjax.model import ModelParameter
 _CANDIDATES = 512
 _STARTS = 4
 _PEAKS = 4
+# Starts that differ by less than that in ln lead to the same place.
+_APART = {"line": 0.02}
 
 
 class Starts(NamedTuple):
@@ -50,9 +52,24 @@ def find_starts(
     for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
         if value is not None and not term.is_free(term.parameters()[0]):
             power[:, :, k] = value**2
-    best = np.argsort(np.asarray(misfit), axis=1)[:, :_STARTS]
+    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in design.shapes])
+    best = np.stack([_different(*of_axis, apart) for of_axis in zip(shape, np.asarray(misfit), strict=True)])
     axis = np.arange(len(V))[:, None]
     return Starts(power[axis, best], shape[axis, best])
+
+
+def _different(
+    shape: Float[np.ndarray, "candidates shapes"],
+    misfit: Float[np.ndarray, " candidates"],
+    apart: Float[np.ndarray, " shapes"],
+) -> Int[np.ndarray, " starts"]:
+    """The best candidates that are not neighbours of a better one, then the best of the others."""
+    order = list(np.argsort(misfit))
+    chosen: list[int] = []
+    for i in order:
+        if all(np.any(abs(shape[i] - shape[k]) > apart) for k in chosen):
+            chosen.append(i)
+    return np.array((chosen + [i for i in order if i not in chosen])[:_STARTS])
 
 
 @eqx.filter_jit

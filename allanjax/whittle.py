@@ -145,13 +145,11 @@ def _fit_noise(
             # Single coefficients scatter too much to be compared with anything.
             rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
             starts = find_starts(design, rough[None], active[None], x[:, None], bins.rate)
-            tried = range(starts.power.shape[1] if design.shapes else 1)
-            for k in tried:
+            # Levels are many and a correlation time has several places to settle: all starts are tried.
+            for k in range(starts.power.shape[1] if design.movable.any() else 1):
                 other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])
                 if solution is None or _better(other, solution):
                     solution = other
-                if bool(solution.converged[0]) and float(solution.discrepancy[0]) == 0.0:
-                    break
         else:
             solution = solve(design, V, free, active[None], solution.power, solution.shape)
         assert solution is not None

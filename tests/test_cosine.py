@@ -154,9 +154,6 @@ def test_flicker_with_a_cutoff_is_right_below_it(f0):
     np.testing.assert_allclose(np.asarray(bins.expected(aj.BiasInstability(1.0, f0)))[real], exact, rtol=0.02)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the record's finite length is neglected: c_1² comes out 29 % too large"
-)
 def test_flicker_with_a_cutoff_is_exact_at_the_lowest_frequencies_too():
     bins = CosineBins.of(1000, RATE)
     found = np.asarray(bins.expected(aj.BiasInstability(1.0, 0.8)))[:5]

@@ -82,7 +82,6 @@ def test_a_line_of_a_dozen_standard_errors_is_found_anywhere(n):
         assert abs(line.frequency - f) < K_SIGMA * frequency_bound(amplitude, n)
 
 
-@pytest.mark.xfail(strict=True, reason="a coarse peak excludes the finer ones within reach of the truth")
 @pytest.mark.parametrize(("n", "seed"), [(2000, 25), (4096, 15), (4096, 19), (8192, 21)])
 def test_a_strong_line_is_found_anywhere(n, seed):
     random = np.random.default_rng(seed)

@@ -179,9 +179,6 @@ def test_the_numerical_default_holds_away_from_what_is_sharp(name):
     np.testing.assert_allclose(found[away], independent(FREQUENCIES[away]), rtol=1e-3)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the default's sum fades out after twelve periods; a line lives longer"
-)
 @pytest.mark.parametrize("quality_factor", [Q_F, 50.0])
 def test_a_resonance_averaged_over_the_sample_interval(quality_factor):
     found = np.asarray(aj.Resonance(SIGMA, F_R, quality_factor).sampled_psd(FREQUENCIES, RATE))
