@@ -204,6 +204,20 @@ class SpectralDesign(Design):
         scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
         return Whitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
 
+    def cost(
+        self,
+        V: Float[Array, " m"],
+        mean: Float[Array, " m"],
+        covariance: Array,
+        discrepancy: Float[Array, ""],
+        misfit: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Of χ² laws, exactly."""
+        known = jnp.asarray(self.dof) > 0.0
+        shape = 1.0 / jnp.where(known, covariance / mean**2 + discrepancy**2 * self.per_octave, 1.0)
+        log_density = shape * (jnp.log(shape * V / mean) - V / mean) - gammaln(shape) - jnp.log(V)
+        return -2.0 * jnp.sum(jnp.where(known, log_density, 0.0))
+
     @property
     def weight(self) -> Float[Array, " m"]:
         return jnp.asarray(self.dof)

@@ -88,6 +88,17 @@ class Design(eqx.Module):
     ) -> Whitened:
         """L⁻¹X, LL' the covariance of the relative residuals with a relative model error `discrepancy`."""
 
+    @abc.abstractmethod
+    def cost(
+        self,
+        V: Float[Array, " m"],
+        mean: Float[Array, " m"],
+        covariance: Array,
+        discrepancy: Float[Array, ""],
+        misfit: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Minus twice the log-likelihood, to choose among solutions; `misfit` is χ² + ln det."""
+
     @property
     @abc.abstractmethod
     def weight(self) -> Float[Array, " m"]:
@@ -157,6 +168,17 @@ class AllanDesign(Design):
         relative = covariance / (mean[:, None] * mean)
         relative += self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
         return whiten(relative, X)
+
+    def cost(
+        self,
+        V: Float[Array, " m"],
+        mean: Float[Array, " m"],
+        covariance: Array,
+        discrepancy: Float[Array, ""],
+        misfit: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Of a normal law."""
+        return misfit + 2.0 * jnp.sum(jnp.log(mean))
 
     @property
     def weight(self) -> Float[Array, " m"]:

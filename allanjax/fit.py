@@ -157,8 +157,9 @@ def _fit_allan(
                     starts.shape[k, :, column] = np.log(line.frequency)
     free = free & ~np.isin(np.arange(len(template)), indices)
     solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
+    # A correlation time has several places to settle: all starts are tried.
     for k in range(1, starts.power.shape[1]):
-        doubtful = ~np.asarray(solution.converged) | np.asarray(solution.discrepancy > 0.0)
+        doubtful = ~np.asarray(solution.converged) | design.movable.any()
         if not doubtful.any():
             break
         other = solve(design, variance, free, active, starts.power[:, k], starts.shape[:, k])

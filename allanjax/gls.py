@@ -176,7 +176,7 @@ def _solve(
             jnp.stack([jnp.zeros(()), state.discrepancy])
         )
         # Minus twice the Gaussian log-likelihood, to choose among starts.
-        cost = with_discrepancy + 2.0 * (log_det + jnp.sum(jnp.log(reference)))
+        cost = design.cost(V, reference, covariance, state.discrepancy, with_discrepancy + 2.0 * log_det)
         # Where the discrepancy dominates, χ² goes with its inverse square.
         excess = with_discrepancy / dof
         s = jnp.clip(state.discrepancy * jnp.sqrt(excess), 1e-4, 10.0)

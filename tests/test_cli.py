@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -60,6 +61,26 @@ def test_characterize_prints_the_table_and_writes_the_results(recorded, small_fi
     assert result.stderr == ""
 
 
+def test_the_spectrum_is_fitted_with_an_auxiliary_channel_taken_out(tmp_path):
+    rng = np.random.default_rng(3)
+    temperature = 25.0 + np.cumsum(rng.standard_normal(4000)) * 0.01
+    values = 0.1 * rng.standard_normal(4000) + 0.05 * temperature
+    table = {"gyro_x [rad/s]": values, "temperature": temperature}
+    pd.DataFrame(table).to_csv(tmp_path / "warm.csv", index=False)
+    options = ("--rate", "100", "--terms", "N", "--objective", "whittle", "--json")
+    result = run("characterize", tmp_path / "warm.csv", *options, "--regressors", "temperature")
+    assert result.exit_code == 0, result.stderr
+    (fit,) = json.loads(result.stdout)["fits"]
+    found = fit["axes"][0]["regression"]["temperature"]
+    assert fit["objective"] == "whittle"
+    # Four standard deviations, which white noise of 0.1 rad/s and the channel's own scatter determine.
+    assert found["std"] == pytest.approx(0.1 / np.sqrt(4000) / temperature.std(), rel=0.1)
+    assert abs(found["value"] - 0.05) < 4.0 * found["std"]
+    refused = run("characterize", tmp_path / "warm.csv", *options, "--regressors", "pressure")
+    assert refused.exit_code == 1
+    assert "no auxiliary channel 'pressure'; it has temperature" in refused.stderr
+
+
 def test_json_is_all_of_stdout_and_the_other_files_go_on(recorded):
     result = run("characterize", "missing.csv", recorded, "--json", "--stop", "200")
     document = json.loads(result.stdout)
@@ -88,7 +109,7 @@ def test_files_of_one_name_do_not_overwrite_each_other(recorded, small_recording
 def test_an_axis_without_result_is_an_error_and_the_results_are_written(
     recorded, half_failed_fit, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", lambda recording, model: half_failed_fit)
+    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", lambda *args, **options: half_failed_fit)
     result = run("characterize", recorded)
     assert result.exit_code == 1
     assert f"error: {recorded}: gyro_y: no result, the start was hopeless" in result.stderr
@@ -127,14 +148,14 @@ def test_bad_input_exits_with_1_and_says_why(content, options, message):
 
 
 def test_a_folder_of_results_that_cannot_be_made_is_an_error(recorded, half_failed_fit, monkeypatch):
-    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", lambda recording, model: half_failed_fit)
+    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", lambda *args, **options: half_failed_fit)
     result = run("characterize", recorded, "--out", recorded / "inside")
     assert result.exit_code == 1
     assert str(recorded) in result.stderr
 
 
 def test_a_bug_is_not_dressed_up_as_bad_input(recorded, monkeypatch):
-    def broken(recording, model):
+    def broken(*args, **options):
         raise KeyError("bug")
 
     monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", broken)
