@@ -4,6 +4,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from allanjax.model import Model
     from allanjax.recording import Recording
     from allanjax.result import Fit
+    from allanjax.spectrum import PowerSpectrum
 
 Sensor = Literal["gyro", "accel"]
 
@@ -132,7 +134,6 @@ def characterize(
 ) -> None:
     from allanjax.errors import AllanjaxError
     from allanjax.export import SCHEMA_VERSION, to_dict, write_results
-    from allanjax.spectrum import power_spectrum
 
     model = None if terms is None else _fit_model(terms)
     options = {
@@ -149,10 +150,10 @@ def characterize(
     errors: list[dict[str, str]] = []
     for file, name in zip(files, _result_names(files), strict=True):
         try:
-            recording, fit = _read_and_fit(file, options, model, objective, _names(regressors))
+            spectrum, fit = _read_and_fit(file, options, model, objective, _names(regressors))
             if directory is not None:
                 with _stage(f"{file}: writing results"):
-                    paths = write_results(fit, power_spectrum(recording), directory, name)
+                    paths = write_results(fit, spectrum.result(), directory, name)
         except (AllanjaxError, OSError) as error:
             errors.append({"file": str(file), "message": str(error)})
             _print_error(str(error))
@@ -257,7 +258,6 @@ def demo(
         from allanjax.demo import compare, comparison_table, demo_recording
         from allanjax.export import write_results
         from allanjax.io import write
-        from allanjax.spectrum import power_spectrum
     with _reported():
         out.mkdir(parents=True, exist_ok=True)
         file = out / "demo.csv"
@@ -265,9 +265,9 @@ def demo(
             recording = demo_recording()
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        recording, fit = _read_and_fit(file, {}, None)
+        spectrum, fit = _read_and_fit(file, {}, None)
         with _stage("writing results"):
-            paths = write_results(fit, power_spectrum(recording), out, file.stem)
+            paths = write_results(fit, spectrum.result(), out, file.stem)
     comparisons = compare(fit)
     Console(width=_WIDTH).print(comparison_table(comparisons))
     inside = sum(comparison.inside for comparison in comparisons)
@@ -316,15 +316,28 @@ def _read_and_fit(
     model: "Model | None",
     objective: Literal["allan", "whittle"] = "allan",
     regressors: Sequence[str] = (),
-) -> "tuple[Recording, Fit]":
+) -> "tuple[Future[PowerSpectrum], Fit]":
+    """The fit of a file's recording, and its spectrum, which is estimated while the fit compiles."""
     with _stage(f"{file}: loading allanjax"):
         from allanjax.fit import fit
         from allanjax.io import read
     with _stage(f"{file}: reading"):
         recording = read(file, **options)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
-    with _stage(f"{file}: fitting {size} (the first run on a machine also compiles)"):
-        return recording, fit(recording, model, objective, regressors=regressors)
+    with (
+        _stage(f"{file}: fitting {size} (the first run on a machine also compiles)"),
+        ThreadPoolExecutor(1) as pool,
+    ):
+        spectrum = pool.submit(_spectrum, recording)
+        return spectrum, fit(recording, model, objective, regressors=regressors)
+
+
+def _spectrum(recording: "Recording") -> "PowerSpectrum":
+    import matplotlib.pyplot  # noqa: F401 - slow to load, and needed for the pictures
+
+    from allanjax.spectrum import power_spectrum
+
+    return power_spectrum(recording)
 
 
 @contextmanager
