@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 # Points a stretch between two kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
-# With more points than that, a longer sum is taken for an integral.
+# With more than twice as many points, a longer sum than this is taken for an integral.
 _LONG_SUM = 256
 # Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
 # in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
@@ -60,7 +60,7 @@ def discrete_gauss(
     x, w = np.polynomial.legendre.leggauss(order)
     nodes, weights = (N * (x + 1.0) - 1.0) / 2.0, N * w / 2.0
     # A long sum is an integral, to 1/(24·count²): worth knowing where eigenvalue problems are large.
-    exact = counts <= (_LONG_SUM if order > _ORDER else np.inf)
+    exact = counts <= (_LONG_SUM if order > 2 * _ORDER else np.inf)
     k, N = np.arange(1, order), N[exact]
     beta = np.maximum(k**2 * (N**2 - k**2) / (4.0 * (4.0 * k**2 - 1.0)), 0.0)
     jacobi = np.zeros((len(N), order, order))
