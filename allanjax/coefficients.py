@@ -14,6 +14,7 @@ from allanjax.inference import ESTIMATE, Inference
 from allanjax.model import Model, ModelParameter
 from allanjax.recording import Axis
 from allanjax.result import Coefficient
+from allanjax.terms import Parameter
 
 # Normal quantiles of two-sided 68 and 95 % intervals, and of one-sided 95 % limits.
 TWO_SIDED_68 = 0.9945
@@ -67,7 +68,7 @@ def coefficients_of(
             found[p.term] |= is_amplitude
         elif not is_amplitude and not has_power[p.term]:
             value = std = float("nan")
-            interval = interval_68 = (p.parameter.lower, float("inf"))
+            interval = interval_68 = (p.parameter.lower, p.parameter.upper)
         elif is_amplitude:
             power = float(solution.power[p.term])
             value = np.sqrt(power)
@@ -83,7 +84,7 @@ def coefficients_of(
             sd = float(np.sqrt(covariance[column, column]))
             value = p.parameter.lower + distance
             interval, interval_68 = (
-                _around(p.parameter.lower, distance, level * sd) for level in (TWO_SIDED_95, TWO_SIDED_68)
+                _around(p.parameter, distance, level * sd) for level in (TWO_SIDED_95, TWO_SIDED_68)
             )
             jacobian[row, column] = distance
             std = distance * sd
@@ -121,7 +122,7 @@ def deterministic_coefficients(
         axis: whose it is.
         square: squared estimate in units of its variance.
         unit: standard deviation of each component, SI.
-        components: 1 of a ramp, 2 of a line.
+        components: 1 of a ramp or a step, 2 of a line.
         line: where the line was found.
         n: samples of the record: a line that was searched for competes with n/2 frequencies without one.
         active: whether the term is in the model.
@@ -167,10 +168,10 @@ def deterministic_coefficients(
     return found
 
 
-def _around(lower: float, distance: float, width: float) -> tuple[float, float]:
-    """Interval of a parameter whose distance from its bound is known to this width in ln."""
+def _around(p: Parameter, distance: float, width: float) -> tuple[float, float]:
+    """Interval of a parameter whose distance from its lower bound is known to this width in ln."""
     ratio = np.exp(min(width, 700.0))
-    return float(lower + distance / ratio), float(lower + distance * ratio)
+    return float(p.lower + distance / ratio), float(min(p.lower + distance * ratio, p.upper))
 
 
 def _crossing(

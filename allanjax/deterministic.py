@@ -1,4 +1,5 @@
-"""Deterministic parts of a record in the cosine spectrum: ramps, lines of unknown phase, known regressors.
+"""Deterministic parts of a record in the cosine spectrum: ramps and steps, lines of unknown phase, known
+regressors.
 
 Given the noise, each enters linearly: least squares with the noise's levels as weights estimates it, and
 taking it out costs degrees of freedom where it has its power (its leverage), which the levels that are
@@ -11,11 +12,14 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.cosine import CosineBins, cosine_transform
+from allanjax.errors import FitError
 from allanjax.model import Model
+from allanjax.terms import DriftRamp, NoiseTerm
 
 # A line is fitted to so many coefficients on both sides of it; beyond, its best fit is subtracted.
 LINE_REACH = 64
@@ -29,9 +33,24 @@ _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _OUTLYING = 16.0  # beyond which it is once in 16 000
 
 
+def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1"]:
+    """Coefficients of a deterministic term of unit amplitude (`NoiseTerm.column`) in n samples.
+
+    Raises:
+        FitError: it does not vary within the record, and so is part of the bias.
+    """
+    column = np.asarray(term.column((jnp.arange(n) + 0.5) / rate))
+    if not np.ptp(column) > 0.0:
+        raise FitError(
+            f"{term.name()} does not vary within the record of {n / rate:g} s; leave it out, or give times "
+            "since the record's start"
+        )
+    return cosine_transform(column)
+
+
 def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
     """Coefficients of a ramp of 1 per second."""
-    return cosine_transform((np.arange(n) + 0.5) / rate)
+    return term_column(DriftRamp(), n, rate)
 
 
 def line_columns(
@@ -82,13 +101,14 @@ class Line:
 
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
-    """Indices of a model's lines (deterministic terms with a frequency), and what to look for."""
-    lines = [k for k, t in enumerate(model.terms) if t.deterministic and len(t.parameters()) > 1]
-    wanted = []
-    for k in lines:
-        term = model.terms[k]
-        p = term.parameters()[1]
-        wanted.append((getattr(term, p.name), not term.is_free(p)))
+    """Indices of a model's lines (deterministic terms with a line's frequency), and what to look for."""
+    lines: list[int] = []
+    wanted: list[tuple[float | None, bool]] = []
+    for k, term in enumerate(model.terms):
+        for p in term.parameters():
+            if term.deterministic and p.kind == "line":
+                lines.append(k)
+                wanted.append((getattr(term, p.name), not term.is_free(p)))
     return lines, wanted
 
 

@@ -25,6 +25,7 @@ from allanjax.result import AxisFit, Fit
 from allanjax.selection import TermSelection, basic_terms, select_terms
 from allanjax.starts import find_starts
 from allanjax.terms import Markov, NoiseTerm
+from allanjax.terms.transient import Transient
 from allanjax.whittle import fit_axis
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
@@ -50,7 +51,9 @@ def fit(
 
     Args:
         recording: what `read` returns, or `Recording.from_array`.
-        model: the terms, added up with `+`; parameters with a value start there, those held stay there.
+        model: the terms, added up with `+`; parameters with a value start there, those held stay there. The
+            time of a step and the time constant of a warm-up must have a value and are held; such terms
+            need "whittle".
             Without one, the terms are those that `select_terms` chooses for each axis among the five basic
             ones and a Markov process; for the basic terms not chosen there is an upper limit.
         objective: "allan" or "whittle".
@@ -61,7 +64,7 @@ def fit(
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
 
     Raises:
-        FitError: if the record is too short for the model.
+        FitError: if the record is too short for the model; a step or warm-up without a time, or with "allan".
         AllanjaxError: an unknown objective; a regressor that is no auxiliary channel, or is constant.
     """
     if objective not in ("allan", "whittle"):
@@ -75,7 +78,7 @@ def fit(
         template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()
         active = np.array([[label in s for label in template.term_labels] for s in sets])
     else:
-        template = Model(()) + model
+        template = _with_known_transients(Model(()) + model, objective)
         active = np.ones((len(recording.axes), len(template)), bool)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
     free_count = sum(p.free for p in template.parameters)
@@ -101,6 +104,25 @@ def fit(
         objective,
         selection,
     )
+
+
+def _with_known_transients(template: Model, objective: Objective) -> Model:
+    """The model with the shapes of its steps and warm-ups held: a record is not searched for them."""
+    terms = list(template.terms)
+    for k, term in enumerate(template.terms):
+        if not isinstance(term, Transient):
+            continue
+        if objective == "allan":
+            raise FitError(f'{term.name()} has no Allan variance of its own: give objective="whittle"')
+        shapes = [p.name for p in term.parameters()[1:]]
+        for shape in shapes:
+            if getattr(term, shape) is None:
+                raise FitError(
+                    f"a fit does not search for the {shape} of a {term.name()}: give it, e.g. "
+                    f'{type(term).__name__}({shape}=120.0).hold("{shape}"); the critique finds it'
+                )
+        terms[k] = term.hold(*shapes)
+    return Model(tuple(terms))
 
 
 def _regressors(

@@ -28,6 +28,8 @@ from allanjax.linalg import non_negative_least_squares
 # How far shapes may move from their start, in ln: the spectrum knows better than the Allan curve where
 # a line is; other starts are two to a decade or denser.
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
+# Upper bounds are open: shapes keep away from them by so much in ln.
+_INSIDE = 1e-2
 _OUTER_STEPS = 100
 _INNER_STEPS = 50
 # Acceleration multiplies the last move by at most as much.
@@ -87,14 +89,15 @@ def _solve(
     power = jnp.where(active, power, 0.0)
     start = shape
     reach = jnp.asarray([_REACH[p.parameter.kind] for p in design.shapes])
+    end = jnp.asarray([np.log(p.parameter.upper - p.parameter.lower) for p in design.shapes]) - _INSIDE
     moves = active[owner] & design.movable
     dof = jnp.maximum(design.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
     # Wilson & Hilferty's (1931) point of χ² at 1e-6; its tail is heavier here, where few clusters remain.
     limit = dof * (1.0 - 2.0 / (9.0 * dof) + 4.75 * jnp.sqrt(2.0 / (9.0 * dof))) ** 3
 
     def within(u: Array) -> Array:
-        """Shapes that the data can know of: a line where it was found, times inside the record's span."""
-        return jnp.where(moves, jnp.clip(u, start - reach, start + reach), start)
+        """Shapes that the data can know of: lines where they were found, times inside the record's span."""
+        return jnp.where(moves, jnp.clip(u, start - reach, jnp.minimum(start + reach, end)), start)
 
     # Where no shape moves, what depends on shapes alone is computed once.
     moving = design.movable.any()

@@ -356,7 +356,10 @@ def _ranges(
         elif p.parameter.kind == "frequency":
             lower[k], upper[k] = rate / n, rate / 2.0
         elif p.parameter.kind == "number":
-            lower[k], upper[k] = p.parameter.lower + 1e-2, p.parameter.lower + 1e4
+            lower[k], upper[k] = (
+                p.parameter.lower + 1e-2,
+                min(p.parameter.lower + 1e4, p.parameter.upper - 1e-2),
+            )
         elif p.parameter.kind == "line":
             f = result[p.label].value
             if fit.template.terms[p.term].deterministic:

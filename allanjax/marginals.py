@@ -80,7 +80,7 @@ def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) 
 
 def undetermined(parameter: ModelParameter, axis: Axis) -> Marginal:
     """Marginal of the shape of a term that was not sampled: of it these data say nothing."""
-    nothing = (parameter.parameter.lower, float("inf"))
+    nothing = (parameter.parameter.lower, parameter.parameter.upper)
     return Marginal(
         label=parameter.label,
         term=parameter.term_label,

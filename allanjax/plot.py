@@ -29,6 +29,7 @@ from allanjax.figure import (
 )
 from allanjax.recording import Axis
 from allanjax.result import AxisFit, Fit, title_of
+from allanjax.terms.transient import Transient
 from allanjax.units import default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
@@ -134,6 +135,8 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, unit: Unit) -> None:
     model = result.model.sampled(rate)
     total = np.zeros(len(time))
     for label, term in zip(model.term_labels, model.terms, strict=True):
+        if isinstance(term, Transient):
+            continue
         variance = np.asarray(term.allan_variance(time))
         total += variance
         panel.plot(
@@ -164,8 +167,12 @@ def _residuals(strips: Mapping[int, Axes], fit: Fit) -> dict[int, Residual]:
 
 def _key(fit: Fit, result: AxisFit) -> list[KeyEntry]:
     """Every term with its coefficients, and how well the model fits."""
-    terms = fit.template.term_labels if result.converged else ()
-    entries = [term_entry(fit, result, term) for term in terms]
+    entries = []
+    if result.converged:
+        for label, term in zip(fit.template.term_labels, fit.template.terms, strict=True):
+            hidden = isinstance(term, Transient) and label in result.model.term_labels
+            remark = " (no Allan variance: not drawn)" if hidden else ""
+            entries.append(term_entry(fit, result, label, remark))
     return [*entries, KeyEntry(wrapped(result.verdict()))]
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from allanjax.cosine import CosineBins, bins_per_octave, cosine_transform, cube_root_score
 from allanjax.design import unit
-from allanjax.deterministic import ramp_column
+from allanjax.deterministic import ramp_column, term_column
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.evidence import BLOCK, Evidence, Job, Levels, evidences, taken_out
 from allanjax.model import Model
@@ -210,8 +210,8 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
         candidates: the terms to choose from; by default the five basic ones and a Markov process.
 
     Raises:
-        AllanjaxError: a candidate that cannot be compared: lines and resonances, more than one term with a
-            free time, more than six terms.
+        AllanjaxError: a candidate that cannot be compared: lines, resonances and steps, a free shape
+            that is no time, more than one term with a free time, more than six terms.
         FitError: a record of fewer than 64 samples.
     """
     model = (basic_terms() + Markov() if candidates is None else Model(()) + candidates).sampled(
@@ -226,14 +226,15 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
     bins = CosineBins.of(recording.n, recording.rate)
     keep = bins.size > 0
     columns, times = _columns(model, fixed, shaped, bins)
-    ramp = ramp_column(recording.n, recording.rate)
+    place = recording.n, recording.rate
+    ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
     c = cosine_transform(recording.values - recording.values.mean(axis=0))
     levels = Levels(
         bins.sums(c**2)[keep].T,
         bins.sums(c * ramp[:, None])[keep].T,
         np.broadcast_to(bins.sums(ramp**2)[keep], (len(recording.axes), keep.sum())),
     )
-    jobs = _jobs(len(fixed), len(times) if shaped else 0, bool(ramps))
+    jobs = jobs_of(len(fixed), len(times) if shaped else 0, bool(ramps))
     size, columns = bins.size[keep].astype(float), columns[:, keep]
     cut = len(fixed)
     grid = columns[cut:] if shaped else np.ones((1, len(size)))
@@ -307,7 +308,7 @@ def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
             raise AllanjaxError(f"{term.name()}: a held amplitude leaves nothing to choose")
         if term.deterministic and len(term.parameters()) == 1:
             ramps.append(k)
-        elif term.deterministic or term.narrow_band or len(free) > 1:
+        elif term.deterministic or term.narrow_band or len(free) > 1 or any(p.kind != "time" for p in free):
             raise AllanjaxError(
                 f"{term.name()} cannot be compared by evidence; fit with and without it and compare"
             )
@@ -343,7 +344,7 @@ def _columns(
     return np.asarray(expectations(jnp.asarray(times))), times
 
 
-def _jobs(fixed: int, grid: int, ramp: bool) -> Job:
+def jobs_of(fixed: int, grid: int, ramp: bool) -> Job:
     """All sets: first those of fixed terms, then those with each value of the grid."""
     subsets = [
         (*terms, r)

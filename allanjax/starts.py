@@ -121,6 +121,8 @@ def _shape_candidates(
         elif p.parameter.kind == "line":
             lines = find_lines(x, rate) if lines is None else lines
             choices.append(lines)
+        elif p.parameter.upper < np.inf:
+            choices.append(np.linspace(p.parameter.lower, p.parameter.upper, 9)[1:-1])
         else:
             choices.append(p.parameter.lower + np.array([1.0, 5.0, 25.0]))
     grid = np.array(list(itertools.product(*choices)))

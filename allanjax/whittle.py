@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from allanjax.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
 from allanjax.cosine import CosineBins, SpectralDesign, cosine_transform
 from allanjax.design import Design
-from allanjax.deterministic import AxisSpectrum, Projection, lines_of, ramp_column, take_out_lines
+from allanjax.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines, term_column
 from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import HYPOTHESES, infer
@@ -58,10 +58,10 @@ def spectrum_of(
     rate: float,
     regressors: Mapping[str, Float[np.ndarray, " n"]],
 ) -> AxisSpectrum:
-    """The statistics of one axis for a model: lines found, ramps and regressors transformed, bins summed."""
+    """The statistics of one axis for a model: lines found, known shapes transformed, bins summed."""
     n = len(x)
     lines, wanted = lines_of(template)
-    ramps = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
+    known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
     c, found = take_out_lines(x - x.mean(), rate, wanted)
     around = [line.frequency for line in found]
     narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
@@ -70,7 +70,7 @@ def spectrum_of(
     columns: list[tuple[str | int, np.ndarray]] = []
     for name, z in regressors.items():
         columns.append((name, cosine_transform(z)))
-    columns += [(k, ramp_column(n, rate)) for k in ramps]
+    columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
     return AxisSpectrum.of(bins, c, columns, dict(zip(lines, found, strict=True)))
 
 

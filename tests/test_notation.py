@@ -20,7 +20,8 @@ def test_letters_and_names_are_the_same_terms():
         "drift_ramp",
     )
     assert parse_model(", ".join(model.term_labels)) == model
-    assert set(term_classes()) == {*model.term_labels, "markov", "sinusoid", "resonance"}
+    others = {"markov", "sinusoid", "resonance", "power_law", "low_pass", "telegraph", "bias_step", "warm_up"}
+    assert set(term_classes()) == {*model.term_labels, *others}
 
 
 def test_values_are_converted_to_si():

@@ -51,7 +51,7 @@ class Parameter:
             "frequency" [Hz], "line" (the frequency [Hz] of a narrow feature, started at peaks of the
             spectrum) or "number" (dimensionless).
         time_exponent: of an amplitude, the p in its SI unit (rate)·s^p, rate being rad/s or m/s².
-        lower: the open lower bound of the admissible values.
+        lower, upper: the open bounds of the admissible values.
     """
 
     name: str
@@ -59,6 +59,7 @@ class Parameter:
     kind: ParameterKind
     time_exponent: float
     lower: float
+    upper: float
 
 
 def parameter(
@@ -67,6 +68,7 @@ def parameter(
     *,
     time_exponent: float = 0.0,
     lower: float = 0.0,
+    upper: float = math.inf,
     default: float | None = None,
 ) -> Any:
     """Declare a parameter of a noise term (a dataclass field; see `Parameter` for the arguments).
@@ -74,7 +76,8 @@ def parameter(
     A parameter left at None is estimated from the data; one with a value is estimated with that value as a
     start, unless the term holds it (`NoiseTerm.hold`).
     """
-    declared = {"symbol": symbol, "kind": kind, "time_exponent": time_exponent, "lower": lower}
+    declared: dict[str, Any] = {"symbol": symbol, "kind": kind, "time_exponent": time_exponent}
+    declared |= {"lower": lower, "upper": upper}
     return eqx.field(default=default, metadata={"parameter": declared})
 
 
@@ -92,7 +95,7 @@ class NoiseTerm(eqx.Module):
 
     held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
 
-    #: True for a line or a ramp: the signal repeats in every record, so that its square does not scatter.
+    #: True for a line, a ramp, a step: it is the same in every record, so that its square does not scatter.
     deterministic: ClassVar[bool] = False
     #: True if the term oscillates for long: its whole power fluctuates together, see `power_scatter`.
     narrow_band: ClassVar[bool] = False
@@ -108,6 +111,13 @@ class NoiseTerm(eqx.Module):
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
         raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
+
+    def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
+        """A deterministic term of unit amplitude at times [s] since the record's start.
+
+        For terms that are known but for that one factor; lines of unknown phase are not.
+        """
+        raise NotImplementedError(f"{type(self).__name__} defines no column(time)")
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """n samples of the rate (means over successive sample intervals) at `rate` [Hz], exact in law.
@@ -292,9 +302,14 @@ class NoiseTerm(eqx.Module):
         for p in self.parameters():
             value = getattr(self, p.name)
             if isinstance(value, int | float | np.floating):
-                bad = not value >= 0 if p.kind == "amplitude" else not value > p.lower
-                if bad:
-                    bound = "≥ 0" if p.kind == "amplitude" else f"> {p.lower:g}"
+                amplitude = p.kind == "amplitude"
+                bound = ""
+                if not (value >= 0 if amplitude else value > p.lower):
+                    bound = "≥ 0" if amplitude else f"> {p.lower:g}"
+                # Infinity is a limit that a term may know, e.g. of a cutoff.
+                elif value >= p.upper < math.inf:
+                    bound = f"< {p.upper:g}"
+                if bound:
                     raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, got {value!r}")
 
 
@@ -331,15 +346,3 @@ def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array,
     """
     is_small = jnp.max(jnp.abs(x)) < 1.0
     return jnp.where(is_small, small(jnp.where(is_small, x, jnp.zeros_like(x))), large(x))
-
-
-def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
-    """e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
-
-    def series(z: Num[Array, ...]) -> Num[Array, ...]:
-        total = jnp.zeros_like(z)
-        for k in range(19, 2, -1):
-            total = total * z + 1.0 / math.factorial(k)
-        return total * z**3
-
-    return in_gauge(series, lambda z: jnp.expm1(z) - z, z)

@@ -27,5 +27,8 @@ class DriftRamp(NoiseTerm):
         """The flicker-acceleration spectrum R²/(2πf)³ that has the same slope in the Allan plot (4.58)."""
         return self.coefficient**2 / jnp.abs(2.0 * jnp.pi * jnp.asarray(frequency)) ** 3
 
+    def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
+        return time
+
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        return self.coefficient * (jnp.arange(n) + 0.5) / rate
+        return self.coefficient * self.column((jnp.arange(n) + 0.5) / rate)

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, Value, exponential_remainder, parameter
+from allanjax.terms.base import NoiseTerm, Value, parameter
+from allanjax.terms.exponential import exponential_remainder
 from allanjax.terms.recursion import linear_recurrence
 
 

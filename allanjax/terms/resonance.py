@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 
-from allanjax.terms.base import NoiseTerm, Value, exponential_remainder, parameter
+from allanjax.terms.base import NoiseTerm, Value, parameter
+from allanjax.terms.exponential import exponential_covariance, exponential_density
 from allanjax.terms.recursion import linear_recurrence
 
 _ALIASES = 8
@@ -42,14 +43,7 @@ class Resonance(NoiseTerm):
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         pole, c = self._poles()
-        remainder = exponential_remainder(pole * lag)
-        t0 = self.sample_interval
-        if t0 == 0.0:
-            return -(self.amplitude**2) * jnp.real(c / pole**2 * remainder)
-        # Sums instead of integrals: the second difference of G at multiples of t0 is −t0²·R exactly.
-        kappa = c * t0**2 / (4.0 * jnp.sinh(pole * t0 / 2.0) ** 2)
-        slope = -t0 / 2.0 + jnp.real(kappa * (jnp.expm1(pole * t0) - pole * t0)) / t0
-        return self.amplitude**2 * (slope * lag - jnp.real(kappa * remainder))
+        return self.amplitude**2 * exponential_covariance(pole, c, lag, self.sample_interval)
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
@@ -63,15 +57,13 @@ class Resonance(NoiseTerm):
         return 2.0 * self.amplitude**2 * w0**3 / self.quality_factor / shape
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """The geometric series of the autocovariance at the sample instants, R(d/rate) = σ² Re[c z^d]."""
+        """Of the oscillator at the sample instants, or of its means between them."""
         if self.sample_interval == 0.0:
             # Of means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
             aliases = jnp.asarray(frequency, float)[..., None] + rate * jnp.arange(-_ALIASES, _ALIASES + 1)
             return jnp.sum(self.psd(aliases) * jnp.sinc(aliases / rate) ** 2, axis=-1)
         pole, c = self._poles()
-        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
-        up, down = (-jnp.expm1(pole / rate + sign * 1j * a) for sign in (1.0, -1.0))
-        return self.amplitude**2 / rate * jnp.real(c * (1.0 / up + 1.0 / down - 1.0))
+        return self.amplitude**2 * exponential_density(pole, c, frequency, rate)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Exact recursion of position and velocity, as one complex mode."""
