@@ -15,6 +15,7 @@ jax.config.update("jax_enable_x64", True)
 
 from allanjax.allan import AllanDeviation, allan_deviation  # noqa: E402
 from allanjax.cache import enable_compilation_cache  # noqa: E402
+from allanjax.critique import Cause, Critique, Finding, critique  # noqa: E402
 from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
 from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
 from allanjax.fit import fit  # noqa: E402
@@ -60,8 +61,11 @@ __all__ = [
     "AxisSelection",
     "BiasInstability",
     "BiasStep",
+    "Cause",
     "Coefficient",
+    "Critique",
     "DriftRamp",
+    "Finding",
     "Fit",
     "FitError",
     "LogNormal",
@@ -91,6 +95,7 @@ __all__ = [
     "allan_deviation",
     "basic_terms",
     "convert",
+    "critique",
     "enable_compilation_cache",
     "fit",
     "parameter",

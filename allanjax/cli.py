@@ -1,7 +1,6 @@
-"""The command line: `allanjax characterize`, `simulate` and `demo`."""
+"""The command line: `allanjax characterize`, `critique`, `simulate` and `demo`."""
 
 import json
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,6 +10,27 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from allanjax.cli_common import (
+    RESULTS,
+    AccelUnit,
+    Columns,
+    Files,
+    GyroUnit,
+    Out,
+    Rate,
+    Start,
+    Stop,
+    Time,
+    TimeUnit,
+    epilog,
+    exit_if_failed,
+    prepare,
+    print_error,
+    result_names,
+    stage,
+)
+from allanjax.cli_critique import EPILOG, HELP, critique_command
+
 if TYPE_CHECKING:
     from allanjax.model import Model
     from allanjax.recording import Recording
@@ -19,20 +39,13 @@ if TYPE_CHECKING:
 
 Sensor = Literal["gyro", "accel"]
 
-_RESULTS = Path("allanjax-results")
 _WIDTH = 110
-
-
-def _epilog(*examples: str) -> str:
-    """Examples and exit codes, a line each: typer breaks lines at empty ones only."""
-    codes = "Exit codes: 0 success; 1 bad input, or an axis without result; 2 a wrong command line."
-    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 app = typer.Typer(
     name="allanjax",
     help="Noise coefficients of gyros and accelerometers from a static recording, with honest uncertainties.",
-    epilog=_epilog("allanjax demo", "allanjax characterize imu.csv", "allanjax characterize --help"),
+    epilog=epilog("allanjax demo", "allanjax characterize imu.csv", "allanjax characterize --help"),
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -67,7 +80,7 @@ def _common(
     help="Estimate the noise coefficients of static recordings. Prints a table a file, and writes NAME.json, "
     "NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. Where one of several "
     "files is bad, the others go on.",
-    epilog=_epilog(
+    epilog=epilog(
         "allanjax characterize imu.csv",
         "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
         "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
@@ -75,35 +88,15 @@ def _common(
     ),
 )
 def characterize(
-    files: Annotated[
-        list[Path],
-        typer.Argument(help="Recordings: CSV and other text, Parquet, .npy, .npz or .mat.", metavar="FILE"),
-    ],
-    rate: Annotated[
-        float | None, typer.Option(help="Sample rate in Hz; needed if the file has no time stamps.")
-    ] = None,
-    gyro_unit: Annotated[
-        str | None,
-        typer.Option(
-            help="Unit of the gyros if the header has none: deg/s, rad/s, deg/h, ...; rad for increments."
-        ),
-    ] = None,
-    accel_unit: Annotated[
-        str | None,
-        typer.Option(
-            help="Unit of the accelerometers if the header has none: m/s^2, g, mg, ...; m/s for increments."
-        ),
-    ] = None,
-    columns: Annotated[
-        str | None,
-        typer.Option(
-            help="Columns to read, or a name for each in order, - to skip one, e.g. time,gyro_x,-,gyro_z."
-        ),
-    ] = None,
-    time: Annotated[str | None, typer.Option(help="Column of time stamps; none to ignore them.")] = None,
-    time_unit: Annotated[str | None, typer.Option(help="Unit of the time stamps: s, ms, us or ns.")] = None,
-    start: Annotated[float | None, typer.Option(help="Leave out what is before this time, in s.")] = None,
-    stop: Annotated[float | None, typer.Option(help="Leave out what is from this time on, in s.")] = None,
+    files: Files,
+    rate: Rate = None,
+    gyro_unit: GyroUnit = None,
+    accel_unit: AccelUnit = None,
+    columns: Columns = None,
+    time: Time = None,
+    time_unit: TimeUnit = None,
+    start: Start = None,
+    stop: Stop = None,
     terms: Annotated[
         str | None,
         typer.Option(
@@ -122,12 +115,7 @@ def characterize(
         str | None,
         typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help=f"Folder for the results, by default {_RESULTS}; with --json there is none by default."
-        ),
-    ] = None,
+    out: Out = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
@@ -144,19 +132,19 @@ def characterize(
         "time": time,
     }
     options |= {"time_unit": time_unit, "start": start, "stop": stop}
-    directory = out if as_json else out or _RESULTS
-    _prepare()
+    directory = out if as_json else out or RESULTS
+    prepare()
     fits: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []
-    for file, name in zip(files, _result_names(files), strict=True):
+    for file, name in zip(files, result_names(files), strict=True):
         try:
             spectrum, fit = _read_and_fit(file, options, model, objective, _names(regressors))
             if directory is not None:
-                with _stage(f"{file}: writing results"):
+                with stage(f"{file}: writing results"):
                     paths = write_results(fit, spectrum.result(), directory, name)
         except (AllanjaxError, OSError) as error:
             errors.append({"file": str(file), "message": str(error)})
-            _print_error(str(error))
+            print_error(str(error))
             continue
         if as_json:
             fits.append({"file": str(file), **to_dict(fit)})
@@ -170,20 +158,19 @@ def characterize(
             if not result.converged:
                 message = f"{result.axis.name}: no result, {result.reason}"
                 errors.append({"file": str(file), "message": message})
-                _print_error(f"{file}: {message}")
+                print_error(f"{file}: {message}")
     if as_json:
         document = {"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors}
         print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
-    if errors:
-        failed = dict.fromkeys(error["file"] for error in errors)
-        if len(files) > 1:
-            print(f"{len(failed)} of {len(files)} files failed: {', '.join(failed)}", file=sys.stderr)
-        raise typer.Exit(1)
+    exit_if_failed(errors, files)
+
+
+app.command("critique", help=HELP, epilog=EPILOG)(critique_command)
 
 
 @app.command(
     help="Simulate a static recording of a known sensor or of noise terms, and write it to a file.",
-    epilog=_epilog(
+    epilog=epilog(
         "allanjax simulate --list",
         "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
         "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
@@ -226,13 +213,13 @@ def simulate(
     if preset is not None and preset not in SENSORS:
         raise typer.BadParameter(f"no sensor {preset!r}; there are {', '.join(SENSORS)}", param_hint="SENSOR")
     model = None if terms is None else _parsed(terms, sensor)
-    _prepare()
+    prepare()
     from allanjax.io import write
     from allanjax.recording import Recording
     from allanjax.simulate import simulate_recording
 
     recordings: tuple[Recording, ...]
-    with _reported(), _stage("simulating"):
+    with _reported(), stage("simulating"):
         if model is not None:
             n = round(duration * rate)
             recordings = (simulate_recording({sensor: model}, n, rate, seed, name=out.stem),)
@@ -251,8 +238,8 @@ def demo(
         "allanjax-demo"
     ),
 ) -> None:
-    _prepare()
-    with _stage("loading allanjax"):
+    prepare()
+    with stage("loading allanjax"):
         from rich.console import Console
 
         from allanjax.demo import compare, comparison_table, demo_recording
@@ -261,12 +248,12 @@ def demo(
     with _reported():
         out.mkdir(parents=True, exist_ok=True)
         file = out / "demo.csv"
-        with _stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+        with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
             recording = demo_recording()
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
         spectrum, fit = _read_and_fit(file, {}, None)
-        with _stage("writing results"):
+        with stage("writing results"):
             paths = write_results(fit, spectrum.result(), out, file.stem)
     comparisons = compare(fit)
     Console(width=_WIDTH).print(comparison_table(comparisons))
@@ -276,14 +263,6 @@ def demo(
     print("\nFor a recording of your own:\n    allanjax characterize imu.csv")
     print("and if it has no time stamps and no units in its header:")
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
-
-
-def _prepare() -> None:
-    """What every command needs before it computes: compiled programs from earlier runs, no windows."""
-    os.environ["MPLBACKEND"] = "Agg"
-    from allanjax.cache import enable_compilation_cache
-
-    enable_compilation_cache()
 
 
 def _parsed(terms: str, sensor: "Sensor | None" = None) -> "Model":
@@ -318,14 +297,14 @@ def _read_and_fit(
     regressors: Sequence[str] = (),
 ) -> "tuple[Future[PowerSpectrum], Fit]":
     """The fit of a file's recording, and its spectrum, which is estimated while the fit compiles."""
-    with _stage(f"{file}: loading allanjax"):
+    with stage(f"{file}: loading allanjax"):
         from allanjax.fit import fit
         from allanjax.io import read
-    with _stage(f"{file}: reading"):
+    with stage(f"{file}: reading"):
         recording = read(file, **options)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
     with (
-        _stage(f"{file}: fitting {size} (the first run on a machine also compiles)"),
+        stage(f"{file}: fitting {size} (the first run on a machine also compiles)"),
         ThreadPoolExecutor(1) as pool,
     ):
         spectrum = pool.submit(_spectrum, recording)
@@ -340,25 +319,10 @@ def _spectrum(recording: "Recording") -> "PowerSpectrum":
     return power_spectrum(recording)
 
 
-@contextmanager
-def _stage(text: str) -> Iterator[None]:
-    """A spinner on stderr, where that is a terminal."""
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(stderr=True)
-    with console.status(Text(text)):
-        yield
-
-
 def _print_fit(fit: "Fit") -> None:
     print(fit, flush=True)
     for note in fit.notes:
         print(f"note: {note}")
-
-
-def _print_error(message: str) -> None:
-    print(f"error: {message}", file=sys.stderr)
 
 
 @contextmanager
@@ -369,19 +333,5 @@ def _reported() -> Iterator[None]:
     try:
         yield
     except (AllanjaxError, OSError) as error:
-        _print_error(str(error))
+        print_error(str(error))
         raise typer.Exit(1) from error
-
-
-def _result_names(files: Sequence[Path]) -> list[str]:
-    """A name for the results of each file: its own without suffix, numbered where several share it."""
-    names: list[str] = []
-    for file in files:
-        stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
-        name, number = stem, 1
-        # Some file systems do not tell case apart.
-        while name.casefold() in (taken.casefold() for taken in names):
-            number += 1
-            name = f"{stem}-{number}"
-        names.append(name)
-    return names

@@ -1,0 +1,59 @@
+"""The critic: what a simulation of the fitted sensor gets wrong, why, and what is gained by mending it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival
+from allanjax.critique.view import Candidate, Cause, Quantity, View
+
+if TYPE_CHECKING:
+    from allanjax.recording import Recording
+    from allanjax.result import Fit
+
+__all__ = [
+    "AxisCritique",
+    "Candidate",
+    "Cause",
+    "Critique",
+    "Discrepancy",
+    "Finding",
+    "Quantity",
+    "Rival",
+    "View",
+    "critique",
+]
+
+
+def critique(
+    recording: Recording,
+    fit: Fit | None = None,
+    *,
+    causes: Sequence[Cause] | None = None,
+    false_alarms: float = 0.005,
+    progress: Callable[[str], None] | None = None,
+) -> Critique:
+    """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
+
+    Every axis is whitened by its model; each cause looks in the residuals for its own signature with the best
+    filter there is for it. Competing explanations, among them other basic noise terms, are compared by their
+    evidence; the best is accepted if it is significant and predicts data that it was not estimated from,
+    taken out, and the search begins anew. See `allanjax.critique.view` for writing a cause of one's own.
+
+    Args:
+        recording: what `read` returns, or `Recording.from_array`.
+        fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
+            are causes too; if they were chosen, the choice is made anew with every finding.
+        causes: what to look for; by default `allanjax.critique.causes.CAUSES`.
+        false_alarms: probability that a recording without any effect has a finding.
+        progress: is told what is being done.
+
+    Raises:
+        AllanjaxError: `fit` is of other axes; `false_alarms` is not between 0 and 1.
+        FitError: a record of fewer than 1024 samples, or an axis without a fit.
+    """
+    # What it needs takes long to load.
+    from allanjax.critique.critic import criticize
+
+    return criticize(recording, fit, causes, false_alarms, progress)

@@ -1,0 +1,94 @@
+"""What causes with a known shape have in common: a matched filter, the noise chosen anew without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critique.bank import Bank, amplitude_price
+from allanjax.critique.view import Candidate, Quantity, View
+from allanjax.model import Model
+from allanjax.terms import NoiseTerm
+
+# Below this signal-to-noise ratio nothing is looked at more closely.
+_WORTH = 3.5
+_ROUNDS = 3
+
+
+def additive(
+    view: View,
+    cause: str,
+    bank: Bank,
+    shape: Callable[[int], Float[np.ndarray, " n"]],
+    parameters: Callable[[int, float, float, Float[np.ndarray, " shapes"]], Mapping[str, Quantity]],
+    span: Callable[[int], tuple[float, float]],
+    more: float = 0.0,
+    term: Callable[[int, float], NoiseTerm] | None = None,
+) -> Candidate | None:
+    """The best candidate of a bank, whatever the noise without it may be.
+
+    Args:
+        view: what is looked at.
+        cause: the candidate's name.
+        bank: of shapes.
+        shape: the shape of that index in full, for n samples.
+        parameters: from index, amplitude, its standard deviation and the relative likelihood of each shape.
+        span: from index.
+        more: further price of the search [nats].
+        term: the noise term of that index and amplitude [SI], if there is one.
+    """
+    best: Candidate | None = None
+    tried: set[int] = set()
+    for noise in view.noises:
+        scan = bank.scan(view, noise)
+        k = scan.best
+        if abs(scan.snr[k]) < _WORTH or k in tried:
+            continue
+        after = view
+        for _ in range(_ROUNDS):
+            tried.add(k)
+            after = view.with_x(view.x - scan.amplitude[k] * shape(k))
+            noise = after.noise
+            scan = bank.scan(view, noise)
+            if scan.best == k:
+                break
+            k = scan.best
+        snr = float(scan.snr[k])
+        gain = after.noise.log_evidence - view.noise.log_evidence
+        gain -= scan.search_price + amplitude_price(snr) + more
+        if best is None or gain > best.gain:
+            half = 0.5 * scan.snr**2
+            likelihood = np.exp(half - half.max())
+            weight = likelihood / likelihood.sum()
+            # The amplitude is known no better than the shape it belongs to.
+            std = np.sqrt(scan.std[k] ** 2 + weight @ (scan.amplitude - scan.amplitude[k]) ** 2)
+            best = Candidate(
+                cause,
+                parameters(k, float(scan.amplitude[k]), float(std), likelihood),
+                gain,
+                bank.p_value(view, noise, snr) if gain > 0.0 else 1.0,
+                after,
+                partial(bank.held_out, view, noise),
+                span(k),
+                "time",
+                _adding(term, k, float(scan.amplitude[k])),
+            )
+    return best
+
+
+def _adding(
+    term: Callable[[int, float], NoiseTerm] | None, k: int, amplitude: float
+) -> Callable[[Model], Model]:
+    return lambda model: model if term is None else model + term(k, amplitude)
+
+
+def mean_and_std(
+    values: Float[np.ndarray, " shapes"], likelihood: Float[np.ndarray, " shapes"]
+) -> tuple[float, float]:
+    """Of a shape's parameter, under a flat prior over the bank."""
+    weight = likelihood / likelihood.sum()
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (values - mean) ** 2))

@@ -1,0 +1,83 @@
+"""A basic noise term that the given model lacks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from allanjax.critique.causes.spectral import baseline_predictive, coefficient_folds, predictive
+from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View
+from allanjax.selection import basic_terms
+from allanjax.terms import Markov, NoiseTerm
+from allanjax.units import default_coefficient_unit, unit_scale
+
+
+class BasicTerm(Cause):
+    """One of quantization, angle random walk, bias instability, rate random walk, drift ramp, Markov."""
+
+    name = "basic_term"
+
+    def detect(self, view: View) -> Candidate | None:
+        known = set(view.allowed) | ({MARKOV} if POWER_LAW in view.allowed else set())
+        found = [self._with(view, term) for term in EVERYTHING if term not in known]
+        return max((c for c in found if c is not None), key=lambda c: c.gain, default=None)
+
+    def _with(self, view: View, term: str) -> Candidate | None:
+        allowed = [*view.allowed, term]
+        noise = view.weighing.best(allowed, required=(term,))
+        gain = noise.log_evidence - view.noise.log_evidence
+        if gain <= 0.0 or (term != RAMP and term not in noise.power):
+            return None
+
+        def held_out() -> float:
+            total = 0.0
+            for fold in coefficient_folds(view.n):
+                other = view.family.of(view.c, view.factor, fold).best(allowed, required=(term,))
+                c = view.c
+                if other.ramp:
+                    c = c - _ramp(view, other.variance, fold)[0] * view.family.ramp
+                total += predictive(c, view.variance(other), ~fold) - baseline_predictive(view, fold)
+            return total
+
+        return Candidate(
+            term,
+            self._parameters(view, noise, term),
+            gain,
+            float(np.exp(-gain)),
+            view.allowing(allowed),
+            held_out,
+            (0.0, view.duration),
+            "time",
+        )
+
+    def _parameters(self, view: View, noise: Noise, term: str) -> dict[str, Quantity]:
+        if term == RAMP:
+            value, std = _ramp(view, view.variance(noise))
+            unit = _unit(view, basic_terms()[RAMP])
+            scale = unit_scale(unit, view.axis.sensor)
+            return {"coefficient": Quantity(abs(value) / scale, std / scale, unit)}
+        declared = Markov() if term == MARKOV else basic_terms()[term]
+        unit = _unit(view, declared)
+        value = float(np.sqrt(noise.power[term]))
+        share = noise.power[term] * view.family.spectrum(
+            Markov(1.0, noise.shape) if term == MARKOV else declared.replace(coefficient=1.0)
+        )
+        # Relative error of the power, the other terms as they are.
+        relative = 1.0 / np.sqrt(0.5 * float(np.sum((share / noise.variance) ** 2)))
+        name = declared.parameters()[0].name
+        scale = unit_scale(unit, view.axis.sensor)
+        found = {name: Quantity(value / scale, 0.5 * relative * value / scale, unit)}
+        if term == MARKOV:
+            found["correlation_time"] = Quantity(noise.shape, 2.0 * relative * noise.shape, "s")
+        return found
+
+
+def _unit(view: View, term: NoiseTerm) -> str:
+    return default_coefficient_unit(view.axis.sensor, term.parameters()[0].time_exponent)
+
+
+def _ramp(view: View, v: np.ndarray, fold: np.ndarray | None = None) -> tuple[float, float]:
+    """Slope of the record and its deviation."""
+    used = 1.0 if fold is None else fold
+    gram = float(np.sum(used * view.family.ramp**2 / v))
+    return float(np.sum(used * view.family.ramp * view.c / v)) / gram, float(1.0 / np.sqrt(gram))

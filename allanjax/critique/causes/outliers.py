@@ -1,0 +1,129 @@
+"""Single samples far from where all others put them."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import norm
+
+from allanjax.critique.bank import folds
+from allanjax.critique.view import Candidate, Cause, Quantity, View
+
+_SCALES = np.geomspace(3.0, 3e4, 25)
+_SHARES = np.geomspace(1e-7, 0.1, 40)
+# Below this no outlier could be told from noise.
+_NOTICED = 3.0
+_WORTH = 8.0
+# Prediction errors so near [samples] to each other may have one cause; longer trains are no outliers.
+_APART, _LONGEST = 8, 48
+_FOLD_BLOCK = 16
+
+
+class Outliers(Cause):
+    """A share of the samples has an error of its own, of much larger scale than the noise."""
+
+    name = "outliers"
+
+    def p_value(self, view: View) -> float:
+        spikes, sigma = view.spikes
+        return _p_value(float(np.max(abs(spikes))) / sigma, view.n)
+
+    def detect(self, view: View) -> Candidate | None:
+        spikes, _ = view.spikes
+        # The scale of the bulk: that of the fit has the outliers in it.
+        bulk = 1.4826 * float(np.median(abs(spikes)))
+        if bulk == 0.0:
+            return None
+        z = spikes / bulk
+        z = np.where(view.restored, 0.0, z)
+        gain, _, _, loud = _mixture(z)
+        if gain < _WORTH or not loud.any():
+            return None
+        times = _peaks(z, np.flatnonzero(loud))
+        if times is None:
+            return None
+        missing = np.zeros(view.n, bool)
+        missing[times] = True
+        after = view.filled(missing)
+        gain -= amplitude_and_share_price(view.n)
+        error = view.x[times] - after.x[times]
+        spread = float(np.sqrt(np.mean(error**2)))
+        parameters = {
+            "count": Quantity(float(len(times)), float(np.sqrt(len(times) * 0.05)), "1"),
+            "times": Quantity(tuple(float(k / view.rate) for k in times), 1.0 / view.rate, "s"),
+            "scale": view.own(spread, spread / np.sqrt(2.0 * len(times))),
+        }
+        p_value = _p_value(float(np.max(abs(z))), view.n)
+        return Candidate(
+            self.name,
+            parameters,
+            float(gain),
+            float(min(p_value, np.exp(-max(gain, 0.0)))),
+            after,
+            lambda: _held_out(z),
+            (times[0] / view.rate, times[-1] / view.rate),
+            "time",
+        )
+
+
+def _p_value(largest: float, n: int) -> float:
+    """Probability that one of n normal scores is larger."""
+    return float(-np.expm1(n * np.log1p(-2.0 * norm.sf(largest))))
+
+
+def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
+    """The largest of each group of neighbours, to which one outlier's prediction errors spread.
+
+    None if a group is longer than that.
+    """
+    groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
+    if max(g[-1] - g[0] for g in groups) > _LONGEST:
+        return None
+    return np.array([g[np.argmax(abs(z[g]))] for g in groups])
+
+
+def amplitude_and_share_price(n: int) -> float:
+    """What not knowing share and scale costs [nats]: each anywhere in its grid."""
+    return float(np.log(len(_SCALES)) + np.log(np.log(n)))
+
+
+def _log_ratio(
+    z: Float[np.ndarray, " k"], share: float, scale: Float[np.ndarray, " scales"] | float
+) -> Float[np.ndarray, "k scales"]:
+    """ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)] at z."""
+    s2 = np.asarray(scale) ** 2
+    exponent = 0.5 * z[:, None] ** 2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
+    return np.logaddexp(np.log1p(-share), np.log(share) + exponent)
+
+
+def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float, np.ndarray]:
+    """Log-likelihood ratio of the best mixture to noise alone, its share and scale, and who is in it."""
+    noticed = abs(z) > _NOTICED
+    few = z[noticed]
+    if len(few) == 0:
+        return 0.0, 0.0, 1.0, noticed
+    # Of the quiet ones only their number counts: a histogram of their squares.
+    counts, edges = np.histogram(abs(z[~noticed]), bins=60)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    best = (0.0, 0.0, 1.0)
+    for share in _SHARES[_SHARES * len(z) > 0.3]:
+        value = _log_ratio(few, share, _SCALES).sum(axis=0) + counts @ _log_ratio(centres, share, _SCALES)
+        k = int(np.argmax(value))
+        if value[k] > best[0]:
+            best = (float(value[k]), float(share), float(_SCALES[k]))
+    gain, share, scale = best
+    if gain == 0.0:
+        return 0.0, 0.0, 1.0, np.zeros_like(noticed)
+    s2 = scale**2
+    odds = np.log(share / (1.0 - share)) + 0.5 * z**2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
+    return gain, share, scale, odds > 0.0
+
+
+def _held_out(z: Float[np.ndarray, " n"]) -> float:
+    """Gain on parts of the samples by the mixture of the others."""
+    gain = 0.0
+    for part in folds(len(z), _FOLD_BLOCK):
+        _, share, scale, _ = _mixture(z[~part])
+        if share > 0.0:
+            gain += float(_log_ratio(z[part], share, scale).sum())
+    return gain

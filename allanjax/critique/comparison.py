@@ -1,0 +1,259 @@
+"""The record beside its simulations: whitened residuals, and the law of Allan deviations.
+
+A simulation draws cosine coefficients c_j ~ N(0, v_j), the levels v themselves being known only as well as
+the record shows them. The Allan variance of the record continued by its mirror image at both ends, known as
+the total variance (Greenhall, Howe & Percival 1999, IEEE Trans. UFFC 46:1183), is diagonal in them:
+
+    σ²(m) = (1/n) Σ_j c_j² w_j(m),    w_j(m) = 2 sin⁴(m a_j/2)/(m² sin²(a_j/2)),    a_j = πj/n.
+
+So the scatter of simulations needs no simulating: it is that of a weighted sum of χ² variates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.stats import chi2
+
+from allanjax.critique.noise import FIXED, MARKOV, centred, family_of
+from allanjax.critique.result import Snapshot
+from allanjax.critique.view import in_time
+from allanjax.recording import Axis
+from allanjax.terms import Markov, PowerLaw
+
+_CHUNK = 1 << 16
+# Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
+_FAST = 40.0
+_PER_OCTAVE = 6
+_CURVE_PER_OCTAVE = 4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Whitened:
+    """An axis at one stage of the critique, and what its model expects of it.
+
+    Attributes:
+        axis, scale: whose it is; factor from its own unit to SI.
+        rate: sample rate [Hz].
+        x: the samples without what was found and without a ramp [SI].
+        c: their cosine coefficients.
+        variance: expected squares of these.
+        stage: where it comes from.
+    """
+
+    axis: Axis
+    scale: float
+    rate: float
+    x: Float[np.ndarray, " n"]
+    c: Float[np.ndarray, " n-1"]
+    variance: Float[np.ndarray, " n-1"]
+    stage: Snapshot
+
+    @classmethod
+    def of(cls, axis: Axis, scale: float, rate: float, stage: Snapshot) -> Whitened:
+        """The ramp that the model has is taken out of the measurement as it is of the simulation."""
+        x = stage.x
+        if stage.ramp and np.isfinite(stage.ramp):
+            x = x - stage.ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / rate
+        return cls(axis, scale, rate, x, centred(x), stage.variance, stage)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.x)
+
+    @functools.cached_property
+    def z(self) -> Float[np.ndarray, " n-1"]:
+        """Whitened coefficients, independent and standard normal if the model is right."""
+        return self.c / np.sqrt(self.variance)
+
+    @functools.cached_property
+    def e(self) -> Float[np.ndarray, " n"]:
+        """The same in time order."""
+        return in_time(self.z)
+
+    @functools.cached_property
+    def shares(self) -> Float[np.ndarray, "terms n-1"]:
+        """Share of each noise term in the expected squares; no rows where the terms are not known."""
+        family = family_of(self.n, self.rate)
+        rows = []
+        for name, power in self.stage.powers.items():
+            if name in FIXED:
+                rows.append(power * family.spectra[FIXED.index(name)])
+            else:
+                term = Markov if name == MARKOV else PowerLaw
+                rows.append(power * family.spectrum(term(1.0, self.stage.shape)))
+        if not rows:
+            return np.zeros((0, self.n - 1))
+        total = np.sum(rows, axis=0)
+        return np.stack(rows) / np.maximum(total, 1e-300)
+
+    @functools.cached_property
+    def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
+        """Of the relative errors of the terms' powers.
+
+        The inverse of the Fisher information F_kl = ½ Σ_j q_k q_l (q the shares), to which 1 is added: no
+        power is taken to be uncertain by more than itself.
+        """
+        q = self.shares
+        return np.linalg.inv(0.5 * q @ q.T + np.eye(len(q)))
+
+    def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
+        """A record of the model at its levels [SI], without mean and ramp."""
+        draw = np.random.default_rng(seed).standard_normal(self.n - 1)
+        return in_time(draw * np.sqrt(self.variance))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AllanLaw:
+    """Allan variances of a record, and their law in simulations.
+
+    Attributes:
+        time: cluster times [s].
+        measured: Allan variances [rate²].
+        mean: of the simulations' variances.
+        covariance: of these over their means, errors of the model's levels included.
+    """
+
+    time: Float[np.ndarray, " m"]
+    measured: Float[np.ndarray, " m"]
+    mean: Float[np.ndarray, " m"]
+    covariance: Float[np.ndarray, "m m"]
+
+    @property
+    def dof(self) -> Float[np.ndarray, " m"]:
+        """Degrees of freedom of the χ² law that has this mean and this scatter."""
+        return 2.0 / np.diag(self.covariance)
+
+    @property
+    def correlation(self) -> Float[np.ndarray, "m m"]:
+        """Between cluster times."""
+        spread = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(spread, spread)
+
+    def quantile(self, probability: float) -> Float[np.ndarray, " m"]:
+        """Of the simulations' Allan variances."""
+        return self.mean * chi2.ppf(probability, self.dof) / self.dof
+
+
+def allan_law(record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+    """Of clusters of so many samples."""
+    (law,) = allan_laws([record], sizes)
+    return law
+
+
+def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
+    """Of several records of one length: the weights are computed once."""
+    n = records[0].n
+    sums = [_Sums.zero(len(sizes), len(record.shares)) for record in records]
+    for part in _chunks(n - 1):
+        a = np.pi * np.arange(part.start + 1, part.stop + 1) / (2.0 * n)
+        # Where the weight oscillates fast in j it is replaced by its mean: one row for all such clusters.
+        fast = sizes * a[0] > _FAST
+        weight = np.ones((np.sum(~fast) + 1, len(a)))
+        weight[:-1] = np.sin(np.outer(sizes[~fast], a)) ** 2
+        weight *= weight
+        weight /= np.sin(a) ** 2
+        rows = np.zeros((len(sizes), len(weight)))
+        rows[~fast, :-1] = np.diag(2.0 / sizes[~fast] ** 2.0)
+        rows[fast, -1] = 0.75 / sizes[fast] ** 2.0
+        for record, total in zip(records, sums, strict=True):
+            total.measured += rows @ (weight @ record.c[part] ** 2)
+            expected = weight * record.variance[part]
+            total.mean += rows @ expected.sum(axis=1)
+            total.square += rows @ (expected @ expected.T) @ rows.T
+            total.slope += rows @ (expected @ record.shares[:, part].T)
+    return [total.law(record, sizes) for record, total in zip(records, sums, strict=True)]
+
+
+@dataclasses.dataclass(eq=False)
+class _Sums:
+    """Over the coefficients: of weighted squares, expected ones, their covariance, and by noise term."""
+
+    measured: Float[np.ndarray, " m"]
+    mean: Float[np.ndarray, " m"]
+    square: Float[np.ndarray, "m m"]
+    slope: Float[np.ndarray, "m terms"]
+
+    @classmethod
+    def zero(cls, m: int, terms: int) -> _Sums:
+        return cls(np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms)))
+
+    def law(self, record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+        slope = self.slope / self.mean[:, None]
+        covariance = 2.0 * self.square / np.outer(self.mean, self.mean)
+        covariance += slope @ record.level_covariance @ slope.T
+        return AllanLaw(sizes / record.rate, self.measured / record.n, self.mean / record.n, covariance)
+
+
+def _chunks(size: int) -> Iterator[slice]:
+    """Parts of an array that double in length: the lowest coefficients differ most."""
+    first, length = 0, 1024
+    while first < size:
+        yield slice(first, min(first + length, size))
+        first, length = first + length, min(2 * length, _CHUNK)
+
+
+def octave_sizes(n: int) -> Int[np.ndarray, " m"]:
+    """Clusters of 1, 2, 4, … samples, up to half of the record."""
+    return 2 ** np.arange(int(np.log2(n // 2)) + 1)
+
+
+def octave_bins(n: int) -> Int[np.ndarray, " bins+1"]:
+    """Edges of logarithmic bins of the coefficients 1 … n−1, six an octave once that makes more than one."""
+    edges = [1]
+    while (last := edges[-1]) < n:
+        edges.append(last + max(1, int(last * (2.0 ** (1.0 / _PER_OCTAVE) - 1.0))))
+    # What is left over at the end belongs to the last whole bin.
+    return np.append(edges[:-2], n)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Comparison:
+    """A measured curve and where 95 % of simulations lie.
+
+    Attributes:
+        statistic: "allan_deviation" [rate, SI] over cluster time [s], or "psd", one-sided [rate²/Hz, SI],
+            over frequency [Hz].
+        place: cluster times or frequencies.
+        measured: the curve.
+        low, median, high: 2.5, 50 and 97.5 % of simulations.
+    """
+
+    statistic: str
+    place: Float[np.ndarray, " m"]
+    measured: Float[np.ndarray, " m"]
+    low: Float[np.ndarray, " m"]
+    median: Float[np.ndarray, " m"]
+    high: Float[np.ndarray, " m"]
+
+
+def summaries(record: Whitened) -> tuple[Comparison, Comparison]:
+    """Allan deviation and power spectral density, beside their simulations."""
+    n = record.n
+    sizes = np.unique(
+        np.rint(2.0 ** (np.arange(_CURVE_PER_OCTAVE * np.log2(n // 2) + 1) / _CURVE_PER_OCTAVE))
+    )
+    law = allan_law(record, sizes.astype(int))
+    allan = Comparison(
+        "allan_deviation",
+        law.time,
+        np.sqrt(law.measured),
+        *(np.sqrt(law.quantile(p)) for p in (0.025, 0.5, 0.975)),
+    )
+    edges = octave_bins(n)
+    first, count = edges[:-1] - 1, np.diff(edges)
+    q = np.add.reduceat(record.shares * record.variance, first, axis=1)
+    expected = np.add.reduceat(record.variance, first)
+    q = q / expected
+    spread = 2.0 / count + np.einsum("kb,kl,lb->b", q, record.level_covariance, q)
+    dof = 2.0 / spread
+    density = 2.0 / record.rate / count
+    low, median, high = (density * expected * chi2.ppf(p, dof) / dof for p in (0.025, 0.5, 0.975))
+    middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * n)
+    measured = density * np.add.reduceat(record.c**2, first)
+    return allan, Comparison("psd", middle, measured, low, median, high)

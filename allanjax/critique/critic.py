@@ -1,0 +1,183 @@
+"""The critique of a recording: fit, compare with simulations, find causes, extend, compare again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from allanjax.critique.causes import CAUSES
+from allanjax.critique.causes.common_mode import common_mode
+from allanjax.critique.comparison import Whitened
+from allanjax.critique.discrepancies import discrepancies, mended
+from allanjax.critique.gain import coefficient_changes, drift_change
+from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival, Snapshot
+from allanjax.critique.search import Search, Step, extended, search, slope, view_of
+from allanjax.critique.view import Cause, Quantity, View
+from allanjax.errors import AllanjaxError, FitError
+from allanjax.fit import fit as fit_recording
+from allanjax.recording import Recording
+from allanjax.result import Fit
+
+# Discrepancies of an extended model that are less probable than this are reported as unexplained.
+_UNEXPLAINED = 1e-6
+# Statistics that compare with other channels: what they show has a cause there.
+_BETWEEN = ("cross_correlation", "auxiliary_correlation")
+_IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
+_SHORTEST = 1024
+_WORKERS = 2
+
+
+def criticize(
+    recording: Recording,
+    fit: Fit | None,
+    causes: Sequence[Cause] | None,
+    false_alarms: float,
+    progress: Callable[[str], None] | None,
+) -> Critique:
+    """See `allanjax.critique.critique`."""
+    causes = CAUSES if causes is None else causes
+    tell = progress or (lambda text: None)
+    label = recording.name or "the recording"
+    if not 0.0 < false_alarms < 1.0:
+        raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
+    if recording.n < _SHORTEST:
+        raise FitError(
+            f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
+        )
+    if fit is None:
+        tell("fitting the noise model")
+        fit = fit_recording(recording)
+    if fit.axes != recording.names:
+        raise AllanjaxError(
+            f"the fit is of {', '.join(fit.axes)}, the recording has {', '.join(recording.names)}"
+        )
+    alpha = false_alarms / (len(recording.axes) * (len(causes) + 1))
+
+    def searched(k: int) -> Search:
+        result = fit.results[k]
+        scale, x = float(recording.own_scales[k]), recording.values[:, k]
+        view = view_of(result.axis, scale, x, recording.rate, recording.auxiliary, result, fit.chosen)
+        return search(view, causes, alpha, tell)
+
+    # The work is in transforms and compiled functions, which run beside each other.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        searches = list(pool.map(searched, range(len(recording.axes))))
+    tell("comparing measurement and simulation")
+    stages = [_stages(s) for s in searches]
+    first, last = (
+        [
+            Whitened.of(s.start.axis, s.start.scale, s.start.rate, of_axis[i])
+            for s, of_axis in zip(searches, stages, strict=True)
+        ]
+        for i in (0, -1)
+    )
+    shared = tuple(common_mode(recording.names, [w.z for w in last], recording.rate, alpha))
+    axes = []
+    for k, s in enumerate(searches):
+        before = _compared(k, first, s.start.raw, recording, s.start)
+        after = _compared(k, last, s.end.x if _restored(s) else s.start.raw, recording, s.end)
+        tell(f"{s.start.axis.name}: measuring the gain")
+        middle = [Whitened.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
+        records = [first[k], *middle, *([last[k]] if s.steps else [])]
+        pairs = [
+            (*of_step, *_of_samples(step, before, after))
+            for step, of_step in zip(s.steps, mended(records, recording.auxiliary), strict=True)
+        ]
+        findings = [_finding(step, of_step) for step, of_step in zip(s.steps, pairs, strict=True)]
+        together = {name for f in shared if s.start.axis.name in f.axes for name in f.axes}
+        findings += _unexplained(s, after, bool(together))
+        axes.append(
+            AxisCritique(
+                s.start.axis,
+                tuple(findings),
+                before,
+                after,
+                s.tests,
+                stages[k],
+                fit.results[k].model,
+                extended(s),
+            )
+        )
+    return Critique(recording.name, recording.rate, fit, tuple(axes), shared, fit.notes)
+
+
+def _restored(s: Search) -> bool:
+    return any(step.candidate.cause in ("rounding", "saturation", "repeated_samples") for step in s.steps)
+
+
+def _stages(s: Search) -> tuple[Snapshot, ...]:
+    # The last one is without all lines: of harmonics, which are one finding, some may have come late.
+    views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
+    return tuple(_snapshot(view) for view in views)
+
+
+def _snapshot(view: View) -> Snapshot:
+    noise = view.noise
+    ramp = slope(view) if noise.ramp else 0.0
+    return Snapshot(view.x, view.variance(), noise.terms, noise.power, noise.shape, ramp)
+
+
+def _compared(
+    k: int, records: Sequence[Whitened], raw: np.ndarray, recording: Recording, view: View
+) -> tuple[Discrepancy, ...]:
+    others = {w.axis.name: w for i, w in enumerate(records) if i != k}
+    return discrepancies(records[k], raw, others, recording.auxiliary)
+
+
+def _of_samples(
+    step: Step, before: tuple[Discrepancy, ...], after: tuple[Discrepancy, ...]
+) -> list[tuple[Discrepancy, Discrepancy]]:
+    """What is seen in the samples themselves, and is mended by the causes that are found there."""
+    statistic = _IN_SAMPLES.get(step.candidate.cause)
+    old, new = ({d.statistic: d for d in found} for found in (before, after))
+    return [(old[statistic], new[statistic])] if statistic else []
+
+
+def _finding(step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...]) -> Finding:
+    candidate = step.candidate
+    return Finding(
+        cause=candidate.cause,
+        axes=(step.before.axis.name,),
+        parameters=candidate.parameters,
+        p_value=candidate.p_value,
+        evidence=float(candidate.gain),
+        gain=float(step.gain),
+        rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
+        span=(float(candidate.span[0]), float(candidate.span[1])),
+        domain=candidate.domain,
+        coefficients=coefficient_changes(step),
+        drift=drift_change(step),
+        discrepancies=pairs,
+    )
+
+
+def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
+    """The most significant discrepancy that is left, if it is beyond doubt."""
+    left = [d for d in after if d.p_value < _UNEXPLAINED and not (shared and d.statistic in _BETWEEN)]
+    if not left:
+        return []
+    worst = min(left, key=lambda d: d.p_value)
+    parameters = {
+        "statistic": Quantity((worst.statistic,), 0.0, ""),
+        "where": Quantity(worst.where, 0.0, worst.where_unit),
+        "measured": Quantity(worst.measured, 0.0, worst.unit),
+        "simulated": Quantity(worst.simulated, 0.0, worst.unit),
+    }
+    time = worst.where_unit == "s"
+    span = (0.0, s.start.duration) if time else (0.0, s.start.rate / 2.0)
+    return [
+        Finding(
+            "unexplained",
+            (s.start.axis.name,),
+            parameters,
+            worst.p_value,
+            0.0,
+            0.0,
+            (),
+            span,
+            "time" if time else "frequency",
+            discrepancies=((worst, worst),),
+        )
+    ]

@@ -1,0 +1,89 @@
+"""What a finding changes: the basic coefficients, and the drift that the model predicts."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critique.noise import FIXED, MARKOV, centred, family_of
+from allanjax.critique.result import CoefficientChange, DriftChange
+from allanjax.critique.search import Step
+from allanjax.critique.view import View
+from allanjax.selection import basic_terms
+from allanjax.terms import Markov
+from allanjax.units import default_coefficient_unit, unit_scale
+
+_HORIZONS = 2.0 ** np.arange(0.0, 20.0)
+_ANGLE = {"gyro": ("deg", np.pi / 180.0), "accel": ("m/s", 1.0)}
+
+
+def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
+    """Every basic coefficient that the noise had before or has after a finding."""
+    before, after = step.before.noise.power, step.candidate.after.noise.power
+    sensor = step.before.axis.sensor
+    changes = []
+    for name in (*FIXED, MARKOV):
+        if name not in before and name not in after:
+            continue
+        term = Markov() if name == MARKOV else basic_terms()[name]
+        unit = default_coefficient_unit(sensor, term.parameters()[0].time_exponent)
+        scale = unit_scale(unit, sensor)
+        old, new = (float(np.sqrt(p[name])) / scale if name in p else float("nan") for p in (before, after))
+        changes.append(CoefficientChange(name, old, new, unit))
+    return tuple(changes)
+
+
+def drift_change(step: Step) -> DriftChange | None:
+    """Drift predicted for one half of the record from the noise of the other, before and after a finding.
+
+    The drift over a time T is the integral of the rate over T less that over the T before: its mean square is
+    2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
+    taken together. An effect with a shape of its own drifts as its shape does.
+    """
+    before, after = step.before, step.candidate.after
+    half = before.n // 2
+    T = _HORIZONS[_HORIZONS * before.rate * 4.0 <= half]
+    if len(T) == 0:
+        return None
+    m = np.rint(T * before.rate).astype(int)
+    rows = []
+    for mine, other in ((slice(0, half), slice(half, 2 * half)), (slice(half, 2 * half), slice(0, half))):
+        effect = (before.x - after.x)[mine]
+        measured = _mean_squares(before.x[mine], m)
+        old = _predicted(before, other, half, m)
+        new = _predicted(after, other, half, m) + _mean_squares(effect, m)
+        rows.append((measured, old, new))
+    measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
+    k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
+    unit, scale = _ANGLE[before.axis.sensor]
+    found, was, now = (float(x[k] / scale) for x in (measured, old, new))
+    return DriftChange(float(T[k]), found, was, now, unit)
+
+
+def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray, " m"]:
+    """Half the mean square difference of successive means of m samples."""
+    total = np.concatenate([[0.0], np.cumsum(x - x.mean())])
+    found = []
+    for k in m:
+        d = (total[2 * k :] - 2.0 * total[k:-k] + total[: -2 * k]) / k
+        found.append(0.5 * float(np.mean(d**2)))
+    return np.array(found)
+
+
+def _predicted(view: View, rows: slice, half: int, m: np.ndarray) -> Float[np.ndarray, " m"]:
+    """Allan variances of the noise that a half of the record shows."""
+    family = family_of(half, view.rate)
+    factor = None
+    if view.factor is not None:
+        whole = np.arange(1, view.n) / view.n
+        factor = np.interp(np.arange(1, half) / half, whole, view.factor)
+    noise = family.of(centred(view.x[rows]), factor).best(view.allowed)
+    v = noise.variance if factor is None else noise.variance * factor
+    a = np.pi * np.arange(1, half) / half
+    sine = np.sin(a / 2.0) ** 2
+    variances = [float(np.sum(v * 2.0 * np.sin(k * a / 2.0) ** 4 / sine)) / (half * k**2) for k in m]
+    ramp = 0.0
+    if noise.ramp:
+        c, r = centred(view.x[rows]), family.ramp
+        ramp = float(np.sum(r * c / v) / np.sum(r**2 / v))
+    return np.array(variances) + 0.5 * (ramp * m / view.rate) ** 2

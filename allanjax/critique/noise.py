@@ -1,0 +1,236 @@
+"""The noise of one axis, for whitening: the basic terms and their powers, chosen anew for every hypothesis.
+
+An effect that is not in the model is taken for noise: a step for a random walk, a temperature's influence for
+a Markov process. So no cause can be judged against noise estimated with the effect still in it. Each
+hypothesis gets the noise that suits it best (`NoiseFamily.best`), and what is compared is their evidence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from allanjax.cosine import CosineBins, cosine_transform
+from allanjax.deterministic import ramp_column
+from allanjax.evidence import BLOCK, Evidence, Job, Levels, evidences
+from allanjax.model import Model
+from allanjax.selection import basic_terms, jobs_of
+from allanjax.terms import Markov, NoiseTerm, PowerLaw
+
+FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
+MARKOV, POWER_LAW, RAMP = "markov", "power_law", "drift_ramp"
+#: Values of the free shape (a correlation time or an exponent) that are compared.
+GRID = 16
+# Slopes that no basic term has; the grid keeps its distance from those that have one.
+_EXPONENTS = np.array(
+    [-0.6, -0.4, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 1.25, 1.35, 1.5, 1.65, 1.75, 2.3, 2.5, 2.8]
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Noise:
+    """A set of noise terms with their coefficients.
+
+    Attributes:
+        power: squared coefficient of each term, by name.
+        shape: correlation time [s] or exponent of the term that has one, nan if there is none.
+        ramp: whether a ramp was projected out.
+        log_evidence: of the record under this set [nats], up to a constant common to all sets.
+        variance: expected squared cosine coefficients c_1 … c_{n−1} [rate²].
+    """
+
+    power: dict[str, float]
+    shape: float
+    ramp: bool
+    log_evidence: float
+    variance: Float[np.ndarray, " n-1"]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms, the ramp included."""
+        return (*self.power, RAMP) if self.ramp else tuple(self.power)
+
+    def model(self) -> Model:
+        """The random terms with their values."""
+        terms: list[NoiseTerm] = []
+        for name, power in self.power.items():
+            value = float(np.sqrt(power))
+            if name == MARKOV:
+                terms.append(Markov(value, self.shape))
+            elif name == POWER_LAW:
+                terms.append(PowerLaw(value, self.shape))
+            else:
+                terms.append(basic_terms()[name].replace(coefficient=value))
+        return Model(tuple(terms))
+
+
+class NoiseFamily:
+    """All sets of basic terms for records of n samples at a rate.
+
+    A set with a power law has it in the Markov process's place.
+    """
+
+    def __init__(self, n: int, rate: float) -> None:
+        self.n, self.rate = n, rate
+        self.bins = CosineBins.of(n, rate)
+        self.keep = self.bins.size > 0
+        self.size = self.bins.size[self.keep].astype(float)
+        self.times = np.geomspace(4.0 / rate, n / rate / 4.0, GRID)
+        self.frequency = np.arange(1, n) * rate / (2.0 * n)
+        unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
+        self.spectra = np.stack([self.spectrum(term) for term in unit])
+        self.columns = np.asarray(_levels(tuple(unit), self.bins, Markov, self.times))[:, self.keep]
+        self.jobs = jobs_of(len(FIXED), GRID, True)
+        self.ramp = ramp_column(n, rate)
+
+    def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
+        """Expected squared coefficients [rate²] of a term of any amplitude, from its density."""
+        return self.rate * np.asarray(term.sampled_psd(self.frequency, self.rate))
+
+    @functools.cached_property
+    def power_laws(self) -> Float[np.ndarray, "grid m"]:
+        """Levels of power laws of unit amplitude."""
+        return np.asarray(_levels((), self.bins, PowerLaw, _EXPONENTS))[:, self.keep]
+
+    def of(
+        self,
+        c: Float[np.ndarray, " n-1"],
+        factor: Float[np.ndarray, " n-1"] | None = None,
+        fold: Bool[np.ndarray, " n-1"] | None = None,
+    ) -> Weighing:
+        """Weigh all sets for a record with these coefficients, its spectrum being theirs times `factor`.
+
+        With a `fold` only its coefficients are looked at.
+        """
+        used = np.ones(self.n - 1) if fold is None else fold.astype(float)
+        constant = 0.0 if factor is None else -0.5 * float(used @ np.log(factor))
+        weight = used if factor is None else used / factor
+        sums = (self.bins.sums(weight * z)[self.keep][None] for z in (c**2, c * self.ramp, self.ramp**2))
+        size = self.size if fold is None else self.bins.sums(used)[self.keep]
+        return Weighing(self, Levels(*sums), size, constant)
+
+    def run(
+        self, levels: Levels, size: Float[np.ndarray, " m"], grid: Float[np.ndarray, "grid m"]
+    ) -> Evidence:
+        """Evidence and powers of every job."""
+        total, blocks = len(self.jobs.ramp), []
+        for first in range(0, total, BLOCK):
+            rows = np.minimum(np.arange(first, first + BLOCK), total - 1)
+            block = Job(*(x[rows] for x in self.jobs))
+            share = np.ones((1, len(self.size)))
+            found = evidences(block, levels, self.columns[: len(FIXED)], grid, size, share)
+            blocks.append(jax.device_get(found))
+        parts = zip(*blocks, strict=True)
+        return Evidence(*(np.concatenate([b[0] for b in part])[:total] for part in parts))
+
+    @functools.lru_cache(maxsize=2 * GRID)  # noqa: B019 - families are few, and themselves cached
+    def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
+        """Levels and spectrum of a Markov process or a power law of unit amplitude, by place in its grid."""
+        if name == MARKOV:
+            return self.columns[len(FIXED) + index], self.spectrum(Markov(1.0, self.times[index]))
+        return self.power_laws[index], self.spectrum(PowerLaw(1.0, float(_EXPONENTS[index])))
+
+    def expected(self, power: dict[str, float], index: int) -> Float[np.ndarray, " n-1"]:
+        """Expected squared coefficients of a set: exact for the lowest, then from the density."""
+        variance = np.zeros(self.n - 1)
+        low = np.zeros(len(self.columns[0]))
+        for name, p in power.items():
+            k = FIXED.index(name) if name in FIXED else -1
+            level, spectrum = self.shaped(name, index) if k < 0 else (self.columns[k], self.spectra[k])
+            variance += p * spectrum
+            low += p * level
+        single = int(np.sum(np.cumprod(self.size == 1.0)))
+        variance[:single] = low[:single]
+        return variance
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Weighing:
+    """The statistics of one hypothetical record, from which sets of noise terms are weighed."""
+
+    family: NoiseFamily
+    levels: Levels
+    size: Float[np.ndarray, " m"]
+    constant: float
+
+    @functools.cached_property
+    def _basic(self) -> Evidence:
+        return self.family.run(self.levels, self.size, self.family.columns[len(FIXED) :])
+
+    @functools.cached_property
+    def _with_power_law(self) -> Evidence:
+        return self.family.run(self.levels, self.size, self.family.power_laws)
+
+    def best(
+        self,
+        allowed: Collection[str] = (*FIXED, MARKOV, RAMP),
+        required: Sequence[str] = (),
+    ) -> Noise:
+        """The most probable set of `allowed` terms that has the `required` ones."""
+        evidence = self._with_power_law if POWER_LAW in allowed else self._basic
+        jobs, grid = self.family.jobs, POWER_LAW if POWER_LAW in allowed else MARKOV
+        possible = np.ones(len(jobs.ramp), bool)
+        for name, has in self._members(grid):
+            if name not in allowed:
+                possible &= ~has
+            if name in required:
+                possible &= has
+        values = np.where(possible, evidence.log_evidence, -np.inf)
+        in_grid = jobs.terms[:, -1]
+        # The evidence of a set with a free shape is the mean over its grid.
+        total = values.copy()
+        keys = np.column_stack([jobs.terms[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
+        for key in np.unique(keys[in_grid & possible]):
+            rows = in_grid & (keys == key)
+            mean = np.logaddexp.reduce(values[rows]) - np.log(rows.sum())
+            total[rows] = np.where(values[rows] == values[rows].max(), mean, -np.inf)
+        k = int(np.argmax(total))
+        names = [*FIXED, grid]
+        power = {
+            names[i]: float(evidence.power[k, i])
+            for i in np.flatnonzero(jobs.terms[k])
+            if evidence.power[k, i] > 0.0
+        }
+        shape = float("nan")
+        if grid in power:
+            values_of = _EXPONENTS if grid == POWER_LAW else self.family.times
+            shape = float(values_of[jobs.column[k]])
+        variance = self.family.expected(power, int(jobs.column[k]))
+        return Noise(power, shape, bool(jobs.ramp[k]), float(total[k]) + self.constant, variance)
+
+    def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
+        jobs = self.family.jobs
+        members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
+        return [*members, (RAMP, jobs.ramp)]
+
+
+@functools.lru_cache(maxsize=2)
+def family_of(n: int, rate: float) -> NoiseFamily:
+    """The family for such records; the axes of a recording share it."""
+    return NoiseFamily(n, rate)
+
+
+@eqx.filter_jit
+def _levels(
+    terms: tuple[NoiseTerm, ...],
+    bins: CosineBins,
+    shaped: Callable[[float, Any], NoiseTerm],
+    shapes: Float[ArrayLike, " grid"],
+) -> Float[Array, "rows m"]:
+    """Levels in the bins of these terms, and of one with each of its shapes, amplitude 1."""
+    rows = [bins.expected(term) for term in terms]
+    rows += list(jax.lax.map(lambda shape: bins.expected(shaped(1.0, shape)), jnp.asarray(shapes)))
+    return jnp.stack(rows)
+
+
+def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
+    """Coefficients c_1 … c_{n−1} of a record."""
+    return cosine_transform(x - x.mean())

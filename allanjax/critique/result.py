@@ -1,0 +1,241 @@
+"""What the critic found: discrepancies, findings, and the extended model of every axis."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critique.view import Quantity
+from allanjax.errors import AllanjaxError
+from allanjax.model import Model
+from allanjax.recording import Axis
+from allanjax.result import Fit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Discrepancy:
+    """One respect in which the measurement was compared with its simulation.
+
+    Attributes:
+        statistic: what was compared, e.g. "allan_deviation".
+        where: place of the largest difference, e.g. 0.7.
+        where_unit: its unit, "s" or "Hz", or "" where there is no place.
+        measured, simulated: the statistic there, in `unit`; simulated is the ensemble's median.
+        unit: of these two.
+        p_value: probability of a difference as large anywhere, under the model.
+        channel: the other axis or channel, of a correlation.
+    """
+
+    statistic: str
+    where: float
+    where_unit: str
+    measured: float
+    simulated: float
+    unit: str
+    p_value: float
+    channel: str = ""
+
+    @property
+    def size(self) -> float:
+        """Relative error of the simulation, simulated/measured − 1; nan where measured is zero."""
+        return self.simulated / self.measured - 1.0 if self.measured else float("nan")
+
+
+@dataclasses.dataclass(frozen=True)
+class Rival:
+    """Another cause that explains nearly as much.
+
+    Attributes:
+        cause: its name.
+        odds: of the finding's cause against it.
+    """
+
+    cause: str
+    odds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class CoefficientChange:
+    """A basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
+
+    label: str
+    before: float
+    after: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class DriftChange:
+    """Drift over a time: its root mean square on held-out stretches, and as predicted before and after.
+
+    The drift is the integrated rate less that of the mean rate of the stretch before, of equal length.
+    """
+
+    horizon: float
+    measured: float
+    before: float
+    after: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Finding:
+    """A cause that was found, and what is gained by taking it into the model.
+
+    Attributes:
+        cause: its name, from the vocabulary of `causes`.
+        axes: whose it is.
+        parameters: in the recording's own units, times from its start [s].
+        p_value: of its statistic on data without it, the search included.
+        evidence: log-evidence gained, all prices of the search paid [nats].
+        gain: log-likelihood gained on data that were used neither to find nor to fit it [nats].
+        rivals: causes whose odds against it are shorter than 1000.
+        span, domain: where it is, in s ("time") or Hz ("frequency").
+        coefficients: what became of the basic coefficients.
+        drift: what became of the predicted drift.
+        discrepancies: statistics before this finding and after it, each where it improved it most: pairs.
+    """
+
+    cause: str
+    axes: tuple[str, ...]
+    parameters: Mapping[str, Quantity]
+    p_value: float
+    evidence: float
+    gain: float
+    rivals: tuple[Rival, ...]
+    span: tuple[float, float]
+    domain: str
+    coefficients: tuple[CoefficientChange, ...] = ()
+    drift: DriftChange | None = None
+    discrepancies: tuple[tuple[Discrepancy, Discrepancy], ...] = ()
+
+    def __str__(self) -> str:
+        from allanjax.critique.story import sentence
+
+        return sentence(self)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Snapshot:
+    """An axis at one stage of the critique: for pictures, and to simulate from.
+
+    Attributes:
+        x: the samples without what was found up to here [SI].
+        variance: expected squared cosine coefficients of x [rate²].
+        terms: names of the basic terms in the noise.
+        powers: their squared coefficients (a ramp has none).
+        ramp: slope of a drift ramp [rate/s].
+    """
+
+    x: Float[np.ndarray, " n"]
+    variance: Float[np.ndarray, " n-1"]
+    terms: tuple[str, ...]
+    powers: Mapping[str, float]
+    shape: float
+    ramp: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisCritique:
+    """The critique of one axis.
+
+    Attributes:
+        axis: which.
+        findings: in the order in which they were made.
+        before, after: discrepancies of the baseline's and of the extended model's simulations.
+        tests: p-value of every cause's best candidate on the record as it came.
+        stages: the axis before the first finding and after each.
+        model: the extended model: noise terms and deterministic ones, with their values.
+    """
+
+    axis: Axis
+    findings: tuple[Finding, ...]
+    before: tuple[Discrepancy, ...]
+    after: tuple[Discrepancy, ...]
+    tests: Mapping[str, float]
+    stages: tuple[Snapshot, ...]
+    baseline: Model
+    model: Model
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Critique:
+    """What the simulation of a recording gets wrong, why, and what mending it gains.
+
+    Attributes:
+        name: the recording's name.
+        rate: its sample rate [Hz].
+        fit: the baseline.
+        axes: one critique an axis.
+        shared_findings: causes that concern several axes.
+        notes: what the user should know.
+    """
+
+    name: str
+    rate: float
+    fit: Fit
+    axes: tuple[AxisCritique, ...]
+    shared_findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[AxisCritique]:
+        return iter(self.axes)
+
+    def __len__(self) -> int:
+        return len(self.axes)
+
+    def __getitem__(self, axis: str) -> AxisCritique:
+        """The critique of one axis, e.g. `critique["gyro_x"]`."""
+        names = [a.axis.name for a in self.axes]
+        if axis not in names:
+            raise AllanjaxError(
+                f"{self.name or 'the critique'} has no axis {axis!r}; it has {', '.join(names)}"
+            )
+        return self.axes[names.index(axis)]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All findings: of each axis, then those that several share."""
+        return (*(f for axis in self.axes for f in axis.findings), *self.shared_findings)
+
+    @property
+    def models(self) -> dict[str, Model]:
+        """The extended model of each axis."""
+        return {a.axis.name: a.model for a in self.axes}
+
+    @property
+    def gain(self) -> float:
+        """Held-out log-likelihood gained by all findings [nats]."""
+        return float(sum(f.gain for f in self.findings))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; see `critique.schema.json`."""
+        from allanjax.critique.export import to_dict
+
+        return to_dict(self)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> tuple[Figure, ...]:
+        """A figure for every finding, and one for each axis without; written to the folder `path`."""
+        from allanjax.critique.plot import plot_critique
+
+        return plot_critique(self, path)
+
+    def __str__(self) -> str:
+        from allanjax.critique.story import story
+
+        return story(self)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        import html
+
+        return f"<pre>{html.escape(str(self))}</pre>"

@@ -1,0 +1,258 @@
+"""Look for causes one after the other, the most telling first, until nothing is left."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critique.noise import RAMP, family_of
+from allanjax.critique.view import EVERYTHING, MARGIN, Candidate, Cause, Quantity, View, in_time
+from allanjax.deterministic import line_columns, lines_of, take_out_lines
+from allanjax.model import Model
+from allanjax.recording import Axis
+from allanjax.result import AxisFit
+from allanjax.terms import DriftRamp
+
+# Rivals with longer odds against them than this are not worth a word.
+_ODDS = 1000.0
+_MOST = 8
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Step:
+    """One finding, as the search made it.
+
+    Attributes:
+        candidate: what was found.
+        gain: log-likelihood gained on held-out data [nats].
+        rivals: other causes and the odds against them.
+        before: the view that it was found in.
+    """
+
+    candidate: Candidate
+    gain: float
+    rivals: tuple[tuple[str, float], ...]
+    before: View
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Search:
+    """All that was found in one axis.
+
+    Attributes:
+        start: the axis as it came.
+        steps: the findings in their order.
+        end: the axis with all findings taken out.
+        tests: `Cause.p_value` of those causes that have one, in the axis as it came.
+    """
+
+    start: View
+    steps: tuple[Step, ...]
+    end: View
+    tests: Mapping[str, float]
+
+
+def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable[[str], None]) -> Search:
+    """Find all causes in one axis.
+
+    Args:
+        view: the axis.
+        causes: what to look for.
+        alpha: probability of a false finding, for each cause.
+        progress: is told what is being done.
+    """
+    start, steps = view, []
+    for cause in (c for c in causes if c.of_samples):
+        candidate = cause.detect(view)
+        if candidate is not None and candidate.p_value < alpha and (gain := candidate.held_out()) > 0.0:
+            steps.append(Step(candidate, gain, (), view))
+            view = candidate.after
+    others = [c for c in causes if not c.of_samples]
+    tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
+    active = others
+    while len(steps) < _MOST:
+        candidates = []
+        for cause in active:
+            progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
+            if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
+                candidates.append((cause, candidate))
+        step = _chosen([candidate for _, candidate in candidates], view, alpha)
+        if step is None:
+            if active is others:
+                break
+            active = others
+            continue
+        steps.append(step)
+        view = dataclasses.replace(step.candidate.after, found=(*view.found, step.candidate.cause))
+        # What had nothing to say is asked again when the others have finished.
+        active = [cause for cause, _ in candidates]
+    return Search(start, tuple(_grouped(steps)), view, tests)
+
+
+def _chosen(candidates: Sequence[Candidate], view: View, alpha: float) -> Step | None:
+    """The candidate that explains most, if it is significant and holds on data that it has not seen."""
+    ranked = sorted(candidates, key=lambda candidate: -candidate.gain)
+    for candidate in ranked:
+        if candidate.gain < MARGIN:
+            return None
+        if not candidate.p_value < alpha:
+            continue
+        gain = candidate.held_out()
+        if not gain > 0.0:
+            continue
+        rivals = [(other.cause, candidate.gain - other.gain) for other in ranked if other is not candidate]
+        # Basic terms that the finding replaces explained it so far.
+        rivals += [(t, candidate.gain) for t in view.noise.terms if t not in candidate.after.noise.terms]
+        odds = ((name, float(np.exp(behind))) for name, behind in rivals if behind < np.log(_ODDS))
+        return Step(candidate, gain, tuple(odds), view)
+    return None
+
+
+def _grouped(steps: Sequence[Step]) -> list[Step]:
+    """Harmonics of one fundamental together: their frequencies are multiples of it within their errors."""
+    lines = [s for s in steps if s.candidate.cause == "sinusoid"]
+    taken: set[int] = set()
+    grouped = []
+    for step in steps:
+        if id(step) in taken:
+            continue
+        if step in lines:
+            f = step.candidate.parameters["frequency"]
+            family = [
+                s for s in lines if id(s) not in taken and _harmonic(f, s.candidate.parameters["frequency"])
+            ]
+            lowest = min([step, *family], key=lambda s: _number(s.candidate.parameters["frequency"]))
+            members = [
+                s
+                for s in lines
+                if id(s) not in taken
+                and (
+                    s is lowest
+                    or _harmonic(
+                        lowest.candidate.parameters["frequency"], s.candidate.parameters["frequency"]
+                    )
+                )
+            ]
+            taken |= {id(s) for s in members}
+            grouped.append(_with_harmonics(lowest, [s for s in members if s is not lowest]))
+        else:
+            grouped.append(step)
+    return grouped
+
+
+def _number(q: Quantity) -> float:
+    return float(np.asarray(q.value))
+
+
+def _harmonic(one: Quantity, other: Quantity) -> bool:
+    """Whether the higher frequency is a small multiple of the lower one."""
+    low, high = sorted([one, other], key=_number)
+    order = np.rint(_number(high) / _number(low))
+    error = 4.0 * np.hypot(high.std, order * low.std)
+    return bool(2 <= order <= 20 and abs(_number(high) - order * _number(low)) < error)
+
+
+def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
+    if not others:
+        return step
+    f = _number(step.candidate.parameters["frequency"])
+    orders = tuple(float(np.rint(_number(s.candidate.parameters["frequency"]) / f)) for s in others)
+    amplitudes = tuple(_number(s.candidate.parameters["amplitude"]) for s in others)
+    own = step.candidate.parameters["amplitude"]
+    extra = {
+        "harmonics": Quantity(orders, 0.0, "1"),
+        "harmonic_amplitudes": Quantity(amplitudes, own.std, own.unit),
+    }
+
+    def extend(model: Model) -> Model:
+        for s in (step, *others):
+            model = s.candidate.extend(model)
+        return model
+
+    candidate = dataclasses.replace(
+        step.candidate,
+        parameters={**step.candidate.parameters, **extra},
+        gain=step.candidate.gain + sum(s.candidate.gain for s in others),
+        extend=extend,
+    )
+    return dataclasses.replace(step, candidate=candidate, gain=step.gain + sum(s.gain for s in others))
+
+
+def view_of(
+    axis: Axis,
+    scale: float,
+    x: Float[np.ndarray, " n"],
+    rate: float,
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
+    result: AxisFit,
+    chosen: bool,
+) -> View:
+    """The first view of an axis: the baseline's basic terms, and what else it has taken out."""
+    n = len(x)
+    family = family_of(n, rate)
+    if chosen:
+        return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, np.zeros(n, bool))
+    model = result.model
+    basic = [name for name in model.term_labels if name in EVERYTHING]
+    others = model.without(basic)
+    y, density = x, np.zeros(n - 1)
+    for term in others.terms:
+        if not term.deterministic:
+            density += family.spectrum(term.sampled(rate))
+    if any(term.deterministic for term in others.terms):
+        y = _without_deterministic(others, x, rate)
+    factor = None
+    if density.any():
+        noise = np.zeros(n - 1)
+        for name in basic:
+            if name != RAMP:
+                noise += family.spectrum(model[name].sampled(rate))
+        factor = 1.0 + density / np.maximum(noise, 1e-12 * density)
+    # A baseline without any basic noise still needs one to be compared with.
+    allowed = tuple(basic) if set(basic) - {RAMP} else ("angle_random_walk", *basic)
+    return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, np.zeros(n, bool))
+
+
+def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Float[np.ndarray, " n"]:
+    """The record without a baseline's lines and transients, by least squares."""
+    lines, wanted = lines_of(model)
+    y = x - x.mean()
+    t = (np.arange(len(x)) + 0.5) / rate
+    columns = [
+        np.asarray(term.column(jnp.asarray(t)))
+        for k, term in enumerate(model.terms)
+        if term.deterministic and k not in lines
+    ]
+    if columns:
+        D = np.column_stack(columns)
+        D = D - D.mean(axis=0)
+        y = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
+    if lines:
+        c, found = take_out_lines(y, rate, wanted)
+        c = c.copy()
+        for line in found:
+            D = np.asarray(line_columns(line.frequency, line.indices, len(x), rate))
+            c[line.indices - 1] -= D @ np.linalg.lstsq(D, line.coefficients, rcond=None)[0]
+        y = in_time(c)
+    return y + x.mean()
+
+
+def extended(search: Search) -> Model:
+    """The model of an axis with all findings in it."""
+    noise = search.end.noise
+    model = noise.model()
+    if noise.ramp:
+        model = model + DriftRamp(abs(slope(search.end)))
+    for step in search.steps:
+        model = step.candidate.extend(model)
+    return model
+
+
+def slope(view: View) -> float:
+    """The record's ramp [rate/s] in its noise."""
+    v, ramp = view.variance(), view.family.ramp
+    return float(np.sum(ramp * view.c / v) / np.sum(ramp**2 / v))

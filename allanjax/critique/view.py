@@ -1,0 +1,247 @@
+"""What a cause sees, and what it may answer: one axis of a recording, whitened, and candidates."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.fft import dct, idct
+
+from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, Weighing, centred
+from allanjax.model import Model
+from allanjax.recording import Axis
+
+# Noise that drifts may be an effect in disguise: these sets are looked through too.
+_STEADY: tuple[tuple[str, ...], ...] = (
+    ("quantization", "angle_random_walk"),
+    ("quantization", "angle_random_walk", "bias_instability"),
+    ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", RAMP),
+)
+#: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of seven to one, all prices paid.
+MARGIN = 2.0
+EVERYTHING = (*FIXED, MARKOV, RAMP)
+# Of filling in: samples that a level is the mean of, and steps of the conjugate gradients.
+_SMOOTH, _CONJUGATE = 100, 30
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """A parameter of a finding: value (a number, or several), standard deviation, unit."""
+
+    value: float | tuple[float, ...] | tuple[str, ...]
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class View:
+    """One axis as the critic sees it: what was found before has been taken out.
+
+    Attributes:
+        axis, scale: whose it is; factor from its own unit to SI.
+        rate: sample rate [Hz].
+        raw: the samples as recorded [SI].
+        x: the samples without what was found before.
+        factor: ratio of the spectrum to that of the basic terms, 1 if there is nothing else.
+        noise: the best set of basic terms for x.
+        auxiliary: other channels.
+        allowed: basic terms that the noise may have.
+        family: to weigh other sets and other records with.
+        restored: samples that were filled in, which tell nothing.
+        found: causes found so far.
+    """
+
+    axis: Axis
+    scale: float
+    rate: float
+    raw: Float[np.ndarray, " n"]
+    x: Float[np.ndarray, " n"]
+    factor: Float[np.ndarray, " n-1"] | None
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]]
+    allowed: Collection[str]
+    family: NoiseFamily
+    restored: Bool[np.ndarray, " n"]
+    found: tuple[str, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.x)
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.n / self.rate
+
+    @functools.cached_property
+    def c(self) -> Float[np.ndarray, " n-1"]:
+        """Cosine coefficients of x."""
+        return centred(self.x)
+
+    @functools.cached_property
+    def weighing(self) -> Weighing:
+        """Of the sets of basic terms, for x."""
+        return self.family.of(self.c, self.factor)
+
+    @functools.cached_property
+    def noise(self) -> Noise:
+        """The best set of basic terms."""
+        return self.weighing.best(self.allowed)
+
+    def variance(self, noise: Noise | None = None) -> Float[np.ndarray, " n-1"]:
+        """Expected squared coefficients [rate²], all that was found before included."""
+        v = (noise or self.noise).variance
+        return v if self.factor is None else v * self.factor
+
+    @functools.cached_property
+    def noises(self) -> tuple[Noise, ...]:
+        """The best set, and the best among steadier ones: an effect may have been taken for drift."""
+        found = [self.noise]
+        for allowed in _STEADY:
+            if not set(allowed) & set(self.allowed) - {"quantization"}:
+                continue
+            other = self.weighing.best([t for t in allowed if t in self.allowed])
+            if all(set(other.terms) != set(known.terms) for known in found):
+                found.append(other)
+        return tuple(found)
+
+    @functools.cached_property
+    def e(self) -> Float[np.ndarray, " n"]:
+        """Whitened residuals in time order: independent and standard normal if the model is right."""
+        return in_time(self.c / np.sqrt(self.variance()))
+
+    @functools.cached_property
+    def spikes(self) -> tuple[Float[np.ndarray, " n"], float]:
+        """What each sample is above its best prediction from all others [SI], and that one's error."""
+        v = self.variance()
+        precision = float(np.mean(1.0 / v))
+        return in_time(self.c / v) / precision, float(1.0 / np.sqrt(precision))
+
+    def with_x(self, x: Float[np.ndarray, " n"], factor: Float[np.ndarray, " n-1"] | None = None) -> View:
+        """The view of other samples, and of a spectrum with a further factor."""
+        if factor is None:
+            factor = self.factor
+        elif self.factor is not None:
+            factor = factor * self.factor
+        return dataclasses.replace(self, x=x, factor=factor)
+
+    def allowing(self, terms: Collection[str]) -> View:
+        """The view with these basic terms in the noise."""
+        return dataclasses.replace(self, allowed=tuple(terms))
+
+    def recoloured(self, e: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """The samples whose whitened residuals are e."""
+        c = dct(e, norm="ortho", workers=-1)
+        c[1:] *= np.sqrt(self.variance())
+        c[0] = np.sqrt(self.n) * self.x.mean()
+        return idct(c, norm="ortho", workers=-1)
+
+    def filled(self, missing: Bool[np.ndarray, " n"]) -> View:
+        """The view with these samples drawn anew, given all others and the model.
+
+        A draw of the whole record from the model is corrected by the best prediction of what it lacks
+        (conditional simulation); twice, since the model first knows the samples that are to go.
+        """
+        from scipy.ndimage import uniform_filter1d
+
+        rng = np.random.default_rng(int(missing.sum()))
+        x, known = self.x.copy(), np.flatnonzero(~missing)
+        # To begin with, the known neighbours' mean, and noise as between neighbours.
+        step = float(np.median(abs(np.diff(x[known])))) / 0.6745 / np.sqrt(2.0)
+        smooth = uniform_filter1d(x[known], min(_SMOOTH, len(known)), mode="nearest")
+        gaps = np.flatnonzero(missing)
+        x[gaps] = np.interp(gaps, known, smooth) + step * rng.standard_normal(len(gaps))
+        for _ in range(2):
+            v = self.with_x(x).variance()
+            draw = in_time(np.sqrt(v) * rng.standard_normal(self.n - 1)) + x.mean()
+            x = np.where(missing, draw + _predicted(x - draw, missing, v), x)
+        return dataclasses.replace(self.with_x(x), restored=self.restored | missing)
+
+    def own(self, value: float, std: float, per: str = "") -> Quantity:
+        """An amplitude in the recording's own unit."""
+        return Quantity(value / self.scale, std / self.scale, self.axis.unit + per)
+
+
+def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
+    """The samples with these cosine coefficients c_1 … c_{n−1}, without mean."""
+    return idct(np.concatenate([[0.0], coefficients]), norm="ortho", workers=-1)
+
+
+def _predicted(
+    d: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]
+) -> Float[np.ndarray, " n"]:
+    """The missing samples of d, by the others and a noise of this spectrum: d_m minimizes d'C⁻¹d."""
+
+    def precision(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return in_time(dct(y, norm="ortho", workers=-1)[1:] / v)
+
+    gaps = np.flatnonzero(missing)
+    y = np.interp(np.arange(len(d)), np.flatnonzero(~missing), d[~missing])
+    residual = -precision(y)[gaps]
+    direction, square, full = residual.copy(), float(residual @ residual), np.zeros(len(d))
+    first = square
+    for _ in range(_CONJUGATE):
+        if square <= 1e-6 * first or square == 0.0:
+            break
+        full[gaps] = direction
+        image = precision(full)[gaps]
+        a = square / float(direction @ image)
+        y[gaps] += a * direction
+        residual -= a * image
+        square, old = float(residual @ residual), square
+        direction = residual + square / old * direction
+    return y
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Candidate:
+    """An explanation for something in a view.
+
+    Attributes:
+        cause: its name.
+        parameters: with standard deviations, in the recording's units.
+        gain: by how much the log-evidence grows [nats], the price of the search paid.
+        p_value: of its statistic where there is no such effect, the search included.
+        after: the view without it.
+        held_out: log-likelihood gained on data that it was not estimated from [nats].
+        span: where it is: start and end in time [s], or low and high frequency [Hz]; `domain` says which.
+        extend: adds it to a model of noise terms.
+    """
+
+    cause: str
+    parameters: Mapping[str, Quantity]
+    gain: float
+    p_value: float
+    after: View
+    held_out: Callable[[], float]
+    span: tuple[float, float]
+    domain: str
+    extend: Callable[[Model], Model] = lambda model: model
+
+
+class Cause(ABC):
+    """Something that a sensor's model may lack.
+
+    A subclass has a `name` and looks for itself in a view: the best candidate, or None where there is nothing
+    worth testing.
+    """
+
+    name: ClassVar[str]
+    #: Whether it is read off the samples themselves and must be undone before anything else is looked at.
+    of_samples: ClassVar[bool] = False
+
+    @abstractmethod
+    def detect(self, view: View) -> Candidate | None:
+        """The best candidate of this cause."""
+
+    def p_value(self, view: View) -> float | None:
+        """Probability of a statistic as large as the view's, if its noise is all there is.
+
+        Uniform then; the search over places is part of it. None where the cause has no such statistic.
+        """
+        return None

@@ -1,0 +1,271 @@
+"""The critic's tools, each against a computation of another kind: dense matrices, simulation, enumeration."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from scipy.fft import dct
+from scipy.linalg import toeplitz
+from scipy.stats import kstest, norm
+
+from allanjax.critique.bank import Bank, extrapolated, step_coefficients
+from allanjax.critique.causes.common_mode import _p_value, common_mode
+from allanjax.critique.causes.imputation import imputed
+from allanjax.critique.causes.rounding import lattice
+from allanjax.critique.causes.telegraph import _path, two_levels
+from allanjax.critique.gain import drift_change
+from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, family_of
+from allanjax.critique.search import Step
+from allanjax.critique.view import EVERYTHING, Candidate, View
+from allanjax.recording import Axis
+
+AXIS = Axis("accel_x", "accel", "m/s²")
+N, RATE = 128, 4.0
+POWERS = {"angle_random_walk": 0.8**2, "rate_random_walk": 0.3**2}
+
+
+def view_of(x, kind=View):
+    n = len(x)
+    return kind(AXIS, 1.0, RATE, x, x, None, {}, EVERYTHING, family_of(n, RATE), np.zeros(n, bool))
+
+
+def generalized(G, n):
+    """Covariance of means over intervals, −δ²G/h², right for filters that sum to zero."""
+    g = np.array([G(abs(k) / RATE) for k in range(-1, n + 1)])
+    return toeplitz(-(g[2:] - 2.0 * g[1:-1] + g[:-2]) * RATE**2)
+
+
+def covariances(n, T_c=1.0):
+    """In time, of terms of unit coefficient."""
+    return {
+        "quantization": RATE**2 * toeplitz([2.0, -1.0, *np.zeros(n - 2)]),
+        "angle_random_walk": RATE * np.eye(n),
+        "bias_instability": generalized(lambda t: t**2 * np.log(t or 1.0) / (2.0 * np.pi), n),
+        "rate_random_walk": generalized(lambda t: t**3 / 12.0, n),
+        MARKOV: generalized(lambda t: -(T_c**3) / 2.0 * (np.exp(-t / T_c) - 1.0 + t / T_c), n),
+    }
+
+
+def dense(n):
+    """Covariance in time of white noise and a random walk."""
+    return sum(POWERS[name] * covariances(n)[name] for name in POWERS)
+
+
+def simulated(n, records, rng):
+    """Records [records, n] of white noise and a random walk, means over intervals up to a shift."""
+    fine = 8
+    steps = rng.standard_normal((records, n * fine)) * np.sqrt(POWERS["rate_random_walk"] / RATE / fine)
+    walk = np.cumsum(steps, axis=1).reshape(records, n, fine).mean(axis=2)
+    return walk + np.sqrt(POWERS["angle_random_walk"] * RATE) * rng.standard_normal((records, n))
+
+
+# --- Noise --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*FIXED, MARKOV])
+def test_expected_squares_are_those_of_the_dense_covariance(name):
+    family = NoiseFamily(N, RATE)
+    index = 6
+    C = covariances(N, family.times[index])[name]
+    D = dct(np.eye(N), norm="ortho", axis=0)[1:]
+    ratio = family.expected({name: 1.0}, index) / np.einsum("ij,jk,ik->i", D, C, D)
+    assert ratio[:64] == pytest.approx(1.0, abs=1e-4)
+    # Above, the density: what the record's ends add is left out, most for quantization.
+    assert ratio[64:] == pytest.approx(1.0, abs=0.05)
+
+
+# --- Matched filters ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+def test_the_bank_is_generalized_least_squares(ramp):
+    """Offset, and ramp if there is one, estimated with each shape's amplitude."""
+    rng = np.random.default_rng(3)
+    x = simulated(N, 1, rng)[0] + 0.05 * np.arange(N)
+    places = np.array([10, 50, 64, 100])
+    noise = Noise(POWERS, float("nan"), ramp, 0.0, family_of(N, RATE).expected(POWERS, -1))
+    scan = Bank(step_coefficients(places, N, N - 1)).scan(view_of(x), noise)
+    inverse = np.linalg.inv(dense(N) + 1e3 * np.ones((N, N)))
+    nuisance = [np.ones(N), np.arange(N) / N][: 1 + ramp]
+    for k, place in enumerate(places):
+        H = np.column_stack([np.arange(N) >= place, *nuisance]).astype(float)
+        covariance = np.linalg.inv(H.T @ inverse @ H)
+        amplitude = (covariance @ H.T @ inverse @ x)[0]
+        std = np.sqrt(covariance[0, 0])
+        # The cosine basis is not quite that of means of a random walk.
+        assert scan.std[k] == pytest.approx(std, rel=2e-3)
+        assert scan.amplitude[k] == pytest.approx(amplitude, abs=0.02 * std)
+        assert scan.snr[k] == pytest.approx(amplitude / std, abs=0.02)
+
+
+def test_the_law_of_the_largest_of_many_filters():
+    """Of a smooth process, by so many draws that the tail is seen; of independent ones, exactly."""
+    rng = np.random.default_rng(4)
+    kernel = np.exp(-0.5 * (np.arange(-20, 21) / 5.0) ** 2)
+    kernel /= np.linalg.norm(kernel)
+    many = np.concatenate(
+        [
+            abs(np.apply_along_axis(np.convolve, 1, rng.standard_normal((2000, 340)), kernel, "valid")).max(1)
+            for _ in range(20)
+        ]
+    )
+    found = [[extrapolated(many[i : i + 400], u) for u in (2.5, 3.5, 4.2)] for i in range(0, len(many), 400)]
+    for p, u in zip(np.median(found, axis=0), (2.5, 3.5, 4.2), strict=True):
+        assert p == pytest.approx(np.mean(many > u), rel=0.25), u
+    for count in (20, 500):
+        largest = abs(rng.standard_normal((25, 400, count))).max(axis=2)
+        for u in (4.0, 6.0):
+            p = np.exp(np.median([np.log(extrapolated(draws, u)) for draws in largest]))
+            assert p == pytest.approx(-np.expm1(count * np.log1p(-2.0 * norm.sf(u))), rel=0.5), (count, u)
+
+
+# --- Samples drawn anew -------------------------------------------------------------------------------------
+
+
+class Known(View):
+    """A view whose noise is known."""
+
+    def variance(self, noise=None):
+        return self.family.expected(POWERS, -1)
+
+
+def test_filled_samples_have_the_conditional_law(monkeypatch):
+    rng = np.random.default_rng(5)
+    x = simulated(N, 1, rng)[0]
+    missing = np.zeros(N, bool)
+    missing[[0, 20, 21, 22, 70, 127]] = True
+    view = view_of(np.where(missing, 50.0, x), Known)
+    # Every draw of a record takes the same seed otherwise.
+    monkeypatch.setattr(np.random, "default_rng", lambda seed=None: rng)
+    filled = np.array([view.filled(missing).x for _ in range(1500)])
+    assert np.all(filled[:, ~missing] == x[~missing])
+    C = dense(N) + 1e6 * np.ones((N, N))  # of any offset
+    weights = np.linalg.solve(C[np.ix_(~missing, ~missing)], C[np.ix_(~missing, missing)]).T
+    mean = weights @ x[~missing]
+    covariance = C[np.ix_(missing, missing)] - weights @ C[np.ix_(~missing, missing)]
+    root = np.linalg.cholesky(covariance)
+    z = np.linalg.solve(root, (filled[:, missing] - mean).T)
+    assert np.mean(z, axis=1) == pytest.approx(0.0, abs=4.0 / np.sqrt(1500))
+    assert np.cov(z) == pytest.approx(np.eye(len(z)), abs=4.0 * np.sqrt(2.0 / 1500))
+    assert view.filled(missing).restored.tolist() == missing.tolist()
+
+
+@pytest.mark.parametrize("step", [0.5, 2.0, 3.0])
+def test_rounded_samples_get_their_variance_back(step):
+    rng = np.random.default_rng(6)
+    n = 20_000
+    slow = 2.0 * np.sin(2.0 * np.pi * np.arange(n) / n)
+    rounded = step * np.round((slow + rng.standard_normal(n)) / step)
+    y, sigma = imputed(rounded, rounded - step / 2.0, rounded + step / 2.0, 1)
+    assert np.max(abs(y - rounded)) <= step / 2.0
+    assert sigma == pytest.approx(1.0, abs=0.03)
+    assert np.std(y - slow) == pytest.approx(1.0, abs=0.03)
+    assert kstest(y - slow, "norm").statistic < 0.02
+
+
+def test_clipped_samples_get_their_variance_back():
+    rng = np.random.default_rng(7)
+    x = rng.standard_normal(20_000)
+    clipped = np.minimum(x, 0.8)
+    y, sigma = imputed(clipped, clipped, np.where(clipped == 0.8, 1e3, clipped), 1)
+    assert np.all(y[x < 0.8] == x[x < 0.8])
+    assert sigma == pytest.approx(1.0, abs=0.02)
+    assert kstest(y, "norm").statistic < 0.015
+
+
+@pytest.mark.parametrize(("step", "bias"), [(1.0, 0.0), (0.01, 9.8), (7.3e-6, -3e-3), (1.0 / 32768.0, 1e3)])
+def test_the_step_of_a_lattice(step, bias):
+    rng = np.random.default_rng(8)
+    k = np.round(3.0 * rng.standard_normal(5000))
+    assert lattice(bias + step * k) == pytest.approx(step, rel=1e-3)
+    assert lattice(bias + step * 2.0 * k) == pytest.approx(2.0 * step, rel=1e-3)
+    assert lattice(bias + step * rng.standard_normal(5000)) is None
+
+
+# --- Two levels ---------------------------------------------------------------------------------------------
+
+
+def test_the_cheapest_path_is_that_of_all_paths():
+    rng = np.random.default_rng(9)
+    for price in (0.3, 1.0, 3.0):
+        cost = rng.exponential(1.0, (9, 2))
+
+        def total(path, cost=cost, price=price):
+            return cost[np.arange(9), list(path)].sum() + price * np.count_nonzero(np.diff(path))
+
+        best = min(itertools.product((0, 1), repeat=9), key=total)
+        assert _path(cost, price).tolist() == list(best)
+
+
+def test_two_levels_are_found_in_noise():
+    rng = np.random.default_rng(10)
+    truth = np.searchsorted(np.array([300, 700, 800, 1500]), np.arange(2048), side="right") % 2
+    found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048))
+    assert found is not None
+    path, difference, sigma = found
+    assert np.mean(path == truth) > 0.995
+    assert difference == pytest.approx(1.5, abs=0.2)
+    assert sigma == pytest.approx(1.0, abs=0.1)
+    assert two_levels(rng.standard_normal(2048)) is None
+
+
+# --- Shared noise -------------------------------------------------------------------------------------------
+
+
+def test_the_p_value_of_a_correlation():
+    rng = np.random.default_rng(11)
+    k = 64
+    a, b = rng.standard_normal((2, 20_000, k))
+    r = np.sum(a * b, axis=1) / np.sqrt(np.sum(a**2, axis=1) * np.sum(b**2, axis=1))
+    assert kstest([_p_value(x, k) for x in r], "uniform").pvalue > 1e-3
+
+
+def test_shared_noise_is_found_as_often_as_said_where_there_is_none():
+    rng = np.random.default_rng(12)
+    names, alpha = ("x", "y", "z"), 0.1
+    alarms = [bool(common_mode(names, rng.standard_normal((3, 1023)), RATE, alpha)) for _ in range(400)]
+    # Nested bands are not independent, and what is found must hold on held-out data too.
+    assert np.mean(alarms) < alpha + 3.0 * np.sqrt(alpha / 400)
+    shared = rng.standard_normal(1023)
+    z = 0.5 * rng.standard_normal((3, 1023)) + [[1.0], [0.0], [-1.0]] * shared
+    (finding,) = common_mode(names, z, RATE, 1e-3)
+    assert finding.axes == ("x", "z")
+    assert finding.parameters["correlation"].value == pytest.approx(0.8, abs=0.05)
+
+
+# --- Drift --------------------------------------------------------------------------------------------------
+
+
+def test_drift_is_that_of_simulations():
+    """A line is found in noise of which the levels are estimated; drift by definition, sums of the rate."""
+    rng = np.random.default_rng(13)
+    n = 4096
+    noise, *more = simulated(n, 40, rng)
+    line = 8.0 * np.sin(2.0 * np.pi * 0.02 * np.arange(n) / RATE)
+    before = view_of(noise + line)
+    after = view_of(noise)
+    candidate = Candidate("sinusoid", {}, 1.0, 0.0, after, lambda: 1.0, (0.0, 1.0), "frequency")
+    change = drift_change(Step(candidate, 1.0, (), before))
+    assert change is not None
+    m = int(np.rint(change.horizon * RATE))
+
+    def drift(x):
+        total = np.convolve(x, np.ones(m), "valid") / RATE
+        return total[m:] - total[:-m]
+
+    halves = np.split(noise + line, 2)
+    assert change.measured == pytest.approx(np.sqrt(np.mean([drift(h) ** 2 for h in halves])), rel=1e-6)
+    # The line's drift, and the noise's in records of the same sensor.
+    expected = np.mean([drift(x) ** 2 for x in more]) + np.mean([drift(h) ** 2 for h in np.split(line, 2)])
+    assert change.after == pytest.approx(np.sqrt(expected), rel=0.15)
+    assert abs(np.log(change.after / change.measured)) < abs(np.log(change.before / change.measured))
+
+
+def test_views_keep_what_they_are_made_of():
+    view = view_of(np.random.default_rng(14).standard_normal(N))
+    half = np.full(N - 1, 0.5)
+    twice = view.with_x(view.x, half).with_x(view.x, half)
+    assert twice.factor == pytest.approx(0.25 * np.ones(N - 1))
+    assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
+    assert dataclasses.replace(view, found=("sinusoid",)).found == ("sinusoid",)

@@ -1,0 +1,284 @@
+"""A critique told, drawn, exported, and asked for on the command line."""
+
+import dataclasses
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import allanjax as aj
+import allanjax.critique
+from allanjax.cli import app
+from allanjax.critique.comparison import Whitened
+from allanjax.critique.discrepancies import discrepancies
+from allanjax.critique.noise import family_of
+from allanjax.critique.plot import plot_critique
+from allanjax.critique.result import (
+    AxisCritique,
+    CoefficientChange,
+    Critique,
+    Discrepancy,
+    DriftChange,
+    Finding,
+    Rival,
+    Snapshot,
+)
+from allanjax.critique.story import describe, quantity, sentence
+from allanjax.critique.view import Quantity
+from allanjax.errors import AllanjaxError
+from allanjax.io import write
+from allanjax.recording import Axis, Recording
+
+N, RATE = 8192, 100.0
+MG = 9.80665e-3
+NAN = float("nan")
+WALK = 1e-3
+ACCEL, GYRO = Axis("accel_x", "accel", "mg"), Axis("gyro_x", "gyro", "deg/s")
+
+
+def snapshot(x):
+    """White noise of WALK·√rate a sample."""
+    power = {"angle_random_walk": WALK**2}
+    return Snapshot(x, family_of(N, RATE).expected(power, NAN), tuple(power), power, NAN, 0.0)
+
+
+def critique_of(findings):
+    """An accelerometer with a line, and a clean gyro; `findings` are those of the former."""
+    rng = np.random.default_rng(0)
+    noise, other = rng.standard_normal((2, N)) * WALK * np.sqrt(RATE)
+    t = np.arange(N) / RATE
+    stages = (snapshot(noise + 5.0 * MG * np.cos(2.0 * np.pi * 0.552 * t)), snapshot(noise))
+    before, after = (discrepancies(Whitened.of(ACCEL, MG, RATE, s), s.x) for s in stages)
+    clean = (snapshot(other),)
+    same = discrepancies(Whitened.of(GYRO, np.pi / 180.0, RATE, clean[0]), other)
+    model = aj.Model((aj.AngleRandomWalk(WALK),))
+    extended = model + aj.Sinusoid(5.0 * MG, 0.552)
+    pairs = tuple(pair for pair in zip(before, after, strict=True) if pair[0].p_value < 1e-4)
+    findings = tuple(dataclasses.replace(f, discrepancies=pairs) for f in findings)
+    tests = {"sinusoid": 1e-60, "outliers": 0.4}
+    line = AxisCritique(ACCEL, findings, before, after, tests, stages[: len(findings) + 1], model, extended)
+    rest = AxisCritique(GYRO, (), same, same, {}, clean, model, model)
+    return Critique("bench", RATE, None, (line, rest), (), ("a note",))
+
+
+LINE = Finding(
+    "sinusoid",
+    ("accel_x",),
+    {"frequency": Quantity(0.552, 1e-4, "Hz"), "amplitude": Quantity(5.0, 0.02, "mg")},
+    1e-60,
+    5310.0,
+    5310.2,
+    (Rival("resonance", 40.0),),
+    (0.54, 0.564),
+    "frequency",
+    (CoefficientChange("angle_random_walk", 0.2, 0.1, "m/s/√h"), CoefficientChange("markov", NAN, NAN, "1")),
+    DriftChange(100.0, 0.3, 0.1, 0.29, "m/s"),
+)
+STEP = dataclasses.replace(
+    LINE,
+    cause="outliers",
+    parameters={"times": Quantity(tuple(np.arange(9.0)), 0.01, "s"), "kind": Quantity(("x",), 0.0, "")},
+    span=(10.0, 20.0),
+    domain="time",
+    rivals=(),
+    coefficients=(),
+    drift=DriftChange(NAN, NAN, NAN, NAN, "m/s"),
+)
+
+
+@pytest.fixture(scope="module")
+def critique():
+    return critique_of((LINE,))
+
+
+# --- Story --------------------------------------------------------------------------------------------------
+
+
+def test_the_story_says_what_is_wrong_why_and_what_else_it_might_be(critique):
+    told = str(critique)
+    d = next(d for d in critique["accel_x"].before if d.statistic == "allan_deviation")
+    assert d.p_value < 1e-4
+    assert f"accel_x: {describe(d)}. Cause: sinusoid, frequency 0.55200 ± 0.00010 Hz" in told
+    assert "amplitude 5.000 ± 0.020 mg" in told
+    assert "gain 5,310 nats on held-out data. Rivals: resonance (1 : 40)." in told
+    assert "velocity random walk: 0.2 → 0.1 m/s/√h" in told
+    assert "drift over 100 s: measured 0.3 m/s, predicted 0.1 before and 0.29 after" in told
+    assert "markov" not in told
+    assert "gyro_x: nothing found: the simulation is indistinguishable from the measurement" in told
+    assert "tests)" in told
+    assert "note: a note" in told
+    assert " nan" not in told
+    assert "unexplained" not in told
+
+
+def test_what_has_no_cause_is_said_to_be_unexplained():
+    first, clean = critique_of(()).axes
+    bare = dataclasses.replace(first, after=())
+    told = str(Critique("bench", RATE, None, (bare, clean), (), ()))
+    assert told.startswith("bench: nothing found in 2 axes")
+    assert "accel_x: unexplained: simulated Allan deviation is" in told
+
+
+def test_a_finding_without_discrepancies_reads_well():
+    text = sentence(STEP)
+    assert text.startswith("accel_x: outliers, times 0, 1, 2 s, … (9 in all), kind x (p = 1e-60); gain 5,310")
+
+
+@pytest.mark.parametrize(
+    ("q", "text"),
+    [
+        (Quantity(0.552, 1e-4, "Hz"), "0.55200 ± 0.00010 Hz"),
+        (Quantity(1.5, 0.1, "1"), "1.50 ± 0.10"),
+        (Quantity(3.0, 0.0, "samples"), "3 samples"),
+        (Quantity(2.0, NAN, "mg"), "2 mg"),
+        (Quantity((), 0.0, "s"), "none"),
+        (Quantity(("temperature",), 0.0, ""), "temperature"),
+    ],
+)
+def test_quantities(q, text):
+    assert quantity(q) == text
+
+
+@pytest.mark.parametrize(
+    ("measured", "simulated", "text"),
+    [
+        (1.0, 0.62, "38 % low at τ = 0.7 s"),
+        (1.0, 1.5, "50 % high"),
+        (1.0, 0.01, "100 times too low"),
+        (1.0, 5.0, "5 times too high"),
+        (0.0, 1.0, "wrong"),
+    ],
+)
+def test_sizes(measured, simulated, text):
+    d = Discrepancy("allan_deviation", 0.7, "s", measured, simulated, "mg", 1e-30)
+    assert text in describe(d)
+    assert describe(d).endswith("(p = 1e-30)")
+
+
+# --- Pictures -----------------------------------------------------------------------------------------------
+
+
+def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
+    import matplotlib
+    from matplotlib import pyplot as plt
+
+    matplotlib.use("Agg")
+    twice = critique_of((LINE, STEP))
+    shared = dataclasses.replace(STEP, cause="repeated_samples", axes=("accel_x", "gyro_x"))
+    twice = dataclasses.replace(twice, shared_findings=(shared,))
+    figures = plot_critique(twice, tmp_path / "new")
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
+        "bench_accel_x_gyro_x_repeated_samples.png",
+        "bench_accel_x_outliers.png",
+        "bench_accel_x_sinusoid.png",
+        "bench_gyro_x.png",
+    ]
+    line, outliers, clean, _ = figures
+    allan, psd, spectrum, text = line.axes
+    assert allan.get_xlabel() == psd.get_xlabel().replace("frequency f [Hz]", "cluster time T [s]")
+    assert allan.get_ylabel() == "Allan deviation [µg]"
+    assert psd.get_ylabel() == "one-sided PSD [µg²/Hz]"
+    assert spectrum.get_xlabel() == "frequency f [Hz]"
+    assert "resonance" in text.texts[0].get_text()
+    assert outliers.axes[2].get_xlabel() == "time since start [s]"
+    assert outliers.axes[2].get_ylabel() == "whitened residual [σ]"
+    assert [panel.get_ylabel() for panel in clean.axes] == [
+        "Allan deviation [deg/h]",
+        "one-sided PSD [(deg/h)²/Hz]",
+    ]
+    # The line stands out of its own panel at its frequency.
+    drawn = spectrum.get_lines()[0]
+    peak = drawn.get_xdata()[np.argmax(drawn.get_ydata())]
+    assert peak == pytest.approx(0.552, abs=RATE / N)
+    plt.close("all")
+
+
+# --- Export -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def schema():
+    return json.loads(files("allanjax").joinpath("critique.schema.json").read_text(encoding="utf-8"))
+
+
+def test_json_has_all_numbers_and_follows_the_schema(schema):
+    document = json.loads(json.dumps(critique_of((LINE, STEP)).to_dict(), allow_nan=False))
+    jsonschema.validate(document, schema)
+    axis = document["axes"][0]
+    assert axis["findings"][0]["parameters"]["amplitude"] == {"value": 5.0, "std": 0.02, "unit": "mg"}
+    assert axis["findings"][1]["parameters"]["times"]["value"] == list(range(9))
+    assert axis["findings"][1]["drift"]["measured"] is None
+    assert axis["findings"][0]["coefficients"][1]["before"] is None
+    assert axis["findings"][0]["rivals"] == [{"cause": "resonance", "odds": 40.0}]
+    walk = axis["baseline"]["parameters"]["angle_random_walk"]
+    assert walk["unit"] == "m/s/√h"
+    assert walk["value"] == pytest.approx(WALK * 60.0)
+    lines = {d["statistic"]: d for d in axis["discrepancies"]}
+    assert lines["psd_line"]["p_value"] < 1e-4 < lines["psd_line"]["after"]["p_value"]
+    assert document["recording"] == {"name": "bench", "n": N, "rate_hz": RATE, "duration_s": N / RATE}
+
+
+@pytest.mark.parametrize("change", ["schema_version", "missing", "nan"])
+def test_the_schema_refuses_what_it_does_not_describe(critique, schema, change):
+    document = critique.to_dict()
+    if change == "schema_version":
+        document["schema_version"] = 2
+    elif change == "missing":
+        del document["axes"][0]["findings"]
+    else:
+        document["axes"][0]["findings"][0]["gain_nats"] = "NaN"
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(document, schema)
+
+
+# --- Command line -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def command(critique, tmp_path, monkeypatch):
+    """The command, with a critic that has its mind made up."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ALLANJAX_CACHE", "off")
+
+    def fake(recording, *, progress=None):
+        progress("looking")
+        if recording.name == "odd":
+            raise AllanjaxError("odd: cannot be criticized")
+        return critique
+
+    monkeypatch.setattr(allanjax.critique, "critique", fake, raising=False)
+    values = np.random.default_rng(0).standard_normal((64, 1))
+    for name in ("imu", "odd"):
+        recording = Recording.from_array(values, RATE, gyro_unit="deg/s", names=["gyro_x"], name=name)
+        write(recording, tmp_path / f"{name}.csv")
+    return lambda *words: CliRunner().invoke(app, ["critique", *words], catch_exceptions=False)
+
+
+def test_the_command_tells_the_story_and_writes_the_results(command, critique):
+    done = command("imu.csv")
+    assert done.exit_code == 0, done.stderr
+    assert str(critique) in done.stdout
+    assert sorted(p.name for p in Path("allanjax-results").iterdir()) == [
+        "imu_accel_x_sinusoid.png",
+        "imu_critique.json",
+        "imu_gyro_x.png",
+    ]
+    assert str(Path("allanjax-results") / "imu_accel_x_sinusoid.png") in done.stdout
+
+
+def test_one_bad_file_does_not_stop_the_others(command, schema):
+    done = command("odd.csv", "none.csv", "imu.csv", "--json")
+    assert done.exit_code == 1
+    document = json.loads(done.stdout)
+    assert [error["file"] for error in document["errors"]] == ["odd.csv", "none.csv"]
+    (found,) = document["critiques"]
+    assert found.pop("file") == "imu.csv"
+    jsonschema.validate(found, schema)
+    assert "error: odd: cannot be criticized" in done.stderr
+    assert not Path("allanjax-results").exists()
+    assert command("imu.csv", "--json", "--out", "there").exit_code == 0
+    assert len(list(Path("there").iterdir())) == 3

@@ -1,0 +1,84 @@
+"""One record of each effect, made by an independent generator: the critic names it, and nothing else.
+
+The critic is handed the samples, what was recorded beside them, and units. Seeds are not chosen.
+`benchmarks/critic.py` does the same for many records.
+"""
+
+import numpy as np
+import pytest
+from hidden_effects import draw
+from hidden_verdict import compared, others, recording_of, right
+
+import allanjax as aj
+from allanjax.critique import CAUSES, Candidate, Cause, View, critique
+from allanjax.critique.bank import Bank
+from allanjax.critique.causes.additive import additive
+from allanjax.critique.noise import centred
+
+SMALL = {"duration": 600.0, "rate": 50.0}
+SHOWN = (
+    "sinusoid",
+    "resonance",
+    "low_pass",
+    "power_law",
+    "bias_step",
+    "warm_up",
+    "temperature",
+    "outliers",
+    "disturbance",
+    "variance_change",
+    "rounding",
+    "repeated_samples",
+    "saturation",
+    "common_mode",
+)
+
+
+@pytest.mark.parametrize("cause", SHOWN)
+def test_a_hidden_effect_is_named_and_measured(cause):
+    hidden = draw(0, cause, 4.0, **SMALL)
+    found = critique(recording_of(hidden))
+    (effect,) = hidden.effects
+    finding = right(found, effect)
+    assert finding is not None, [f.cause for f in found.findings]
+    assert others(found, hidden.effects) == []
+    assert finding.gain > 0.0
+    for name, parameter in compared(finding, effect, SMALL["duration"]).items():
+        assert parameter.within_3_sigma or parameter.is_near, (name, parameter)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_clean_record_has_no_finding(seed):
+    assert critique(recording_of(draw(seed, None, **SMALL))).findings == ()
+
+
+class Hump(Cause):
+    """A user's own: the bias is off for a while in the middle of the record."""
+
+    name = "hump"
+
+    def detect(self, view: View) -> Candidate | None:
+        shape = hump(view.n)
+        slow = centred(shape)[None, :1024]
+        return additive(
+            view,
+            self.name,
+            Bank(slow),
+            lambda k: shape,
+            lambda k, amplitude, std, likelihood: {"amplitude": view.own(amplitude, std)},
+            lambda k: (0.4 * view.duration, 0.6 * view.duration),
+        )
+
+
+def hump(n):
+    return np.exp(-0.5 * ((np.arange(n) / n - 0.5) / 0.03) ** 2)
+
+
+def test_a_users_own_cause_is_looked_for():
+    n = 30_000
+    samples = np.random.default_rng(0).standard_normal(n) + 0.3 * hump(n)
+    recording = aj.Recording.from_array(samples, SMALL["rate"], gyro_unit="rad/s", names=["gyro_x"])
+    (finding,) = critique(recording, causes=(*CAUSES, Hump())).findings
+    assert finding.cause == "hump"
+    deviation = 1.0 / np.sqrt(np.sum(hump(n) ** 2))
+    assert finding.parameters["amplitude"].value == pytest.approx(0.3, abs=4.0 * deviation)
