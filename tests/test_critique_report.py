@@ -1,6 +1,7 @@
 """A critique told, drawn, exported, and asked for on the command line."""
 
 import dataclasses
+import importlib
 import json
 from importlib.resources import files
 from pathlib import Path
@@ -11,10 +12,9 @@ import pytest
 from typer.testing import CliRunner
 
 import allanjax as aj
-import allanjax.critique
 from allanjax.cli import app
 from allanjax.critique.comparison import Whitened
-from allanjax.critique.discrepancies import discrepancies
+from allanjax.critique.discrepancies import discrepancies, mended
 from allanjax.critique.noise import family_of
 from allanjax.critique.plot import plot_critique
 from allanjax.critique.result import (
@@ -27,8 +27,9 @@ from allanjax.critique.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critique.story import describe, quantity, sentence
+from allanjax.critique.story import sentence, telling
 from allanjax.critique.view import Quantity
+from allanjax.critique.words import describe, filled, parameters, quantity, suited
 from allanjax.errors import AllanjaxError
 from allanjax.io import write
 from allanjax.recording import Axis, Recording
@@ -52,12 +53,13 @@ def critique_of(findings):
     noise, other = rng.standard_normal((2, N)) * WALK * np.sqrt(RATE)
     t = np.arange(N) / RATE
     stages = (snapshot(noise + 5.0 * MG * np.cos(2.0 * np.pi * 0.552 * t)), snapshot(noise))
-    before, after = (discrepancies(Whitened.of(ACCEL, MG, RATE, s), s.x) for s in stages)
+    records = [Whitened.of(ACCEL, MG, RATE, s) for s in stages]
+    before, after = (discrepancies(record, record.x) for record in records)
     clean = (snapshot(other),)
     same = discrepancies(Whitened.of(GYRO, np.pi / 180.0, RATE, clean[0]), other)
     model = aj.Model((aj.AngleRandomWalk(WALK),))
     extended = model + aj.Sinusoid(5.0 * MG, 0.552)
-    pairs = tuple(pair for pair in zip(before, after, strict=True) if pair[0].p_value < 1e-4)
+    (pairs,) = mended(records)
     findings = tuple(dataclasses.replace(f, discrepancies=pairs) for f in findings)
     tests = {"sinusoid": 1e-60, "outliers": 0.4}
     line = AxisCritique(ACCEL, findings, before, after, tests, stages[: len(findings) + 1], model, extended)
@@ -98,34 +100,83 @@ def critique():
 # --- Story --------------------------------------------------------------------------------------------------
 
 
+def words(text):
+    """Without line breaks."""
+    return " ".join(str(text).split())
+
+
 def test_the_story_says_what_is_wrong_why_and_what_else_it_might_be(critique):
-    told = str(critique)
-    d = next(d for d in critique["accel_x"].before if d.statistic == "allan_deviation")
-    assert d.p_value < 1e-4
-    assert f"accel_x: {describe(d)}. Cause: sinusoid, frequency 0.55200 ± 0.00010 Hz" in told
-    assert "amplitude 5.000 ± 0.020 mg" in told
+    told = words(critique)
+    wrong, _ = telling(critique["accel_x"].findings[0])
+    worst = next(d for d in critique["accel_x"].before if d.statistic == "allan_deviation")
+    assert worst.p_value < 1e-4
+    assert told.startswith("bench: 1 finding in 2 axes, worth 5,310 nats on held-out data accel_x: simulated")
+    assert f"at τ = {worst.where:.3g} s (p " in told
+    assert "tests fail) - " in told
+    assert wrong.statistic in ("allan_deviation", "psd_line", "psd")
+    assert "Cause: sinusoid, frequency 0.55200 ± 0.00010 Hz, amplitude 5.000 ± 0.020 mg. After: " in told
     assert "gain 5,310 nats on held-out data. Rivals: resonance (1 : 40)." in told
-    assert "velocity random walk: 0.2 → 0.1 m/s/√h" in told
-    assert "drift over 100 s: measured 0.3 m/s, predicted 0.1 before and 0.29 after" in told
+    assert "velocity random walk 0.2 → 0.1 m/s/√h; drift over 100 s: measured 0.3 m/s" in told
+    assert "predicted 0.1 before and 0.29 after" in told
     assert "markov" not in told
     assert "gyro_x: nothing found: the simulation is indistinguishable from the measurement" in told
-    assert "tests)" in told
+    assert "left: nothing, all 11 tests pass" in told
     assert "note: a note" in told
     assert " nan" not in told
     assert "unexplained" not in told
+    assert max(len(line) for line in str(critique).splitlines()) <= 108
 
 
-def test_what_has_no_cause_is_said_to_be_unexplained():
+def test_a_finding_by_itself_says_what_it_mended(critique):
+    (finding,) = critique["accel_x"].findings
+    before, after = telling(finding)
+    assert str(finding).startswith(f"accel_x: {describe(before)}. Cause: sinusoid")
+    assert (before.statistic, before.where) == (after.statistic, after.where)
+    assert before.p_value < 1e-4 < after.p_value
+
+
+def test_what_a_finding_did_not_mend_it_is_not_credited_with(critique):
+    pair = telling(LINE_WITH := critique["accel_x"].findings[0])
+    useless = dataclasses.replace(LINE_WITH, discrepancies=((pair[0], pair[0]),))
+    assert telling(useless) is None
+    assert str(useless).startswith("accel_x: sinusoid, frequency")
+    assert "(p = 1e-60). Gain" in str(useless)
+
+
+def test_every_finding_has_its_own_before_and_after():
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal(N) * WALK * np.sqrt(RATE)
+    t = np.arange(N) / RATE
+    slow, fast = (MG * np.cos(2.0 * np.pi * f * t) for f in (0.552, 11.0))
+    stages = (snapshot(noise + slow + fast), snapshot(noise + fast), snapshot(noise))
+    first, second = mended([Whitened.of(ACCEL, MG, RATE, s) for s in stages])
+    for pairs, f in ((first, 0.552), (second, 11.0)):
+        lines = {before.statistic: (before, after) for before, after in pairs}
+        before, after = lines["psd_line"]
+        assert before.where == after.where == pytest.approx(f, abs=RATE / N)
+        assert before.p_value < 1e-4 < after.p_value
+        # A line between two frequencies of whole periods shows at least 2/π of its amplitude, here 1 mg.
+        assert 0.6 < before.measured < 1.3
+
+
+def test_what_has_no_cause_is_said_to_be_unexplained_and_once():
     first, clean = critique_of(()).axes
     bare = dataclasses.replace(first, after=())
-    told = str(Critique("bench", RATE, None, (bare, clean), (), ()))
+    told = words(Critique("bench", RATE, None, (bare, clean), (), ()))
     assert told.startswith("bench: nothing found in 2 axes")
-    assert "accel_x: unexplained: simulated Allan deviation is" in told
+    assert "accel_x: unexplained: " in told
+    worst = min(first.before, key=lambda d: d.p_value)
+    unexplained = dataclasses.replace(LINE, cause="unexplained", discrepancies=((worst, worst),), rivals=())
+    assert str(unexplained) == f"accel_x: unexplained: {describe(worst)}."
+    found = dataclasses.replace(first, after=first.before, findings=(unexplained,))
+    told = words(Critique("bench", RATE, None, (found, clean), (), ()))
+    assert told.startswith("bench: nothing found in 2 axes")
+    assert told.count("unexplained") == told.count(describe(worst)) == 1
 
 
 def test_a_finding_without_discrepancies_reads_well():
     text = sentence(STEP)
-    assert text.startswith("accel_x: outliers, times 0, 1, 2 s, … (9 in all), kind x (p = 1e-60); gain 5,310")
+    assert text.startswith("accel_x: outliers, times 0, 1, 2 s, … (9 in all), kind x (p = 1e-60). Gain 5,310")
 
 
 @pytest.mark.parametrize(
@@ -137,10 +188,43 @@ def test_a_finding_without_discrepancies_reads_well():
         (Quantity(2.0, NAN, "mg"), "2 mg"),
         (Quantity((), 0.0, "s"), "none"),
         (Quantity(("temperature",), 0.0, ""), "temperature"),
+        # What is small is told in a finer unit, without digits that mean nothing.
+        (Quantity(0.012, 0.001, "g"), "12.0 ± 1.0 mg"),
+        (Quantity(4.7e-6, 3e-7, "g"), "4.70 ± 0.30 µg"),
+        (Quantity(-0.01, 0.001, "deg/s"), "-36.0 ± 3.6 deg/h"),
+        (Quantity(6e-4, 1e-4, "g/[temperature]"), "0.60 ± 0.10 mg/[temperature]"),
+        (Quantity(0.004, 0.0, "deg/s/√Hz"), "14.4 deg/h/√Hz"),
+        (Quantity(0.564012345, 1e-9, "Hz"), "0.564012 Hz"),
     ],
 )
 def test_quantities(q, text):
     assert quantity(q) == text
+
+
+def test_counts_are_whole_shares_per_cent_and_resolutions_as_recorded():
+    found = {
+        "axes": Quantity(("accel_x",), 0.0, ""),
+        "step": Quantity(0.00333, 3.3e-12, "g"),
+        "count": Quantity(1916.0, 9.8, "1"),
+        "fraction": Quantity(0.0668, 0.0012, "1"),
+        "longest": Quantity(29.0, 0.0, "samples"),
+    }
+    assert parameters(found) == ["step 0.00333 g", "count 1,916", "fraction 6.68 %", "longest 29 samples"]
+
+
+def test_units_that_have_no_finer_one_stay():
+    assert suited("Hz", 1e-9) == ("Hz", 1.0)
+    assert suited("g", 0.5) == ("g", 1.0)
+    assert suited("mg", 0.0) == ("mg", 1.0)
+    assert suited("1", 1e-9) == ("", 1.0)
+
+
+def test_lines_do_not_break_between_a_number_and_its_unit():
+    text = "frequency 0.552 ± 0.001 Hz (p = 1e-30) at τ = 0.7 s"
+    for width in range(12, 60):
+        lines = filled(text, width).splitlines()
+        assert " ".join(lines) == text
+        assert not any(line.startswith(("±", "Hz", "=", "s")) or line.endswith(("=", "±")) for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -190,6 +274,7 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
         "Allan deviation [deg/h]",
         "one-sided PSD [(deg/h)²/Hz]",
     ]
+    assert len(plot_critique(twice, findings=[twice["accel_x"].findings[1]])) == 1
     # The line stands out of its own panel at its frequency.
     drawn = spectrum.get_lines()[0]
     peak = drawn.get_xdata()[np.argmax(drawn.get_ydata())]
@@ -250,7 +335,8 @@ def command(critique, tmp_path, monkeypatch):
             raise AllanjaxError("odd: cannot be criticized")
         return critique
 
-    monkeypatch.setattr(allanjax.critique, "critique", fake, raising=False)
+    # The package by its own name: allanjax.critique is the function that it is named after.
+    monkeypatch.setattr(importlib.import_module("allanjax.critique"), "critique", fake)
     values = np.random.default_rng(0).standard_normal((64, 1))
     for name in ("imu", "odd"):
         recording = Recording.from_array(values, RATE, gyro_unit="deg/s", names=["gyro_x"], name=name)
@@ -268,6 +354,20 @@ def test_the_command_tells_the_story_and_writes_the_results(command, critique):
         "imu_gyro_x.png",
     ]
     assert str(Path("allanjax-results") / "imu_accel_x_sinusoid.png") in done.stdout
+
+
+def test_json_of_one_file_is_its_document(command, critique, schema):
+    done = command("imu.csv", "--json")
+    assert done.exit_code == 0
+    document = json.loads(done.stdout)
+    assert document == json.loads(json.dumps(critique.to_dict())) | {"errors": []}
+    jsonschema.validate(document, schema)
+    done = command("odd.csv", "--json")
+    assert done.exit_code == 1
+    assert json.loads(done.stdout) == {
+        "schema_version": 1,
+        "errors": [{"file": "odd.csv", "message": "odd: cannot be criticized"}],
+    }
 
 
 def test_one_bad_file_does_not_stop_the_others(command, schema):

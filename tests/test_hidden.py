@@ -10,8 +10,9 @@ from hidden_effects import draw
 from hidden_verdict import compared, others, recording_of, right
 
 import allanjax as aj
-from allanjax.critique import CAUSES, Candidate, Cause, View, critique
+from allanjax.critique import Candidate, Cause, View, critique
 from allanjax.critique.bank import Bank
+from allanjax.critique.causes import CAUSES
 from allanjax.critique.causes.additive import additive
 from allanjax.critique.noise import centred
 

@@ -11,7 +11,9 @@ ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 # Real recordings, which some of the notebooks read; they are not part of the repository.
 DATA = Path(os.environ.get("ALLANJAX_DATA", ROOT.parent / "shared" / "data")).resolve()
-RECORDINGS = {"02_uncertainty": ("adis16405_unit1.parquet", "adis16405_unit2.parquet")}
+UNITS = ("adis16405_unit1.parquet", "adis16405_unit2.parquet")
+RECORDINGS = {"02_uncertainty": UNITS, "03_what_the_simulation_gets_wrong": UNITS}
+EXPECTED = {"03_what_the_simulation_gets_wrong": ("angle random walk", "deg/√h", "low pass", "resonance", "Hz")}
 
 
 def outputs(notebook):
@@ -48,5 +50,5 @@ def test_notebook(path, tmp_path, monkeypatch):
     assert len(pictures(executed)) == len(pictures(saved)) > 0
     assert not [output for output in outputs(executed) if output.get("name") == "stderr"]
     for notebook in (saved, executed):
-        for expected in ("angle random walk", "deg/√h", "χ² ="):
+        for expected in EXPECTED.get(path.stem, ("angle random walk", "deg/√h", "χ² =")):
             assert expected in shown(notebook)

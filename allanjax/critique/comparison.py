@@ -28,6 +28,7 @@ from allanjax.terms import Markov, PowerLaw
 _CHUNK = 1 << 16
 # Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
 _FAST = 40.0
+_TURN = 0.04
 _PER_OCTAVE = 6
 _CURVE_PER_OCTAVE = 4
 
@@ -151,7 +152,10 @@ def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> lis
     n = records[0].n
     sums = [_Sums.zero(len(sizes), len(record.shares)) for record in records]
     for part in _chunks(n - 1):
-        a = np.pi * np.arange(part.start + 1, part.stop + 1) / (2.0 * n)
+        # Of neighbours between which no weight turns by more than a small angle, only the sum counts.
+        edges = np.arange(0, part.stop - part.start, max(int(part.start * _TURN / _FAST), 1))
+        last = np.append(edges[1:], part.stop - part.start)
+        a = np.pi * (part.start + 0.5 * (edges + last + 1)) / (2.0 * n)
         # Where the weight oscillates fast in j it is replaced by its mean: one row for all such clusters.
         fast = sizes * a[0] > _FAST
         weight = np.ones((np.sum(~fast) + 1, len(a)))
@@ -162,11 +166,12 @@ def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> lis
         rows[~fast, :-1] = np.diag(2.0 / sizes[~fast] ** 2.0)
         rows[fast, -1] = 0.75 / sizes[fast] ** 2.0
         for record, total in zip(records, sums, strict=True):
-            total.measured += rows @ (weight @ record.c[part] ** 2)
-            expected = weight * record.variance[part]
-            total.mean += rows @ expected.sum(axis=1)
-            total.square += rows @ (expected @ expected.T) @ rows.T
-            total.slope += rows @ (expected @ record.shares[:, part].T)
+            v = record.variance[part]
+            c2, v2 = (np.add.reduceat(y**2, edges) for y in (record.c[part], v))
+            total.measured += rows @ (weight @ c2)
+            total.mean += rows @ (weight @ np.add.reduceat(v, edges))
+            total.square += rows @ ((weight * v2) @ weight.T) @ rows.T
+            total.slope += rows @ (weight @ np.add.reduceat(record.shares[:, part] * v, edges, axis=1).T)
     return [total.law(record, sizes) for record, total in zip(records, sums, strict=True)]
 
 

@@ -25,6 +25,8 @@ _UNEXPLAINED = 1e-6
 # Statistics that compare with other channels: what they show has a cause there.
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
+# Statistics of the samples' distribution: restored samples are drawn, by a simple rule, and show it.
+_OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
 _SHORTEST = 1024
 _WORKERS = 2
 
@@ -58,7 +60,15 @@ def criticize(
     def searched(k: int) -> Search:
         result = fit.results[k]
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
-        view = view_of(result.axis, scale, x, recording.rate, recording.auxiliary, result, fit.chosen)
+        view = view_of(
+            result.axis,
+            scale,
+            x,
+            recording.rate,
+            recording.auxiliary,
+            result,
+            None if fit.chosen else fit.template,
+        )
         return search(view, causes, alpha, tell)
 
     # The work is in transforms and compiled functions, which run beside each other.
@@ -100,7 +110,14 @@ def criticize(
                 extended(s),
             )
         )
-    return Critique(recording.name, recording.rate, fit, tuple(axes), shared, fit.notes)
+    return Critique(
+        recording.name,
+        recording.rate,
+        fit,
+        tuple(axes),
+        shared,
+        (*fit.notes, *(note for s in searches for note in s.undecided)),
+    )
 
 
 def _restored(s: Search) -> bool:
@@ -155,7 +172,8 @@ def _finding(step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...]) -> 
 
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
     """The most significant discrepancy that is left, if it is beyond doubt."""
-    left = [d for d in after if d.p_value < _UNEXPLAINED and not (shared and d.statistic in _BETWEEN)]
+    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if _restored(s) else ())
+    left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
     if not left:
         return []
     worst = min(left, key=lambda d: d.p_value)

@@ -98,8 +98,8 @@ def _chi2_score(value: Places, dof: Places) -> Places:
 def _one(statistic: str, measured: float, simulated: float, unit: str, p: float) -> Profile:
     """A statistic without places."""
     score = float(norm.isf(0.5 * max(p, TINY)))
-    numbers = (np.array([x]) for x in (measured, simulated))
-    return Profile(statistic, np.zeros(1), "", *numbers, unit, np.array([score]), lambda _: p)
+    first, second = np.array([measured]), np.array([simulated])
+    return Profile(statistic, np.zeros(1), "", first, second, unit, np.array([score]), lambda _: p)
 
 
 # --- Slow noise: cluster times ------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -222,11 +222,16 @@ class Critique:
 
         return to_dict(self)
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> tuple[Figure, ...]:
-        """A figure for every finding, and one for each axis without; written to the folder `path`."""
+    def plot(
+        self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
+    ) -> tuple[Figure, ...]:
+        """A figure for every finding, or for some, and one for each axis without; saved in the folder `path`.
+
+        See `allanjax.critique.plot.plot_critique`.
+        """
         from allanjax.critique.plot import plot_critique
 
-        return plot_critique(self, path)
+        return plot_critique(self, path, findings)
 
     def __str__(self) -> str:
         from allanjax.critique.story import story

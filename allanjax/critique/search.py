@@ -20,6 +20,7 @@ from allanjax.terms import DriftRamp
 # Rivals with longer odds against them than this are not worth a word.
 _ODDS = 1000.0
 _MOST = 8
+_CERTAIN = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,12 +49,14 @@ class Search:
         steps: the findings in their order.
         end: the axis with all findings taken out.
         tests: `Cause.p_value` of those causes that have one, in the axis as it came.
+        undecided: for people: causes that explain about as much as the noise does.
     """
 
     start: View
     steps: tuple[Step, ...]
     end: View
     tests: Mapping[str, float]
+    undecided: tuple[str, ...] = ()
 
 
 def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable[[str], None]) -> Search:
@@ -73,7 +76,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             view = candidate.after
     others = [c for c in causes if not c.of_samples]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
-    active = others
+    active, undecided = others, ()
     while len(steps) < _MOST:
         candidates = []
         for cause in active:
@@ -83,6 +86,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         step = _chosen([candidate for _, candidate in candidates], view, alpha)
         if step is None:
             if active is others:
+                undecided = tuple(_undecided(candidate, view) for _, candidate in candidates)
                 break
             active = others
             continue
@@ -90,7 +94,16 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         view = dataclasses.replace(step.candidate.after, found=(*view.found, step.candidate.cause))
         # What had nothing to say is asked again when the others have finished.
         active = [cause for cause, _ in candidates]
-    return Search(start, tuple(_grouped(steps)), view, tests)
+    return Search(start, tuple(_grouped(steps)), view, tests, tuple(text for text in undecided if text))
+
+
+def _undecided(candidate: Candidate, view: View) -> str:
+    """What could as well be there, if it is something that noise alone does not do."""
+    instead = [t.replace("_", " ") for t in view.noise.terms if t not in candidate.after.noise.terms]
+    if candidate.p_value > _CERTAIN or not instead:
+        return ""
+    name, odds = candidate.cause.replace("_", " "), np.exp(candidate.gain)
+    return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
 
 
 def _chosen(candidates: Sequence[Candidate], view: View, alpha: float) -> Step | None:
@@ -189,14 +202,15 @@ def view_of(
     rate: float,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     result: AxisFit,
-    chosen: bool,
+    template: Model | None,
 ) -> View:
     """The first view of an axis: the baseline's basic terms, and what else it has taken out."""
     n = len(x)
     family = family_of(n, rate)
-    if chosen:
+    if template is None:
         return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, np.zeros(n, bool))
     model = result.model
+    allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
     basic = [name for name in model.term_labels if name in EVERYTHING]
     others = model.without(basic)
     y, density = x, np.zeros(n - 1)
@@ -213,7 +227,8 @@ def view_of(
                 noise += family.spectrum(model[name].sampled(rate))
         factor = 1.0 + density / np.maximum(noise, 1e-12 * density)
     # A baseline without any basic noise still needs one to be compared with.
-    allowed = tuple(basic) if set(basic) - {RAMP} else ("angle_random_walk", *basic)
+    if not set(allowed) - {RAMP}:
+        allowed = ("angle_random_walk", *allowed)
     return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, np.zeros(n, bool))
 
 

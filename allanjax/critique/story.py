@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ from allanjax.critique.result import (
     DriftChange,
     Finding,
 )
-from allanjax.critique.words import describe, factor_off, p_value, parameters, what
+from allanjax.critique.words import describe, factor_off, filled, p_value, parameters, what
 from allanjax.recording import Axis
 from allanjax.result import title_of
 
@@ -76,12 +75,17 @@ def paragraph(finding: Finding, known: str = "") -> str:
 
 def telling(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
     """What the finding mended most, if it was plainly wrong before."""
-    pairs = [p for p in finding.discrepancies if p[0].p_value < UNEXPLAINED and _mended(p) > np.log(10.0)]
+    pairs = [p for p in finding.discrepancies if p[0].p_value < UNEXPLAINED and _much(p)]
     best = max(pairs, key=_mended, default=None)
     if best is None:
         return None
     known = next((p for p in pairs if p[0].statistic == _KNOWN), None)
     return known if known is not None and _CLEARER * _mended(known) >= _mended(best) else best
+
+
+def _much(pair: tuple[Discrepancy, Discrepancy]) -> bool:
+    """Whether half of it, at least, is gone."""
+    return _mended(pair) > -0.5 * np.log(pair[0].p_value)
 
 
 def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
@@ -169,8 +173,7 @@ def _unexplained(remains: Sequence[Discrepancy]) -> str:
 
 
 def _wrapped(text: str, first: str, rest: str | None = None) -> str:
-    indents = {"initial_indent": first, "subsequent_indent": first + "  " if rest is None else rest}
-    return textwrap.fill(text, _WIDTH, break_long_words=False, break_on_hyphens=False, **indents)
+    return filled(text, _WIDTH, first, f"{first}  " if rest is None else rest)
 
 
 def _coefficient(c: CoefficientChange, axis: Axis) -> str:

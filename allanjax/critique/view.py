@@ -22,8 +22,8 @@ _STEADY: tuple[tuple[str, ...], ...] = (
     ("quantization", "angle_random_walk", "bias_instability"),
     ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", RAMP),
 )
-#: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of seven to one, all prices paid.
-MARGIN = 2.0
+#: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one, all prices paid.
+MARGIN = 3.0
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 # Of filling in: samples that a level is the mean of, and steps of the conjugate gradients.
 _SMOOTH, _CONJUGATE = 100, 30
@@ -149,7 +149,7 @@ class View:
         """
         from scipy.ndimage import uniform_filter1d
 
-        rng = np.random.default_rng(int(missing.sum()))
+        rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
         x, known = self.x.copy(), np.flatnonzero(~missing)
         # To begin with, the known neighbours' mean, and noise as between neighbours.
         step = float(np.median(abs(np.diff(x[known])))) / 0.6745 / np.sqrt(2.0)

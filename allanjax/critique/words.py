@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Mapping
 
 import numpy as np
@@ -32,6 +34,8 @@ _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
     "rad/s": (("mrad/s", 1e3), ("µrad/s", 1e6)),
 }
 _SMALL = 0.1
+# Spaces at which no line is broken: in "p = 1e-30", "0.552 ± 0.001 Hz" and "τ = 0.7 s".
+_TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<]) |(?<=\d) (?=[A-Za-zµσ(])|(?<=[pτ]) ")
 
 
 def parameters(values: Mapping[str, Quantity]) -> list[str]:
@@ -132,3 +136,17 @@ def _factor(x: float) -> str:
 
 def _share(x: float) -> str:
     return f"{100.0 * x:.2g} %"
+
+
+def filled(text: str, width: int, first: str = "", rest: str = "") -> str:
+    """Broken into lines, not between a number and its unit."""
+    kept = _TOGETHER.sub("\u00a0", text)
+    lines = textwrap.wrap(
+        kept,
+        width,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines).replace("\u00a0", " ")

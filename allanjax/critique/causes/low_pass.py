@@ -32,7 +32,7 @@ _DEEP, _LOCAL = 0.01, 401
 # Share of the record at each end that these make loud.
 _ENDS = 0.02
 # Order, and whether the filter is a digital one made by the bilinear transformation.
-_FILTERS = ((1, False), (2, False), (1, True), (2, True), (4, True))
+_FILTERS = ((1, False), (2, False), (1, True), (2, True), (3, True), (4, True))
 
 
 class LowPass(Cause):

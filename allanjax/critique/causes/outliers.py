@@ -14,6 +14,8 @@ _SHARES = np.geomspace(1e-7, 0.1, 40)
 # Below this no outlier could be told from noise.
 _NOTICED = 3.0
 _WORTH = 8.0
+# Log-odds from which on a sample counts as an outlier: seven to one.
+_ODDS = 2.0
 # Prediction errors so near [samples] to each other may have one cause; longer trains are no outliers.
 _APART, _LONGEST = 8, 48
 _FOLD_BLOCK = 16
@@ -116,7 +118,7 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float, np.ndarra
         return 0.0, 0.0, 1.0, np.zeros_like(noticed)
     s2 = scale**2
     odds = np.log(share / (1.0 - share)) + 0.5 * z**2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
-    return gain, share, scale, odds > 0.0
+    return gain, share, scale, odds > _ODDS
 
 
 def _held_out(z: Float[np.ndarray, " n"]) -> float:

@@ -13,7 +13,7 @@ from allanjax.critique.causes.spectral import (
     sums,
 )
 from allanjax.critique.noise import MARKOV, POWER_LAW, Noise
-from allanjax.critique.view import MARGIN, Candidate, Cause, Quantity, View
+from allanjax.critique.view import EVERYTHING, MARGIN, Candidate, Cause, Quantity, View
 from allanjax.terms import PowerLaw as PowerLawTerm
 
 
@@ -27,7 +27,9 @@ class PowerLaw(Cause):
             return None
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
         noise = view.weighing.best(allowed, required=(POWER_LAW,))
-        gain = noise.log_evidence - view.noise.log_evidence
+        # Any basic term that explains as much is the better word for it.
+        basic = view.weighing.best([*EVERYTHING, *view.allowed]).log_evidence
+        gain = noise.log_evidence - max(view.noise.log_evidence, basic)
         if POWER_LAW not in noise.power or gain < MARGIN:
             return None
         after = view.allowing(allowed)

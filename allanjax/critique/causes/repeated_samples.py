@@ -14,6 +14,8 @@ _LEAST = 3
 _DOUBTLESS = 8.0
 # Where rounding makes repeats, their share is predicted no better than this.
 _PREDICTED = 0.03
+# Samples so far apart have been held together rarely.
+_APART = 12
 
 
 class RepeatedSamples(Cause):
@@ -56,15 +58,18 @@ def repeats(raw: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def _by_chance(raw: Float[np.ndarray, " n"]) -> float:
-    """The share of repeats that rounding alone makes: that of the restored record, drawn and rounded anew."""
+    """The share of repeats that rounding alone makes."""
     q = lattice(raw)
     if q is None:
         return 0.0
     # Rounding to steps of q adds q²/6 to the variance of differences. Two samples that differ by d are
     # rounded alike if no border is between them: with the probability 1 − |d|/q.
-    sigma = float(np.sqrt(max(np.var(np.diff(raw)) - q**2 / 6.0, 1e-4 * q**2)))
+    sigma = float(np.sqrt(np.maximum(np.var(np.diff(raw)) - q**2 / 6.0, 1e-4 * q**2)))
     d = np.linspace(0.0, q, 401)
-    return float(np.trapezoid((1.0 - d / q) * 2.0 * norm.pdf(d / sigma) / sigma, d))
+    fine = float(np.trapezoid((1.0 - d / q) * 2.0 * norm.pdf(d / sigma) / sigma, d))
+    # Of coarse steps that is not true; there, samples farther apart are alike as often.
+    coarse = float(np.mean(raw[_APART:] == raw[:-_APART]))
+    return max(fine, coarse)
 
 
 def _gain(count: float, n: float, chance: float) -> float:

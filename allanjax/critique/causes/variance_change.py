@@ -13,7 +13,7 @@ from allanjax.critique.view import Candidate, Cause, Quantity, View
 _BLOCKS = 256
 # Share of the record that an interval has at least: what is shorter is an event.
 _SHORTEST = 0.01
-_DRAWS = 400
+_DRAWS = 1000
 _WORTH = 6.0
 _FINER = 32
 _FOLD_BLOCK = 16
