@@ -76,7 +76,8 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             view = candidate.after
     others = [c for c in causes if not c.of_samples]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
-    active, undecided = others, ()
+    active = others
+    undecided: tuple[str, ...] = ()
     while len(steps) < _MOST:
         candidates = []
         for cause in active:
@@ -86,7 +87,8 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         step = _chosen([candidate for _, candidate in candidates], view, alpha)
         if step is None:
             if active is others:
-                undecided = tuple(_undecided(candidate, view) for _, candidate in candidates)
+                texts = (_undecided(candidate, view) for _, candidate in candidates)
+                undecided = tuple(text for text in texts if text)
                 break
             active = others
             continue
@@ -94,7 +96,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         view = dataclasses.replace(step.candidate.after, found=(*view.found, step.candidate.cause))
         # What had nothing to say is asked again when the others have finished.
         active = [cause for cause, _ in candidates]
-    return Search(start, tuple(_grouped(steps)), view, tests, tuple(text for text in undecided if text))
+    return Search(start, tuple(_grouped(steps)), view, tests, undecided)
 
 
 def _undecided(candidate: Candidate, view: View) -> str:

@@ -36,8 +36,7 @@ class Outliers(Cause):
         bulk = 1.4826 * float(np.median(abs(spikes)))
         if bulk == 0.0:
             return None
-        z = spikes / bulk
-        z = np.where(view.restored, 0.0, z)
+        z = np.where(view.restored, 0.0, spikes / bulk)
         gain, _, _, loud = _mixture(z)
         if gain < _WORTH or not loud.any():
             return None
@@ -47,7 +46,7 @@ class Outliers(Cause):
         missing = np.zeros(view.n, bool)
         missing[times] = True
         after = view.filled(missing)
-        gain -= amplitude_and_share_price(view.n)
+        gain -= _price(view.n)
         error = view.x[times] - after.x[times]
         spread = float(np.sqrt(np.mean(error**2)))
         parameters = {
@@ -84,7 +83,7 @@ def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
     return np.array([g[np.argmax(abs(z[g]))] for g in groups])
 
 
-def amplitude_and_share_price(n: int) -> float:
+def _price(n: int) -> float:
     """What not knowing share and scale costs [nats]: each anywhere in its grid."""
     return float(np.log(len(_SCALES)) + np.log(np.log(n)))
 

@@ -46,17 +46,14 @@ class Resonance(Cause):
             return None
         spacing = view.rate / (2.0 * view.n)
         start = np.log([middle * spacing, np.clip(middle / width, 1.0, middle / _LINE / 2.0)])
-        after, fitted = view, None
+        after = view
         for _ in range(_ROUNDS):
             v = view.variance(after.noise)
-            fitted = _fitted(view.c, v, start, width, view.rate)
-            if fitted is None or not np.isfinite(fitted[1]).all():
+            theta, covariance = _fitted(view.c, v, start, width, view.rate)
+            if not np.isfinite(covariance).all():
                 return None
-            factor = 1.0 + _density(fitted[0], view) / v
-            after = view.with_x(view.x, factor)
-            start = fitted[0][:2]
-        assert fitted is not None
-        theta, covariance = fitted
+            after = view.with_x(view.x, 1.0 + _density(theta, view) / v)
+            start = theta[:2]
         gain = after.noise.log_evidence - view.noise.log_evidence
         # Where it is, how wide and how strong: each a share of what might have been.
         widths = np.log(len(view.c) / _NARROWEST)
@@ -120,7 +117,7 @@ def _fitted(
     width: float,
     rate: float,
     fold: np.ndarray | None = None,
-) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]] | None:
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
     """Logarithms of frequency, quality factor and amplitude by maximum likelihood, and their covariance."""
     n = len(c) + 1
     spacing = rate / (2.0 * n)
@@ -178,11 +175,8 @@ def _held_out(view: View, theta: Float[np.ndarray, " 3"], width: float) -> float
         noise = view.family.of(view.c, view.factor, fold).best(view.allowed)
         v = view.variance(noise)
         for _ in range(2):
-            fitted = _fitted(view.c, v, theta[:2], width, view.rate, fold)
-            if fitted is None:
-                return float("-inf")
-            density = _density(fitted[0], view)
-            factor = 1.0 + density / v
+            found, _ = _fitted(view.c, v, theta[:2], width, view.rate, fold)
+            factor = 1.0 + _density(found, view) / v
             whole = factor if view.factor is None else factor * view.factor
             noise = view.family.of(view.c, whole, fold).best(view.allowed)
             v = view.variance(noise)
