@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from jaxtyping import Float
 
@@ -13,7 +15,7 @@ from allanjax.selection import basic_terms
 from allanjax.terms import Markov
 from allanjax.units import default_coefficient_unit, unit_scale
 
-_HORIZONS = 2.0 ** np.arange(0.0, 20.0)
+_HORIZONS = 4.0 ** np.arange(0.0, 10.0)
 _ANGLE = {"gyro": ("deg", np.pi / 180.0), "accel": ("m/s", 1.0)}
 
 
@@ -79,11 +81,17 @@ def _predicted(view: View, rows: slice, half: int, m: np.ndarray) -> Float[np.nd
         factor = np.interp(np.arange(1, half) / half, whole, view.factor)
     noise = family.of(centred(view.x[rows]), factor).best(view.allowed)
     v = noise.variance if factor is None else noise.variance * factor
-    a = np.pi * np.arange(1, half) / half
-    sine = np.sin(a / 2.0) ** 2
-    variances = [float(np.sum(v * 2.0 * np.sin(k * a / 2.0) ** 4 / sine)) / (half * k**2) for k in m]
+    variances = _weights(half, tuple(int(k) for k in m)) @ v
     ramp = 0.0
     if noise.ramp:
         c, r = centred(view.x[rows]), family.ramp
         ramp = float(np.sum(r * c / v) / np.sum(r**2 / v))
-    return np.array(variances) + 0.5 * (ramp * m / view.rate) ** 2
+    return variances + 0.5 * (ramp * m / view.rate) ** 2
+
+
+@functools.lru_cache(maxsize=1)
+def _weights(n: int, m: tuple[int, ...]) -> Float[np.ndarray, "m n-1"]:
+    """Of the levels of n samples in their Allan variances: (1/n)·2 sin⁴(m·a/2)/(m² sin²(a/2))."""
+    a = np.pi * np.arange(1, n) / n
+    sine = np.sin(a / 2.0) ** 2
+    return np.stack([2.0 * np.sin(k * a / 2.0) ** 4 / (sine * n * k**2) for k in m])

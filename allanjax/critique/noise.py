@@ -27,6 +27,8 @@ from allanjax.terms import Markov, NoiseTerm, PowerLaw
 
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
 MARKOV, POWER_LAW, RAMP = "markov", "power_law", "drift_ramp"
+# Lengths of spectra are rounded up to multiples of this.
+_PADDED = 4096
 #: Values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
 # Slopes that no basic term has; the grid keeps its distance from those that have one.
@@ -93,7 +95,7 @@ class NoiseFamily:
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients [rate²] of a term of any amplitude, from its density."""
-        return self.rate * np.asarray(term.sampled_psd(self.frequency, self.rate))
+        return self.rate * density(term, self.frequency, self.rate)
 
     @functools.cached_property
     def power_laws(self) -> Float[np.ndarray, "grid m"]:
@@ -210,6 +212,20 @@ class Weighing:
         jobs = self.family.jobs
         members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
+
+
+def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
+    """`sampled_psd`, compiled once for all values of the parameters and lengths that are nearly the same."""
+    values = {p.name: getattr(term, p.name) for p in term.parameters()}
+    term = term.replace(**{name: jnp.asarray(x, float) for name, x in values.items() if np.isfinite(x)})
+    pad = -len(frequency) % _PADDED
+    padded = np.append(frequency, np.full(pad, frequency[-1]))
+    return np.asarray(_density(term, padded, rate))[: len(frequency)]
+
+
+@eqx.filter_jit
+def _density(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[Array, " k"]:
+    return term.sampled_psd(frequency, rate)
 
 
 @functools.lru_cache(maxsize=2)

@@ -119,10 +119,12 @@ def _chosen(candidates: Sequence[Candidate], view: View, alpha: float) -> Step |
         gain = candidate.held_out()
         if not gain > 0.0:
             continue
-        rivals = [(other.cause, candidate.gain - other.gain) for other in ranked if other is not candidate]
+        # Those before it in the ranking have been rejected.
+        behind = ranked[ranked.index(candidate) + 1 :]
+        rivals = [(other.cause, candidate.gain - other.gain) for other in behind]
         # Basic terms that the finding replaces explained it so far.
         rivals += [(t, candidate.gain) for t in view.noise.terms if t not in candidate.after.noise.terms]
-        odds = ((name, float(np.exp(behind))) for name, behind in rivals if behind < np.log(_ODDS))
+        odds = ((name, float(np.exp(nats))) for name, nats in rivals if nats < np.log(_ODDS))
         return Step(candidate, gain, tuple(odds), view)
     return None
 

@@ -18,7 +18,7 @@ from allanjax.critique.causes.spectral import (
     predictive,
     sums,
 )
-from allanjax.critique.noise import FIXED, MARKOV
+from allanjax.critique.noise import FIXED, MARKOV, density
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 from allanjax.model import Model
 
@@ -99,7 +99,7 @@ def _passed(
         ratio = np.tan(np.pi * frequency / rate) / np.tan(np.pi * bandwidth / rate)
         return 1.0 / (1.0 + ratio ** (2 * order))
     term = terms.LowPass(1.0, bandwidth, order=order).sampled(rate)
-    return np.asarray(term.sampled_psd(frequency, rate))
+    return density(term, frequency, rate)
 
 
 def _visible(

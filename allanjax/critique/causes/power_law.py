@@ -12,7 +12,7 @@ from allanjax.critique.causes.spectral import (
     predictive,
     sums,
 )
-from allanjax.critique.noise import MARKOV, POWER_LAW, Noise
+from allanjax.critique.noise import MARKOV, POWER_LAW, Noise, density
 from allanjax.critique.view import EVERYTHING, MARGIN, Candidate, Cause, Quantity, View
 from allanjax.terms import PowerLaw as PowerLawTerm
 
@@ -80,12 +80,7 @@ def _exponent(view: View, noise: Noise) -> tuple[float, float]:
         if not -0.95 < theta[1] < 2.95:
             return np.inf
         term = PowerLawTerm(1.0, float(theta[1]))
-        law = (
-            view.rate
-            * np.asarray(term.sampled_psd(frequency, view.rate))
-            * np.exp(theta[0])
-            * pivot ** theta[1]
-        )
+        law = view.rate * density(term, frequency, view.rate) * np.exp(theta[0]) * pivot ** theta[1]
         return -log_likelihood(squares / (rest + law), size, np.ones_like(size)) + 0.5 * float(
             size @ np.log(rest + law)
         )

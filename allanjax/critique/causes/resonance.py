@@ -18,6 +18,7 @@ from allanjax.critique.causes.spectral import (
     predictive,
     sums,
 )
+from allanjax.critique.noise import density
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
 _NARROWEST = 8
@@ -131,7 +132,7 @@ def _fitted(
 
     def shape(theta: np.ndarray) -> np.ndarray:
         term = terms.Resonance(1.0, float(np.exp(theta[0])), float(np.exp(theta[1]))).sampled(rate)
-        return rate * np.asarray(term.sampled_psd(frequency, rate)) / level
+        return rate * density(term, frequency, rate) / level
 
     near = abs(np.log(frequency / f0)) < max(1.5 / np.exp(start[1]), 4.0 * spacing / f0)
     excess = max(float(np.sum((squares - size)[near])), 1.0) / float(np.sum((size * shape(start))[near]))
