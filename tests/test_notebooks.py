@@ -43,6 +43,8 @@ def test_notebook(path, tmp_path, monkeypatch):
         if not (DATA / name).exists():
             pytest.skip(f"{path.stem} reads {name}, which is not in the folder that ALLANJAX_DATA names")
     monkeypatch.setenv("ALLANJAX_DATA", str(DATA))
+    # The command line, tried in this process before, sets one that shows no pictures.
+    monkeypatch.delenv("MPLBACKEND", raising=False)
     saved = nbformat.read(path, as_version=4)
     # nbclient fills in the outputs of the notebook that it is given, and raises where a cell does.
     executed = nbformat.read(path, as_version=4)

@@ -55,6 +55,9 @@ def criticize(
         raise AllanjaxError(
             f"the fit is of {', '.join(fit.axes)}, the recording has {', '.join(recording.names)}"
         )
+    for result in fit:
+        if not result.converged:
+            raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
     alpha = false_alarms / (len(recording.axes) * (len(causes) + 1))
 
     def searched(k: int) -> Search:

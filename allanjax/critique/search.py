@@ -21,6 +21,7 @@ from allanjax.terms import DriftRamp
 _ODDS = 1000.0
 _MOST = 8
 _CERTAIN = 1e-6
+_TOO_MANY = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,7 +75,8 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         if candidate is not None and candidate.p_value < alpha and (gain := candidate.held_out()) > 0.0:
             steps.append(Step(candidate, gain, (), view))
             view = candidate.after
-    others = [c for c in causes if not c.of_samples]
+    # Of a record that was mostly filled in nothing else is said.
+    others = [c for c in causes if not c.of_samples and np.mean(view.restored) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
     active = others
     undecided: tuple[str, ...] = ()

@@ -121,10 +121,17 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float, np.ndarra
 
 
 def _held_out(z: Float[np.ndarray, " n"]) -> float:
-    """Gain on parts of the samples by the mixture of the others."""
+    """Gain on parts of the samples by the mixture of the others.
+
+    Of outliers that the others do not have nothing is known but that they are rare, and of any scale: so is
+    a single one foretold.
+    """
     gain = 0.0
     for part in folds(len(z), _FOLD_BLOCK):
         _, share, scale, _ = _mixture(z[~part])
         if share > 0.0:
             gain += float(_log_ratio(z[part], share, scale).sum())
+        else:
+            each = _log_ratio(z[part], 0.5 / np.sum(~part), _SCALES)
+            gain += float(np.sum(np.logaddexp.reduce(each, axis=1) - np.log(len(_SCALES))))
     return gain

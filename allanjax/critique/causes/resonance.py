@@ -135,7 +135,10 @@ def _fitted(
         return rate * density(term, frequency, rate) / level
 
     near = abs(np.log(frequency / f0)) < max(1.5 / np.exp(start[1]), 4.0 * spacing / f0)
-    excess = max(float(np.sum((squares - size)[near])), 1.0) / float(np.sum((size * shape(start))[near]))
+    unit = float(np.sum((size * shape(start))[near]))
+    if not unit > 1e-200:
+        return np.append(start, 0.0), np.full((3, 3), np.nan)
+    excess = max(float(np.sum((squares - size)[near])), 1.0) / unit
     theta0 = np.append(start, 0.5 * np.log(excess))
 
     def loss(theta: np.ndarray) -> float:

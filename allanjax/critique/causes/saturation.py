@@ -11,6 +11,8 @@ from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
 _LEAST, _MANY = 4, 100
+# With fewer levels than that there is no tail to pile up.
+_FEW_LEVELS = 4
 
 
 class Saturation(Cause):
@@ -64,5 +66,7 @@ def _piled_up(raw: np.ndarray, q: float | None) -> bool:
         clipped = np.concatenate([[0], (raw == top).astype(int), [0]])
         # Copies of one extreme sample are another matter.
         return int(np.sum(np.diff(clipped) == 1)) >= _LEAST or at_top >= _MANY
+    if np.ptp(raw) < _FEW_LEVELS * q:
+        return False
     below = int(np.sum(abs(raw - (top - q)) < q / 2.0))
     return at_top > below + 6.0 * np.sqrt(below + 1.0) and at_top >= 5 * _LEAST

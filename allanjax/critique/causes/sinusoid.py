@@ -106,7 +106,7 @@ def refined(
     bounds = (f - 0.25 * spacing, f + 0.25 * spacing)
     f = float(
         minimize_scalar(
-            lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options={"xatol": 1e-6 * spacing}
+            lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options={"xatol": 1e-9 * spacing}
         ).x
     )
     z, beta, std = fitted(f)
