@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import minimize
 from scipy.stats import norm
 
 from allanjax.critique.bank import folds
@@ -37,7 +38,7 @@ class Outliers(Cause):
         if bulk == 0.0:
             return None
         z = np.where(view.restored, 0.0, spikes / bulk)
-        gain, _, _, loud = _mixture(z)
+        gain, _, scale, loud = _mixture(z)
         if gain < _WORTH or not loud.any():
             return None
         times = _peaks(z, np.flatnonzero(loud))
@@ -47,8 +48,8 @@ class Outliers(Cause):
         missing[times] = True
         after = view.filled(missing)
         gain -= _price(view.n)
-        error = view.x[times] - after.x[times]
-        spread = float(np.sqrt(np.mean(error**2)))
+        # Of all that there are, also of those too small to be seen.
+        spread = scale * bulk
         parameters = {
             "count": Quantity(float(len(times)), float(np.sqrt(len(times) * 0.05)), "1"),
             "times": Quantity(tuple(float(k / view.rate) for k in times), 1.0 / view.rate, "s"),
@@ -106,15 +107,26 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float, np.ndarra
     # Of the quiet ones only their number counts: a histogram of their squares.
     counts, edges = np.histogram(abs(z[~noticed]), bins=60)
     centres = 0.5 * (edges[1:] + edges[:-1])
+
+    def values(share: float, scale: Float[np.ndarray, " scales"]) -> Float[np.ndarray, " scales"]:
+        return _log_ratio(few, share, scale).sum(axis=0) + counts @ _log_ratio(centres, share, scale)
+
     best = (0.0, 0.0, 1.0)
     for share in _SHARES[_SHARES * len(z) > 0.3]:
-        value = _log_ratio(few, share, _SCALES).sum(axis=0) + counts @ _log_ratio(centres, share, _SCALES)
+        value = values(share, _SCALES)
         k = int(np.argmax(value))
         if value[k] > best[0]:
             best = (float(value[k]), float(share), float(_SCALES[k]))
     gain, share, scale = best
     if gain == 0.0:
         return 0.0, 0.0, 1.0, np.zeros_like(noticed)
+    found = minimize(
+        lambda u: -float(values(min(np.exp(u[0]), 0.5), np.exp(u[1:]))[0]),
+        np.log([share, scale]),
+        method="Nelder-Mead",
+        options={"xatol": 0.01, "fatol": 0.01},
+    )
+    gain, (share, scale) = -float(found.fun), np.exp(found.x)
     s2 = scale**2
     odds = np.log(share / (1.0 - share)) + 0.5 * z**2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
     return gain, share, scale, odds > _ODDS

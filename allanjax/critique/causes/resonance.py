@@ -25,7 +25,8 @@ _NARROWEST = 8
 # Independent windows a width, and independent widths an octave.
 _EFFECTIVE, _WIDTHS = 2.2, 0.75
 _WORTH = 8.0
-_ROUNDS = 2
+# The noise has taken part of the bump for its own, and gives it back bit by bit.
+_ROUNDS, _SETTLED = 8, 0.2
 _LEAST_Q = 0.6
 # Coefficients below this one have drift in them; a bump narrower than this many is a line.
 _LOWEST, _LINE = 16, 4.0
@@ -47,14 +48,16 @@ class Resonance(Cause):
             return None
         spacing = view.rate / (2.0 * view.n)
         start = np.log([middle * spacing, np.clip(middle / width, 1.0, middle / _LINE / 2.0)])
-        after = view
+        after, theta = view, np.full(3, np.inf)
         for _ in range(_ROUNDS):
-            v = view.variance(after.noise)
+            v, before = view.variance(after.noise), theta
             theta, covariance = _fitted(view.c, v, start, width, view.rate)
             if not np.isfinite(covariance).all():
                 return None
             after = view.with_x(view.x, 1.0 + _density(theta, view) / v)
             start = theta[:2]
+            if np.all(abs(theta - before) < _SETTLED * np.sqrt(np.diag(covariance))):
+                break
         gain = after.noise.log_evidence - view.noise.log_evidence
         # Where it is, how wide and how strong: each a share of what might have been.
         widths = np.log(len(view.c) / _NARROWEST)
