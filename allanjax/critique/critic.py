@@ -13,7 +13,7 @@ from allanjax.critique.comparison import Whitened
 from allanjax.critique.discrepancies import discrepancies, mended
 from allanjax.critique.gain import coefficient_changes, drift_change
 from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival, Snapshot
-from allanjax.critique.search import Search, Step, extended, search, slope, view_of
+from allanjax.critique.search import Search, Step, extended, search, view_of
 from allanjax.critique.view import Cause, Quantity, View
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.fit import fit as fit_recording
@@ -89,8 +89,8 @@ def criticize(
     shared = tuple(common_mode(recording.names, [w.z for w in last], recording.rate, alpha))
     axes = []
     for k, s in enumerate(searches):
-        before = _compared(k, first, s.start.raw, recording, s.start)
-        after = _compared(k, last, s.end.x if _restored(s) else s.start.raw, recording, s.end)
+        before = _compared(k, first, s.start.raw, recording)
+        after = _compared(k, last, s.end.x if s.restored else s.start.raw, recording)
         tell(f"{s.start.axis.name}: measuring the gain")
         middle = [Whitened.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]
@@ -123,10 +123,6 @@ def criticize(
     )
 
 
-def _restored(s: Search) -> bool:
-    return any(step.candidate.cause in ("rounding", "saturation", "repeated_samples") for step in s.steps)
-
-
 def _stages(s: Search) -> tuple[Snapshot, ...]:
     # The last one is without all lines: of harmonics, which are one finding, some may have come late.
     views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
@@ -135,12 +131,11 @@ def _stages(s: Search) -> tuple[Snapshot, ...]:
 
 def _snapshot(view: View) -> Snapshot:
     noise = view.noise
-    ramp = slope(view) if noise.ramp else 0.0
-    return Snapshot(view.x, view.variance(), noise.terms, noise.power, noise.shape, ramp)
+    return Snapshot(view.x, view.variance(), noise.terms, noise.power, noise.shape, view.slope)
 
 
 def _compared(
-    k: int, records: Sequence[Whitened], raw: np.ndarray, recording: Recording, view: View
+    k: int, records: Sequence[Whitened], raw: np.ndarray, recording: Recording
 ) -> tuple[Discrepancy, ...]:
     others = {w.axis.name: w for i, w in enumerate(records) if i != k}
     return discrepancies(records[k], raw, others, recording.auxiliary)
@@ -175,7 +170,7 @@ def _finding(step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...]) -> 
 
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
     """The most significant discrepancy that is left, if it is beyond doubt."""
-    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if _restored(s) else ())
+    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.restored else ())
     left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
     if not left:
         return []

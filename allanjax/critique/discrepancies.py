@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import binom
 
-from allanjax.critique.causes.rounding import lattice
+from allanjax.critique.causes.rounding import HARMLESS, lattice
 from allanjax.critique.comparison import AllanLaw, Whitened, allan_laws, octave_sizes
 from allanjax.critique.noise import centred
 from allanjax.critique.profiles import (
@@ -27,9 +27,6 @@ from allanjax.critique.profiles import (
     windows,
 )
 from allanjax.critique.result import Discrepancy
-
-# A resolution finer than this share of the noise does no harm.
-_HARMLESS = 0.35
 
 
 def discrepancies(
@@ -114,7 +111,7 @@ def _varying(
 def _lattice(record: Whitened, raw: Float[np.ndarray, " n"]) -> Discrepancy:
     """Share of the samples on a lattice; one finer than the noise is the file's way to write numbers."""
     q = lattice(raw)
-    if q is None or q < _HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
+    if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
         return Discrepancy("lattice", 0.0, "", 0.0, 0.0, "1", 1.0)
     return Discrepancy("lattice", 0.0, "", 1.0, 0.0, "1", TINY)
 

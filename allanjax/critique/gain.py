@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critique.noise import FIXED, MARKOV, centred, family_of
+from allanjax.critique.profiles import ANGLE
 from allanjax.critique.result import CoefficientChange, DriftChange
 from allanjax.critique.search import Step
 from allanjax.critique.view import View
@@ -16,7 +17,6 @@ from allanjax.terms import Markov
 from allanjax.units import default_coefficient_unit, unit_scale
 
 _HORIZONS = 4.0 ** np.arange(0.0, 10.0)
-_ANGLE = {"gyro": ("deg", np.pi / 180.0), "accel": ("m/s", 1.0)}
 
 
 def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
@@ -57,7 +57,8 @@ def drift_change(step: Step) -> DriftChange | None:
         rows.append((measured, old, new))
     measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
-    unit, scale = _ANGLE[before.axis.sensor]
+    unit = ANGLE[before.axis.sensor]
+    scale = unit_scale(unit, before.axis.sensor)
     found, was, now = (float(x[k] / scale) for x in (measured, old, new))
     return DriftChange(float(T[k]), found, was, now, unit)
 
@@ -79,13 +80,11 @@ def _predicted(view: View, rows: slice, half: int, m: np.ndarray) -> Float[np.nd
     if view.factor is not None:
         whole = np.arange(1, view.n) / view.n
         factor = np.interp(np.arange(1, half) / half, whole, view.factor)
-    noise = family.of(centred(view.x[rows]), factor).best(view.allowed)
+    c = centred(view.x[rows])
+    noise = family.of(c, factor).best(view.allowed)
     v = noise.variance if factor is None else noise.variance * factor
     variances = _weights(half, tuple(int(k) for k in m)) @ v
-    ramp = 0.0
-    if noise.ramp:
-        c, r = centred(view.x[rows]), family.ramp
-        ramp = float(np.sum(r * c / v) / np.sum(r**2 / v))
+    ramp = family.slope(c, v)[0] if noise.ramp else 0.0
     return variances + 0.5 * (ramp * m / view.rate) ** 2
 
 

@@ -119,6 +119,17 @@ class NoiseFamily:
         size = self.size if fold is None else self.bins.sums(used)[self.keep]
         return Weighing(self, Levels(*sums), size, constant)
 
+    def slope(
+        self,
+        c: Float[np.ndarray, " n-1"],
+        variance: Float[np.ndarray, " n-1"],
+        fold: Bool[np.ndarray, " n-1"] | None = None,
+    ) -> tuple[float, float]:
+        """Ramp [rate/s] of the record with these coefficients, or with those in a fold; and its deviation."""
+        weight = self.ramp / variance if fold is None else fold * self.ramp / variance
+        gram = float(weight @ self.ramp)
+        return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
+
     def run(
         self, levels: Levels, size: Float[np.ndarray, " m"], grid: Float[np.ndarray, "grid m"]
     ) -> Evidence:

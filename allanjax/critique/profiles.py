@@ -30,7 +30,8 @@ _SHORTEST = 16
 _DRAWS = 2000
 # Normal scores beyond this are taken from the deviance: probabilities end there.
 _FAR = 35.0
-_ANGLE = {"gyro": "deg", "accel": "m/s"}
+#: What a rate adds up to, and its unit.
+ANGLE = {"gyro": "deg", "accel": "m/s"}
 
 Places = Float[np.ndarray, " places"]
 
@@ -118,7 +119,7 @@ def cluster_times(record: Whitened) -> list[Profile]:
     k = len(octaves)
     allan = AllanLaw(law.time[:k], law.measured[:k], law.mean[:k], law.covariance[:k, :k])
     drift = AllanLaw(law.time[k:], law.measured[k:], law.mean[k:], law.covariance[k:, k:])
-    angle = _ANGLE[record.axis.sensor]
+    angle = ANGLE[record.axis.sensor]
     factors = np.sqrt(2.0) * drift.time / unit_scale(angle, record.axis.sensor)
     return [allan_deviation(record, allan), _of_law("drift", drift, factors, angle)]
 

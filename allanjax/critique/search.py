@@ -51,6 +51,7 @@ class Search:
         end: the axis with all findings taken out.
         tests: `Cause.p_value` of those causes that have one, in the axis as it came.
         undecided: for people: causes that explain about as much as the noise does.
+        restored: whether a finding says that the samples are not what the sensor gave.
     """
 
     start: View
@@ -58,6 +59,7 @@ class Search:
     end: View
     tests: Mapping[str, float]
     undecided: tuple[str, ...] = ()
+    restored: bool = False
 
 
 def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable[[str], None]) -> Search:
@@ -75,6 +77,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         if candidate is not None and candidate.p_value < alpha and (gain := candidate.held_out()) > 0.0:
             steps.append(Step(candidate, gain, (), view))
             view = candidate.after
+    restored = bool(steps)
     # Of a record that was mostly filled in nothing else is said.
     others = [c for c in causes if not c.of_samples and np.mean(view.restored) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
@@ -98,7 +101,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         view = dataclasses.replace(step.candidate.after, found=(*view.found, step.candidate.cause))
         # What had nothing to say is asked again when the others have finished.
         active = [cause for cause, _ in candidates]
-    return Search(start, tuple(_grouped(steps)), view, tests, undecided)
+    return Search(start, tuple(_grouped(steps)), view, tests, undecided, restored)
 
 
 def _undecided(candidate: Candidate, view: View) -> str:
@@ -267,13 +270,7 @@ def extended(search: Search) -> Model:
     noise = search.end.noise
     model = noise.model()
     if noise.ramp:
-        model = model + DriftRamp(abs(slope(search.end)))
+        model = model + DriftRamp(abs(search.end.slope))
     for step in search.steps:
         model = step.candidate.extend(model)
     return model
-
-
-def slope(view: View) -> float:
-    """The record's ramp [rate/s] in its noise."""
-    v, ramp = view.variance(), view.family.ramp
-    return float(np.sum(ramp * view.c / v) / np.sum(ramp**2 / v))

@@ -93,10 +93,23 @@ class View:
         """The best set of basic terms."""
         return self.weighing.best(self.allowed)
 
+    @functools.cached_property
+    def squares(self) -> Float[np.ndarray, " n-1"]:
+        """Squared coefficients, as if all that was found before were not there."""
+        return self.c**2 if self.factor is None else self.c**2 / self.factor
+
+    @property
+    def slope(self) -> float:
+        """Of the ramp in the noise [rate/s], 0 if there is none."""
+        return self.family.slope(self.c, self.variance())[0] if self.noise.ramp else 0.0
+
+    def combined(self, spectrum: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
+        """A spectrum, or a factor of it, with the factor of what was found before."""
+        return spectrum if self.factor is None else spectrum * self.factor
+
     def variance(self, noise: Noise | None = None) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients [rate²], all that was found before included."""
-        v = (noise or self.noise).variance
-        return v if self.factor is None else v * self.factor
+        return self.combined((noise or self.noise).variance)
 
     @functools.cached_property
     def noises(self) -> tuple[Noise, ...]:
@@ -124,11 +137,7 @@ class View:
 
     def with_x(self, x: Float[np.ndarray, " n"], factor: Float[np.ndarray, " n-1"] | None = None) -> View:
         """The view of other samples, and of a spectrum with a further factor."""
-        if factor is None:
-            factor = self.factor
-        elif self.factor is not None:
-            factor = factor * self.factor
-        return dataclasses.replace(self, x=x, factor=factor)
+        return dataclasses.replace(self, x=x, factor=self.factor if factor is None else self.combined(factor))
 
     def allowing(self, terms: Collection[str]) -> View:
         """The view with these basic terms in the noise."""

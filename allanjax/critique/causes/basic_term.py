@@ -35,7 +35,7 @@ class BasicTerm(Cause):
                 other = view.family.of(view.c, view.factor, fold).best(allowed, required=(term,))
                 c = view.c
                 if other.ramp:
-                    c = c - _ramp(view, other.variance, fold)[0] * view.family.ramp
+                    c = c - view.family.slope(c, other.variance, fold)[0] * view.family.ramp
                 total += predictive(c, view.variance(other), ~fold) - baseline_predictive(view, fold)
             return total
 
@@ -52,7 +52,7 @@ class BasicTerm(Cause):
 
     def _parameters(self, view: View, noise: Noise, term: str) -> dict[str, Quantity]:
         if term == RAMP:
-            value, std = _ramp(view, view.variance(noise))
+            value, std = view.family.slope(view.c, view.variance(noise))
             unit = _unit(view, basic_terms()[RAMP])
             scale = unit_scale(unit, view.axis.sensor)
             return {"coefficient": Quantity(abs(value) / scale, std / scale, unit)}
@@ -74,10 +74,3 @@ class BasicTerm(Cause):
 
 def _unit(view: View, term: NoiseTerm) -> str:
     return default_coefficient_unit(view.axis.sensor, term.parameters()[0].time_exponent)
-
-
-def _ramp(view: View, v: np.ndarray, fold: np.ndarray | None = None) -> tuple[float, float]:
-    """Slope of the record and its deviation."""
-    used = 1.0 if fold is None else fold
-    gram = float(np.sum(used * view.family.ramp**2 / v))
-    return float(np.sum(used * view.family.ramp * view.c / v)) / gram, float(1.0 / np.sqrt(gram))

@@ -114,7 +114,7 @@ def _visible(
     stopped = factor < 2.0 * (factor - _passed(view.family.frequency, view.rate, bandwidth, filter_))
     if not stopped.any():
         return factor
-    whole = factor if view.factor is None else factor * view.factor
+    whole = view.combined(factor)
     noise = view.family.of(view.c, whole, fold).best(view.allowed)
     used = np.ones(view.n - 1) if fold is None else fold.astype(float)
     ratio = uniform_filter1d(used * view.c**2 / (noise.variance * whole), _LOCAL, mode="nearest")
@@ -147,8 +147,7 @@ class _Screen:
         used = np.ones(self.n - 1) if fold is None else fold.astype(float)
         size = sums(used, first)
         real = size > 0
-        whitened = view.c**2 if view.factor is None else view.c**2 / view.factor
-        self.size, self.squares = size[real], sums(used * whitened, first)[real]
+        self.size, self.squares = size[real], sums(used * view.squares, first)[real]
         self.frequency = sums(used * view.family.frequency, first)[real] / self.size
         columns = [view.family.spectra[FIXED.index(t)] for t in FIXED if t in view.allowed]
         self.columns = np.stack([sums(used * column, first)[real] / self.size for column in columns])
@@ -202,7 +201,7 @@ def _held_out(view: View) -> float:
     for fold in coefficient_folds(view.n):
         filter_, bandwidth, _ = _Screen(view, fold).best()
         factor = _visible(view, bandwidth, filter_, fold)
-        whole = factor if view.factor is None else factor * view.factor
+        whole = view.combined(factor)
         noise = view.family.of(view.c, whole, fold).best(view.allowed)
         gain += predictive(view.c, noise.variance * whole, ~fold) - baseline_predictive(view, fold)
     return gain

@@ -70,8 +70,7 @@ def _exponent(view: View, noise: Noise) -> tuple[float, float]:
     first = fine_bins(view.n)
     size = np.diff(np.append(first, view.n - 1)).astype(float)
     frequency = sums(view.family.frequency, first) / size
-    whitened = view.c**2 if view.factor is None else view.c**2 / view.factor
-    squares, rest = sums(whitened, first), sums(np.maximum(v - own, 0.0), first) / size
+    squares, rest = sums(view.squares, first), sums(np.maximum(v - own, 0.0), first) / size
     # Pivot where the law weighs most, so that amplitude and exponent are independent.
     share = sums((own / v) ** 2, first)
     pivot = float(np.exp(np.sum(share * np.log(frequency)) / share.sum()))

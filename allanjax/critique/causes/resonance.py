@@ -184,7 +184,7 @@ def _held_out(view: View, theta: Float[np.ndarray, " 3"], width: float) -> float
         for _ in range(2):
             found, _ = _fitted(view.c, v, theta[:2], width, view.rate, fold)
             factor = 1.0 + _density(found, view) / v
-            whole = factor if view.factor is None else factor * view.factor
+            whole = view.combined(factor)
             noise = view.family.of(view.c, whole, fold).best(view.allowed)
             v = view.variance(noise)
         gain += predictive(view.c, v * factor, ~fold) - baseline_predictive(view, fold)

@@ -12,8 +12,8 @@ from allanjax.critique.view import Candidate, Cause, View
 _TOLERANCE = 1e-3
 _SHARE = 0.999
 _FEW = 20000
-# A resolution finer than this share of the noise does no harm.
-_HARMLESS = 0.35
+#: A resolution finer than this share of the noise does no harm.
+HARMLESS = 0.35
 
 
 class Rounding(Cause):
@@ -27,7 +27,7 @@ class Rounding(Cause):
         if q is None or not np.array_equal(view.x, view.raw):
             return None
         x, sigma = imputed(view.x, view.x - q / 2.0, view.x + q / 2.0, len(view.x))
-        if q < _HARMLESS * sigma:
+        if q < HARMLESS * sigma:
             return None
         # A continuous output would be this close to a multiple with the probability 2·tolerance.
         gain = view.n * float(np.log(0.5 / _TOLERANCE))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -47,6 +48,7 @@ class WarmUp(Cause):
         )
 
 
+@functools.lru_cache(maxsize=2)
 def _bank(n: int, rate: float) -> tuple[Float[np.ndarray, " times"], Bank]:
     times = np.geomspace(n / 500.0, n / 2.0, _TIMES)
     return times / rate, Bank(_coefficients(times, n))
