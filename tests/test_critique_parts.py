@@ -14,7 +14,7 @@ from allanjax.critique.causes.common_mode import _p_value, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.causes.telegraph import _path, two_levels
-from allanjax.critique.gain import drift_change
+from allanjax.critique.gain import drift_changes
 from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, family_of
 from allanjax.critique.search import Step
 from allanjax.critique.view import EVERYTHING, Candidate, View
@@ -246,7 +246,7 @@ def test_drift_is_that_of_simulations():
     before = view_of(noise + line)
     after = view_of(noise)
     candidate = Candidate("sinusoid", {}, 1.0, 0.0, after, lambda: 1.0, (0.0, 1.0), "frequency")
-    change = drift_change(Step(candidate, 1.0, (), before))
+    (change,) = drift_changes([Step(candidate, 1.0, (), before)])
     assert change is not None
     m = int(np.rint(change.horizon * RATE))
 

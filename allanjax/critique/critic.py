@@ -11,8 +11,16 @@ from allanjax.critique.causes import CAUSES
 from allanjax.critique.causes.common_mode import common_mode
 from allanjax.critique.comparison import Whitened
 from allanjax.critique.discrepancies import discrepancies, mended
-from allanjax.critique.gain import coefficient_changes, drift_change
-from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival, Snapshot
+from allanjax.critique.gain import coefficient_changes, drift_changes
+from allanjax.critique.result import (
+    AxisCritique,
+    Critique,
+    Discrepancy,
+    DriftChange,
+    Finding,
+    Rival,
+    Snapshot,
+)
 from allanjax.critique.search import Search, Step, extended, search, view_of
 from allanjax.critique.view import Cause, Quantity, View
 from allanjax.errors import AllanjaxError, FitError
@@ -87,8 +95,9 @@ def criticize(
         for i in (0, -1)
     )
     shared = tuple(common_mode(recording.names, [w.z for w in last], recording.rate, alpha))
-    axes = []
-    for k, s in enumerate(searches):
+
+    def judged(k: int) -> AxisCritique:
+        s = searches[k]
         before = _compared(k, first, s.start.raw, recording)
         after = _compared(k, last, s.end.x if s.restored else s.start.raw, recording)
         tell(f"{s.start.axis.name}: measuring the gain")
@@ -98,26 +107,28 @@ def criticize(
             (*of_step, *_of_samples(step, before, after))
             for step, of_step in zip(s.steps, mended(records, recording.auxiliary), strict=True)
         ]
-        findings = [_finding(step, of_step) for step, of_step in zip(s.steps, pairs, strict=True)]
+        drifts = drift_changes(s.steps)
+        findings = [_finding(*of_step) for of_step in zip(s.steps, pairs, drifts, strict=True)]
         together = {name for f in shared if s.start.axis.name in f.axes for name in f.axes}
         findings += _unexplained(s, after, bool(together))
-        axes.append(
-            AxisCritique(
-                s.start.axis,
-                tuple(findings),
-                before,
-                after,
-                s.tests,
-                stages[k],
-                fit.results[k].model,
-                extended(s),
-            )
+        return AxisCritique(
+            s.start.axis,
+            tuple(findings),
+            before,
+            after,
+            s.tests,
+            stages[k],
+            fit.results[k].model,
+            extended(s),
         )
+
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        axes = tuple(pool.map(judged, range(len(searches))))
     return Critique(
         recording.name,
         recording.rate,
         fit,
-        tuple(axes),
+        axes,
         shared,
         (*fit.notes, *(note for s in searches for note in s.undecided)),
     )
@@ -150,7 +161,9 @@ def _of_samples(
     return [(old[statistic], new[statistic])] if statistic else []
 
 
-def _finding(step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...]) -> Finding:
+def _finding(
+    step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...], drift: DriftChange | None
+) -> Finding:
     candidate = step.candidate
     return Finding(
         cause=candidate.cause,
@@ -163,7 +176,7 @@ def _finding(step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...]) -> 
         span=(float(candidate.span[0]), float(candidate.span[1])),
         domain=candidate.domain,
         coefficients=coefficient_changes(step),
-        drift=drift_change(step),
+        drift=drift,
         discrepancies=pairs,
     )
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from allanjax.critique.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critique.profiles import ANGLE
@@ -35,32 +36,45 @@ def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
     return tuple(changes)
 
 
-def drift_change(step: Step) -> DriftChange | None:
-    """Drift predicted for one half of the record from the noise of the other, before and after a finding.
+def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
+    """Drift predicted for one half of the record from the noise of the other, before and after each finding.
 
     The drift over a time T is the integral of the rate over T less that over the T before: its mean square is
     2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
     taken together. An effect with a shape of its own drifts as its shape does.
     """
+    # What is after one finding is before the next.
+    predicted = functools.lru_cache(maxsize=None)(_predicted)
+    return [_drift_change(step, predicted) for step in steps]
+
+
+def _drift_change(
+    step: Step, predicted: Callable[[View], Float[np.ndarray, "halves m"]]
+) -> DriftChange | None:
     before, after = step.before, step.candidate.after
-    half = before.n // 2
-    T = _HORIZONS[_HORIZONS * before.rate * 4.0 <= half]
+    T, m = _horizons(before)
     if len(T) == 0:
         return None
-    m = np.rint(T * before.rate).astype(int)
     rows = []
-    for mine, other in ((slice(0, half), slice(half, 2 * half)), (slice(half, 2 * half), slice(0, half))):
+    for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
         effect = (before.x - after.x)[mine]
-        measured = _mean_squares(before.x[mine], m)
-        old = _predicted(before, other, half, m)
-        new = _predicted(after, other, half, m) + _mean_squares(effect, m)
-        rows.append((measured, old, new))
+        rows.append((_mean_squares(before.x[mine], m), old, new + _mean_squares(effect, m)))
     measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
     unit = ANGLE[before.axis.sensor]
     scale = unit_scale(unit, before.axis.sensor)
     found, was, now = (float(x[k] / scale) for x in (measured, old, new))
     return DriftChange(float(T[k]), found, was, now, unit)
+
+
+def _horizons(view: View) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    T = _HORIZONS[_HORIZONS * view.rate * 4.0 <= view.n // 2]
+    return T, np.rint(T * view.rate).astype(int)
+
+
+def _halves(view: View) -> tuple[slice, slice]:
+    half = view.n // 2
+    return slice(0, half), slice(half, 2 * half)
 
 
 def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray, " m"]:
@@ -73,19 +87,24 @@ def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray
     return np.array(found)
 
 
-def _predicted(view: View, rows: slice, half: int, m: np.ndarray) -> Float[np.ndarray, " m"]:
-    """Allan variances of the noise that a half of the record shows."""
+def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
+    """Allan variances of the noise that each half of the record shows."""
+    half = view.n // 2
+    _, m = _horizons(view)
     family = family_of(half, view.rate)
     factor = None
     if view.factor is not None:
         whole = np.arange(1, view.n) / view.n
         factor = np.interp(np.arange(1, half) / half, whole, view.factor)
-    c = centred(view.x[rows])
-    noise = family.of(c, factor).best(view.allowed)
-    v = noise.variance if factor is None else noise.variance * factor
-    variances = _weights(half, tuple(int(k) for k in m)) @ v
-    ramp = family.slope(c, v)[0] if noise.ramp else 0.0
-    return variances + 0.5 * (ramp * m / view.rate) ** 2
+    found = []
+    for rows in _halves(view):
+        c = centred(view.x[rows])
+        noise = family.of(c, factor).best(view.allowed)
+        v = noise.variance if factor is None else noise.variance * factor
+        ramp = family.slope(c, v)[0] if noise.ramp else 0.0
+        variances = _weights(half, tuple(int(k) for k in m)) @ v
+        found.append(variances + 0.5 * (ramp * m / view.rate) ** 2)
+    return np.stack(found)
 
 
 @functools.lru_cache(maxsize=1)

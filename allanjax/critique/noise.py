@@ -115,7 +115,9 @@ class NoiseFamily:
         used = np.ones(self.n - 1) if fold is None else fold.astype(float)
         constant = 0.0 if factor is None else -0.5 * float(used @ np.log(factor))
         weight = used if factor is None else used / factor
-        sums = (self.bins.sums(weight * z)[self.keep][None] for z in (c**2, c * self.ramp, self.ramp**2))
+        weighted = weight * c, weight * self.ramp
+        products = weighted[0] * c, weighted[0] * self.ramp, weighted[1] * self.ramp
+        sums = (self.bins.sums(z)[self.keep][None] for z in products)
         size = self.size if fold is None else self.bins.sums(used)[self.keep]
         return Weighing(self, Levels(*sums), size, constant)
 

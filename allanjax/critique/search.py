@@ -97,8 +97,9 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
                 break
             active = others
             continue
-        steps.append(step)
         view = dataclasses.replace(step.candidate.after, found=(*view.found, step.candidate.cause))
+        candidate = dataclasses.replace(step.candidate, after=view)
+        steps.append(dataclasses.replace(step, candidate=candidate))
         # What had nothing to say is asked again when the others have finished.
         active = [cause for cause, _ in candidates]
     return Search(start, tuple(_grouped(steps)), view, tests, undecided, restored)

@@ -103,6 +103,11 @@ class View:
         """Of the ramp in the noise [rate/s], 0 if there is none."""
         return self.family.slope(self.c, self.variance())[0] if self.noise.ramp else 0.0
 
+    @functools.cached_property
+    def basic(self) -> Noise:
+        """The best set of any basic terms, also of those that the model lacks."""
+        return self.weighing.best([*EVERYTHING, *self.allowed])
+
     def combined(self, spectrum: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
         """A spectrum, or a factor of it, with the factor of what was found before."""
         return spectrum if self.factor is None else spectrum * self.factor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -69,13 +70,16 @@ def additive(
                 cause,
                 parameters(k, float(scan.amplitude[k]), float(std), likelihood),
                 gain,
-                bank.p_value(view, noise, snr) if gain > 0.0 else 1.0,
+                1.0,
                 after,
                 partial(bank.held_out, view, noise),
                 span(k),
                 "time",
                 _adding(term, k, float(scan.amplitude[k])),
             )
+            searched = noise, snr
+    if best is not None and best.gain > 0.0:
+        best = dataclasses.replace(best, p_value=bank.p_value(view, *searched))
     return best
 
 

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critique.causes.spectral import baseline_predictive, coefficient_folds, predictive
-from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise
+from allanjax.critique.causes.spectral import (
+    FineLevels,
+    baseline_predictive,
+    coefficient_folds,
+    predictive,
+)
+from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov, NoiseTerm
 from allanjax.units import default_coefficient_unit, unit_scale
+
+# Of ln(correlation time), for a derivative.
+_STEP = 0.02
 
 
 class BasicTerm(Cause):
@@ -59,17 +67,46 @@ class BasicTerm(Cause):
         declared = Markov() if term == MARKOV else basic_terms()[term]
         unit = _unit(view, declared)
         value = float(np.sqrt(noise.power[term]))
-        share = noise.power[term] * view.family.spectrum(
-            Markov(1.0, noise.shape) if term == MARKOV else declared.replace(coefficient=1.0)
-        )
-        # Relative error of the power, the other terms as they are.
-        relative = 1.0 / np.sqrt(0.5 * float(np.sum((share / noise.variance) ** 2)))
+        relative = _relative_errors(view, noise)
         name = declared.parameters()[0].name
         scale = unit_scale(unit, view.axis.sensor)
-        found = {name: Quantity(value / scale, 0.5 * relative * value / scale, unit)}
+        found = {name: Quantity(value / scale, 0.5 * relative[term] * value / scale, unit)}
         if term == MARKOV:
-            found["correlation_time"] = Quantity(noise.shape, 2.0 * relative * noise.shape, "s")
+            time = _correlation_time(view, noise)
+            found["correlation_time"] = Quantity(time, relative["correlation_time"] * time, "s")
         return found
+
+
+def _relative_errors(view: View, noise: Noise) -> dict[str, float]:
+    """Relative errors of all powers, and of the correlation time, by their Fisher information."""
+    rows = {}
+    for name, power in noise.power.items():
+        spectra = [
+            view.family.spectrum(term)
+            for term in (
+                [Markov(1.0, noise.shape * np.exp(s)) for s in (0.0, _STEP, -_STEP)]
+                if name == MARKOV
+                else [basic_terms()[name].replace(coefficient=1.0)]
+            )
+        ]
+        rows[name] = power * spectra[0]
+        if name == MARKOV:
+            rows["correlation_time"] = power * (spectra[1] - spectra[2]) / (2.0 * _STEP)
+    relative = np.stack(list(rows.values())) / noise.variance
+    covariance = np.linalg.pinv(0.5 * relative @ relative.T)
+    return dict(zip(rows, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+
+
+def _correlation_time(view: View, noise: Noise) -> float:
+    """By maximum likelihood, between its neighbours in the grid."""
+    levels = FineLevels(view)
+
+    def likelihood(u: float) -> float:
+        own = density(Markov(1.0, float(np.exp(u))), levels.frequency, view.rate)
+        return levels.log_likelihood(extra=view.rate * own)
+
+    middle, step = np.log(noise.shape), np.log(view.family.times[1] / view.family.times[0])
+    return float(np.exp(levels.shape_of(likelihood, (middle - step, middle + step))[0]))
 
 
 def _unit(view: View, term: NoiseTerm) -> str:

@@ -7,24 +7,23 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize_scalar, nnls
 
 from allanjax import terms
 from allanjax.critique.causes.spectral import (
+    FineLevels,
     baseline_predictive,
     coefficient_folds,
-    fine_bins,
-    log_likelihood,
     predictive,
-    sums,
 )
-from allanjax.critique.noise import FIXED, MARKOV, density
-from allanjax.critique.view import Candidate, Cause, Quantity, View
+from allanjax.critique.noise import MARKOV, density
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View
 from allanjax.model import Model
 
 _WORTH = 6.0
 _GRID = 40
-_STEPS = 8
+# Kinds of filters that are so much less likely [nats] are out of the question.
+_RIVALS = 10.0
+_RESPONSE = 4097
 # A Markov process this short [samples] without white noise is white noise behind a filter.
 _SHORT = 20.0
 # Below this response the record's ends are reckoned with; coefficients that a local mean is taken over.
@@ -36,7 +35,10 @@ _FILTERS = ((1, False), (2, False), (1, True), (2, True), (3, True), (4, True))
 
 
 class LowPass(Cause):
-    """All noise behind a Butterworth filter of order 1 or 2."""
+    """All noise behind a Butterworth filter.
+
+    The bandwidth found is where the samples' spectrum has fallen by half.
+    """
 
     name = "low_pass"
 
@@ -44,25 +46,26 @@ class LowPass(Cause):
         if self.name in view.found:
             return None
         noise = view.noise
-        steady = noise
-        if "angle_random_walk" not in noise.terms and noise.shape * view.rate < _SHORT:
+        # A basic term that the model lacks and that explains as much is the better word.
+        basic = view.basic
+        if "angle_random_walk" not in basic.terms and basic.shape * view.rate < _SHORT:
             # The same spectrum by another name: as white noise that is filtered it says where it ends.
-            steady = view.weighing.best([t for t in view.allowed if t != MARKOV])
+            basic = view.weighing.best([t for t in (*EVERYTHING, *view.allowed) if t != MARKOV])
         screen = _Screen(view)
-        filter_, bandwidth, gains = screen.best()
+        gains = screen.gains
         if gains.max() < _WORTH:
             return None
+        filter_, bandwidth, half_power, std = screen.best()
         after = _without_ends(view.with_x(view.x, _visible(view, bandwidth, filter_)))
-        gain = after.noise.log_evidence - steady.log_evidence
+        gain = after.noise.log_evidence - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
         if after.noise.log_evidence < noise.log_evidence - 4.0:
             return None
-        std = screen.deviation(filter_, bandwidth)
         return Candidate(
             self.name,
             {
-                "bandwidth": Quantity(bandwidth, std, "Hz"),
+                "bandwidth": Quantity(half_power, std, "Hz"),
                 "order": Quantity(float(filter_[0]), 0.0, "1"),
             },
             gain,
@@ -75,19 +78,14 @@ class LowPass(Cause):
         )
 
 
-def _factor(
-    frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool], n: int
-) -> Float[np.ndarray, " k"]:
-    """Ratio of the filtered to the unfiltered spectrum of n samples.
+def _ends(view: View) -> Float[np.ndarray, " n-1"]:
+    """Power of the record's ends in its coefficients: all that is left where a filter stops the noise.
 
-    The mirrored record that cosines see has kinks at its two ends, of the slopes there: in what the filter
-    stops they have a power of (4/n)·E ẋ²/(2 sin(a/2))⁴, which is all that is left there.
+    The mirrored record that cosines see has kinks at its two ends, of the slopes there, with a power of
+    (4/n)·E ẋ²/(2 sin(a/2))⁴.
     """
-    passed = _passed(frequency, rate, bandwidth, filter_)
-    grid = (np.arange(_GRID * 16) + 0.5) * rate / (32.0 * _GRID)
-    slopes = np.mean(4.0 * np.sin(np.pi * grid / rate) ** 2 * _passed(grid, rate, bandwidth, filter_))
-    kinks = 4.0 / n * slopes / (2.0 * np.sin(np.pi * frequency / rate)) ** 4
-    return np.where(passed < _DEEP, passed + kinks, passed)
+    slopes = float(np.mean(np.diff(view.x) ** 2))
+    return 4.0 / view.n * slopes / (2.0 * np.sin(np.pi * view.family.frequency / view.rate)) ** 4
 
 
 def _passed(
@@ -105,21 +103,24 @@ def _passed(
 def _visible(
     view: View, bandwidth: float, filter_: tuple[int, bool], fold: np.ndarray | None = None
 ) -> Float[np.ndarray, " n-1"]:
-    """The ratio where it can be seen.
+    """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
 
     Where the record's ends count more than what the filter passes, the level is the record's own, and nothing
     is said.
     """
-    factor = _factor(view.family.frequency, view.rate, bandwidth, filter_, view.n)
-    stopped = factor < 2.0 * (factor - _passed(view.family.frequency, view.rate, bandwidth, filter_))
-    if not stopped.any():
-        return factor
+    passed = _passed(view.family.frequency, view.rate, bandwidth, filter_)
+    deep, used = passed < _DEEP, np.ones(view.n - 1) if fold is None else fold.astype(float)
+    if not deep.any():
+        return passed
+    clear = ~deep & (used > 0.0)
+    ends, level = _ends(view), float(np.mean(view.squares[clear] / passed[clear]))
+    factor = passed + np.where(deep, ends / level, 0.0)
     whole = view.combined(factor)
     noise = view.family.of(view.c, whole, fold).best(view.allowed)
-    used = np.ones(view.n - 1) if fold is None else fold.astype(float)
-    ratio = uniform_filter1d(used * view.c**2 / (noise.variance * whole), _LOCAL, mode="nearest")
+    kinks = np.where(deep, ends / view.combined(noise.variance), 0.0)
+    ratio = uniform_filter1d(used * view.c**2 / view.combined(noise.variance), _LOCAL, mode="nearest")
     ratio /= np.maximum(uniform_filter1d(used, _LOCAL, mode="nearest"), 1.0 / _LOCAL)
-    return np.where(stopped, factor * np.maximum(ratio, 1e-9), factor)
+    return np.where(kinks > passed, np.maximum(ratio, 1e-9 * factor), passed + kinks)
 
 
 def _without_ends(view: View) -> View:
@@ -138,68 +139,64 @@ def _filtered(model: Model, bandwidth: float, order: int) -> Model:
     return model.without([white]) + terms.LowPass(N, bandwidth, order=order)
 
 
-class _Screen:
-    """Likelihoods of many filters, the powers of the basic terms being adjusted to each."""
+class _Screen(FineLevels):
+    """Likelihoods of many filters."""
 
     def __init__(self, view: View, fold: np.ndarray | None = None) -> None:
-        self.n, self.rate = view.n, view.rate
-        first = fine_bins(self.n)
-        used = np.ones(self.n - 1) if fold is None else fold.astype(float)
-        size = sums(used, first)
-        real = size > 0
-        self.size, self.squares = size[real], sums(used * view.squares, first)[real]
-        self.frequency = sums(used * view.family.frequency, first)[real] / self.size
-        columns = [view.family.spectra[FIXED.index(t)] for t in FIXED if t in view.allowed]
-        self.columns = np.stack([sums(used * column, first)[real] / self.size for column in columns])
-        self.plain = self.fitted(np.ones(len(self.size)))
-
-    def fitted(self, factor: Float[np.ndarray, " bins"]) -> float:
-        """Log-likelihood of the best powers behind this factor."""
-        level = self.squares / self.size / factor
-        smooth = np.convolve(level * self.size, np.ones(9), "same") / np.convolve(
-            self.size, np.ones(9), "same"
-        )
-        model = np.maximum(smooth, 1e-300)
-        best = -np.inf
-        for _ in range(_STEPS):
-            weight = np.sqrt(self.size) / model
-            power, _ = nnls((self.columns * weight).T, level * weight)
-            model = np.maximum(power @ self.columns, 1e-300)
-            value = log_likelihood(self.squares / factor / model, self.size, np.ones_like(model))
-            value -= 0.5 * float(self.size @ (np.log(model) + np.log(factor)))
-            best = max(best, value)
-        return best
+        super().__init__(view, fold)
+        self.rate = view.rate
+        self.plain = self.log_likelihood()
+        ends = _ends(view) if view.factor is None else _ends(view) / view.factor
+        self.ends = self.mean(ends)
+        self.grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
+        self.gains = np.array([[self.gain(filter_, f) for f in self.grid] for filter_ in _FILTERS])
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
-        return self.fitted(_factor(self.frequency, self.rate, bandwidth, filter_, self.n)) - self.plain
+        passed = _passed(self.frequency, self.rate, bandwidth, filter_)
+        return self.log_likelihood(passed, np.where(passed < _DEEP, self.ends, 0.0)) - self.plain
 
-    def best(self) -> tuple[tuple[int, bool], float, Float[np.ndarray, "filters grid"]]:
-        """The best filter and its bandwidth, and the gains of all."""
-        grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
-        gains = np.array([[self.gain(filter_, f) for f in grid] for filter_ in _FILTERS])
-        i, k = (int(x) for x in np.unravel_index(int(np.argmax(gains)), gains.shape))
-        bounds = (np.log(grid[max(k - 1, 0)]), np.log(grid[min(k + 1, _GRID - 1)]))
-        found = minimize_scalar(
-            lambda u: -self.gain(_FILTERS[i], float(np.exp(u))),
-            bounds=bounds,
-            method="bounded",
-            options={"xatol": 1e-4},
-        )
-        return _FILTERS[i], float(np.exp(found.x)), gains
+    def best(self) -> tuple[tuple[int, bool], float, float, float]:
+        """The best filter, its bandwidth, its half-power frequency, and how well that is known [Hz].
 
-    def deviation(self, filter_: tuple[int, bool], bandwidth: float) -> float:
-        """Standard deviation of the bandwidth, from the curvature."""
-        h = 0.01
-        values = [self.gain(filter_, bandwidth * np.exp(s * h)) for s in (-1.0, 0.0, 1.0)]
-        curvature = -(values[0] - 2.0 * values[1] + values[2]) / h**2
-        return float(bandwidth / np.sqrt(max(curvature, 1e-2)))
+        Other filters being possible.
+        """
+        likely = np.flatnonzero(self.gains.max(axis=1) > self.gains.max() - _RIVALS)
+        found = [self._maximum(int(i)) for i in likely]
+        bandwidth, half, std, gain = (np.array(x) for x in zip(*found, strict=True))
+        k = int(np.argmax(gain))
+        weight = np.exp(gain - gain[k])
+        variance = float(weight @ (std**2 + (half - half[k]) ** 2) / weight.sum())
+        return _FILTERS[likely[k]], float(bandwidth[k]), float(half[k]), float(np.sqrt(variance))
+
+    def _maximum(self, i: int) -> tuple[float, float, float, float]:
+        """Bandwidth of one kind of filter, half-power frequency, its deviation, and gain."""
+        k = int(np.argmax(self.gains[i]))
+        bounds = (np.log(self.grid[max(k - 1, 0)]), np.log(self.grid[min(k + 1, _GRID - 1)]))
+        u, std, gain = self.shape_of(lambda u: self.gain(_FILTERS[i], float(np.exp(u))), bounds)
+        half, above = (_half_power(self.rate, float(np.exp(x)), _FILTERS[i]) for x in (u, u + std))
+        return float(np.exp(u)), half, abs(above - half), gain
+
+
+def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float:
+    """Where the samples' spectrum has fallen by half, which aliases put above an analog filter's −3 dB.
+
+    The bandwidth itself where they keep it from falling so far.
+    """
+    frequency = np.linspace(0.0, rate / 2.0, _RESPONSE)[1:]
+    passed = _passed(frequency, rate, bandwidth, filter_)
+    below = np.flatnonzero(passed < 0.5 * passed[0])
+    if len(below) == 0 or below[0] == 0:
+        return bandwidth
+    k = below[0]
+    share = (passed[k - 1] - 0.5 * passed[0]) / (passed[k - 1] - passed[k])
+    return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
 
 
 def _held_out(view: View) -> float:
     gain = 0.0
     for fold in coefficient_folds(view.n):
-        filter_, bandwidth, _ = _Screen(view, fold).best()
+        filter_, bandwidth, *_ = _Screen(view, fold).best()
         factor = _visible(view, bandwidth, filter_, fold)
         whole = view.combined(factor)
         noise = view.family.of(view.c, whole, fold).best(view.allowed)

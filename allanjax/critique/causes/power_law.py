@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from allanjax.critique.causes.spectral import (
+    FineLevels,
     baseline_predictive,
     coefficient_folds,
-    fine_bins,
-    log_likelihood,
     predictive,
-    sums,
 )
 from allanjax.critique.noise import MARKOV, POWER_LAW, Noise, density
-from allanjax.critique.view import EVERYTHING, MARGIN, Candidate, Cause, Quantity, View
+from allanjax.critique.view import MARGIN, Candidate, Cause, Quantity, View
 from allanjax.terms import PowerLaw as PowerLawTerm
+
+# The exponent lies this near to the best one of the grid.
+_REACH = 0.6
 
 
 class PowerLaw(Cause):
@@ -28,8 +29,7 @@ class PowerLaw(Cause):
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
         noise = view.weighing.best(allowed, required=(POWER_LAW,))
         # Any basic term that explains as much is the better word for it.
-        basic = view.weighing.best([*EVERYTHING, *view.allowed]).log_evidence
-        gain = noise.log_evidence - max(view.noise.log_evidence, basic)
+        gain = noise.log_evidence - view.basic.log_evidence
         if POWER_LAW not in noise.power or gain < MARGIN:
             return None
         after = view.allowing(allowed)
@@ -62,32 +62,13 @@ class PowerLaw(Cause):
 
 
 def _exponent(view: View, noise: Noise) -> tuple[float, float]:
-    """By maximum likelihood, the other terms as they are, and its deviation from the curvature."""
-    from scipy.optimize import minimize
+    """By maximum likelihood, with its deviation; all powers are adjusted to it."""
+    levels = FineLevels(view)
 
-    v = noise.variance
-    own = noise.power[POWER_LAW] * view.family.spectrum(PowerLawTerm(1.0, noise.shape))
-    first = fine_bins(view.n)
-    size = np.diff(np.append(first, view.n - 1)).astype(float)
-    frequency = sums(view.family.frequency, first) / size
-    squares, rest = sums(view.squares, first), sums(np.maximum(v - own, 0.0), first) / size
-    # Pivot where the law weighs most, so that amplitude and exponent are independent.
-    share = sums((own / v) ** 2, first)
-    pivot = float(np.exp(np.sum(share * np.log(frequency)) / share.sum()))
+    def likelihood(exponent: float) -> float:
+        law = density(PowerLawTerm(1.0, exponent), levels.frequency, view.rate)
+        return levels.log_likelihood(extra=view.rate * law)
 
-    def loss(theta: np.ndarray) -> float:
-        if not -0.95 < theta[1] < 2.95:
-            return np.inf
-        term = PowerLawTerm(1.0, float(theta[1]))
-        law = view.rate * density(term, frequency, view.rate) * np.exp(theta[0]) * pivot ** theta[1]
-        return -log_likelihood(squares / (rest + law), size, np.ones_like(size)) + 0.5 * float(
-            size @ np.log(rest + law)
-        )
-
-    start = np.array([np.log(noise.power[POWER_LAW]) - noise.shape * np.log(pivot), noise.shape])
-    simplex = start + np.array([[0.0, 0.0], [0.2, 0.0], [0.0, 0.1]])
-    found = minimize(loss, start, method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 120}).x
-    h = 0.02
-    curvature = [loss(found + np.array([0.0, s * h])) for s in (-1.0, 0.0, 1.0)]
-    second = (curvature[0] - 2.0 * curvature[1] + curvature[2]) / h**2
-    return float(found[1]), float(1.0 / np.sqrt(max(second, 1e-4)))
+    bounds = (max(noise.shape - _REACH, -0.95), min(noise.shape + _REACH, 2.95))
+    exponent, std, _ = levels.shape_of(likelihood, bounds)
+    return exponent, std

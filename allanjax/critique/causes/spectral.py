@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.optimize import minimize_scalar, nnls
 
+from allanjax.critique.noise import FIXED
 from allanjax.critique.view import View
 
 _PER_OCTAVE = 64
 _NEAR = 400
+# Of the powers: rounds of scoring, bins that a first guess is the mean of; and a step for curvatures.
+_SCORINGS, _SMOOTH, _STEP = 8, 9, 0.02
 
 
 def fine_bins(n: int, centre: float | None = None, width: float = 1.0) -> np.ndarray:
@@ -33,6 +39,63 @@ def log_likelihood(
 ) -> float:
     """Of sums of whitened squares whose expectation is `ratio` times their number."""
     return float(-0.5 * np.sum(size * np.log(ratio) + squares / ratio))
+
+
+class FineLevels:
+    """The spectrum in fine bins: the likelihood of a shape, all powers being adjusted to it.
+
+    Attributes:
+        size, squares, frequency: coefficients in each bin, the sum of their squares without what was found
+            before, and their mean frequency [Hz].
+        columns: levels of the allowed basic terms but the Markov process, unit amplitude.
+    """
+
+    def __init__(self, view: View, fold: Bool[np.ndarray, " n-1"] | None = None) -> None:
+        self._first = fine_bins(view.n)
+        self._used = np.ones(view.n - 1) if fold is None else fold.astype(float)
+        size = sums(self._used, self._first)
+        self._real = size > 0
+        self.size = size[self._real]
+        self.squares = self.size * self.mean(view.squares)
+        self.frequency = self.mean(view.family.frequency)
+        spectra = [view.family.spectra[FIXED.index(t)] for t in FIXED if t in view.allowed]
+        self.columns = np.stack([self.mean(spectrum) for spectrum in spectra])
+        near = np.ones(_SMOOTH)
+        level = np.convolve(self.squares, near, "same") / np.convolve(self.size, near, "same")
+        self._start = np.maximum(level, 1e-300)
+
+    def mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
+        """In each bin, of the coefficients in the fold."""
+        return sums(self._used * values, self._first)[self._real] / self.size
+
+    def log_likelihood(
+        self,
+        factor: Float[np.ndarray, " bins"] | float = 1.0,
+        floor: Float[np.ndarray, " bins"] | float = 0.0,
+        extra: Float[np.ndarray, " bins"] | None = None,
+    ) -> float:
+        """Of the best powers of the basic terms and an extra one, behind a factor, above a floor [nats]."""
+        columns = factor * (self.columns if extra is None else np.vstack([self.columns, extra]))
+        level = np.maximum(self.squares / self.size - floor, 0.0)
+        model, best = self._start, -np.inf
+        for _ in range(_SCORINGS):
+            weight = np.sqrt(self.size) / model
+            power, _ = nnls((columns * weight).T, level * weight)
+            model = np.maximum(power @ columns + floor, 1e-300)
+            best = max(best, log_likelihood(self.squares, self.size, model))
+        return best
+
+    def shape_of(
+        self, likelihood: Callable[[float], float], bounds: tuple[float, float]
+    ) -> tuple[float, float, float]:
+        """Where a likelihood is largest, its standard deviation there by the curvature, and the maximum."""
+        found = minimize_scalar(
+            lambda u: -likelihood(u), bounds=bounds, method="bounded", options={"xatol": 1e-3}
+        )
+        u = float(found.x)
+        sides = [likelihood(u + _STEP), likelihood(u - _STEP)]
+        curvature = (-2.0 * found.fun - sum(sides)) / _STEP**2
+        return u, float(1.0 / np.sqrt(max(curvature, 1e-2))), -float(found.fun)
 
 
 def predictive(
