@@ -145,7 +145,7 @@ class Recording:
     @property
     def own_scales(self) -> Float[np.ndarray, " axes"]:
         """Factor of each axis from its own unit to the SI rate."""
-        return np.array([_scale(axis.unit, axis.sensor, self.rate) for axis in self.axes])
+        return scales_of(self.axes, self.rate)
 
     @property
     def own_values(self) -> Float[np.ndarray, "samples axes"]:
@@ -229,12 +229,28 @@ def build(
         RecordingError: see `Recording.from_array`.
         UnitError: a unit is missing, unknown, or given twice and differently.
     """
+    axes, own_notes = axes_of(columns, gyro_unit, accel_unit, source)
+    rate = check_rate(rate, source)
+    check_values(values, [column.label for column in columns], source)
+    notes = (*notes, *own_notes)
+    return Recording(
+        values * scales_of(axes, rate), rate, axes, MappingProxyType(dict(auxiliary)), name, notes
+    )
+
+
+def axes_of(
+    columns: Sequence[Column], gyro_unit: str | None, accel_unit: str | None, source: Source
+) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
+    """The axes that these columns are, and notes.
+
+    Raises:
+        RecordingError: none, or two columns are the same one.
+        UnitError: a unit is missing, unknown, or given twice and differently.
+    """
     check_axes(columns, source)
     units = [
         _unit_of(column, gyro_unit if column.sensor == "gyro" else accel_unit, source) for column in columns
     ]
-    rate = check_rate(rate, source)
-    check_values(values, [column.label for column in columns], source)
     axes = tuple(
         Axis(column.name, column.sensor, unit)
         for column, unit in zip(columns, units, strict=True)
@@ -243,10 +259,12 @@ def build(
     increments = [
         axis.name for axis in axes if parse_sample_unit(axis.unit, axis.sensor).quantity == "increment"
     ]
-    if increments:
-        notes = (*notes, f"increments multiplied by the rate: {', '.join(increments)}")
-    scales = np.array([_scale(axis.unit, axis.sensor, rate) for axis in axes])
-    return Recording(values * scales, rate, axes, MappingProxyType(dict(auxiliary)), name, tuple(notes))
+    return axes, (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
+
+
+def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
+    """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
+    return np.array([_scale(axis.unit, axis.sensor, rate) for axis in axes])
 
 
 def default_names(

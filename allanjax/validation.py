@@ -67,17 +67,26 @@ def check_values(values: Float[np.ndarray, "samples axes"], labels: Sequence[str
     """
     check_length(len(values), source)
     for label, column in zip(labels, values.T, strict=True):
-        bad = np.flatnonzero(~np.isfinite(column))
-        if bad.size:
-            first = int(bad[0])
-            text = source.missing if np.isnan(column[first]) else str(column[first])
-            raise source.error(bad_cells_message(label, bad.size, source.locate(first), text))
+        check_finite(column, label, source)
         if np.all(column == column[0]):
-            raise source.error(
-                f"column {label!r} is constant ({column[0]:g} from {source.locate(0)} on): a sensor "
-                "that is stuck "
-                "or not connected has no noise to fit; leave it out by columns= (--columns)"
-            )
+            raise constant_error(label, float(column[0]), source)
+
+
+def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
+    """Raise `RecordingError` if a value of the column is not finite; see `check_values`."""
+    bad = np.flatnonzero(~np.isfinite(column))
+    if bad.size:
+        first = int(bad[0])
+        text = source.missing if np.isnan(column[first]) else str(column[first])
+        raise source.error(bad_cells_message(label, bad.size, source.locate(first), text))
+
+
+def constant_error(label: str, value: float, source: Source) -> RecordingError:
+    """The error for a column that has this value throughout."""
+    return source.error(
+        f"column {label!r} is constant ({value:g} from {source.locate(0)} on): a sensor that is stuck "
+        "or not connected has no noise to fit; leave it out by columns= (--columns)"
+    )
 
 
 def bad_cells_message(label: str, count: int, place: str, text: str) -> str:

@@ -5,17 +5,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from allanjax.io.assembly import assemble
-from allanjax.io.binary import hdf5_error, read_mat, read_npy, read_npz, read_parquet
+from allanjax.io.binary import read_mat, read_npy, read_npz, read_parquet
+from allanjax.io.chunks import ChunkedRecording, read_chunks
+from allanjax.io.formats import format_of, name_of
+from allanjax.io.hdf5 import read_hdf5
 from allanjax.io.layout import TimeChoice
-from allanjax.io.table import Table
 from allanjax.io.text import read_text
 from allanjax.io.writers import write
 from allanjax.recording import Recording
-from allanjax.validation import Source
 
-__all__ = ["read", "write"]
+__all__ = ["ChunkedRecording", "read", "read_chunks", "write"]
 
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_READERS = {
+    "parquet": read_parquet,
+    "npy": read_npy,
+    "npz": read_npz,
+    "hdf5": read_hdf5,
+    "mat": read_mat,
+    "text": read_text,
+}
 
 
 def read(
@@ -30,7 +38,9 @@ def read(
     start: float | None = None,
     stop: float | None = None,
 ) -> Recording:
-    """Read a static recording: text (CSV, TSV, ..., also gzip), NumPy, Parquet, or MATLAB up to -v7.
+    """Read a static recording: text (CSV, TSV, ..., also gzip), NumPy, Parquet, HDF5 or MATLAB.
+
+    HDF5 and MATLAB -v7.3 need h5py (`pip install "allanjax[hdf5]"`).
 
     Columns are recognised by their names (`gyro_x`, `angular_velocity.x`, `ax`, `time`, ...), with units in
     brackets (`gyro_x [deg/s]`); other columns of numbers become `auxiliary`. `notes` of the recording say
@@ -54,8 +64,8 @@ def read(
     """
     path = Path(path)
     return assemble(
-        _read_table(path),
-        path.name.removesuffix(".gz").rsplit(".", 1)[0],
+        _READERS[format_of(path)](path, str(path)),
+        name_of(path),
         rate=rate,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
@@ -65,34 +75,3 @@ def read(
         start=start,
         stop=stop,
     )
-
-
-def _read_table(path: Path) -> Table:
-    """Read by what the file begins with, whatever its suffix."""
-    label = str(path)
-    source = Source(label)
-    if path.is_dir():
-        raise source.error("a directory; give a file")
-    try:
-        with path.open("rb") as stream:
-            magic = stream.read(520)
-    except FileNotFoundError as error:
-        raise source.error("no such file; check the path") from error
-    except OSError as error:
-        raise source.error(
-            f"can not be opened: {error.strerror}; check the file and its permissions"
-        ) from error
-    if not magic:
-        raise source.error("the file is empty; give a file with one row of numbers per sample")
-    if magic.startswith(b"PAR1"):
-        return read_parquet(path, label)
-    if magic.startswith(b"\x93NUMPY"):
-        return read_npy(path, label)
-    if magic.startswith(b"PK\x03\x04"):
-        return read_npz(path, label)
-    # MATLAB's -v7.3 has a text header of 512 bytes before the HDF5 file.
-    if _HDF5_MAGIC in (magic[:8], magic[512:520]):
-        raise hdf5_error(source)
-    if magic.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        return read_mat(path, label)
-    return read_text(path, label)

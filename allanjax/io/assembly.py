@@ -5,9 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from allanjax.columns import Column
+from allanjax.errors import RecordingError
 from allanjax.io.layout import TimeChoice, find_layout
 from allanjax.io.table import Table, as_float, is_numeric
-from allanjax.io.timestamps import MAX_RATE_DIFFERENCE, rate_from_times, seconds_from_first
+from allanjax.io.timestamps import (
+    MAX_RATE_DIFFERENCE,
+    gap_in_record,
+    rate_from_times,
+    seconds_from_first,
+)
 from allanjax.recording import Recording, build, rows_between
 from allanjax.validation import Source, check_length, check_rate
 
@@ -33,24 +39,21 @@ def assemble(
     source = table.source
     layout = find_layout(table, columns, time, gyro_unit, accel_unit)
     notes = [*table.notes, *layout.notes]
-    rate = _stated_rate(table, rate)
+    rate = stated_rate(table, rate)
     samples = len(table.columns[0])
     check_length(samples, source)
     if layout.time:
         stamps = [(column, table.columns[i]) for i, column in layout.time]
-        times, time_notes = seconds_from_first(stamps, time_unit, rate, source)
+        times, _, time_notes = seconds_from_first(stamps, time_unit, rate, source)
         notes += time_notes
-        rows = _rows_of_times(times, start, stop)
+        rows = rows_of_times(times, start, stop)
         source = source.after(rows.start)
         check_length(rows.stop - rows.start, source)
         label = " + ".join(column.label for column, _ in stamps)
-        rate, note = rate_from_times(times[rows], label, rate, source)
+        rate, note = rate_from_times(times[rows], label, rate, source, gap_in_record)
         notes.append(note)
     elif rate is None:
-        raise source.error(
-            "no sample rate: pass rate= in Hz (--rate), or name a column of time stamps by time= (--time) "
-            "or in the header, e.g. `time [s]`"
-        )
+        raise no_rate_error(source)
     else:
         rows = rows_between(samples, rate, start, stop)
         source = source.after(rows.start)
@@ -77,7 +80,15 @@ def assemble(
     )
 
 
-def _stated_rate(table: Table, rate: float | None) -> float | None:
+def no_rate_error(source: Source) -> RecordingError:
+    """The error where neither an argument nor time stamps tell the rate."""
+    return source.error(
+        "no sample rate: pass rate= in Hz (--rate), or name a column of time stamps by time= (--time) "
+        "or in the header, e.g. `time [s]`"
+    )
+
+
+def stated_rate(table: Table, rate: float | None) -> float | None:
     """The rate given, else the file's own; both must agree."""
     if rate is None:
         return None if table.rate is None else check_rate(table.rate, table.source)
@@ -93,7 +104,7 @@ def _stated_rate(table: Table, rate: float | None) -> float | None:
     return check_rate(rate, table.source)
 
 
-def _rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
+def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
     """From the first time at or after `start` up to the first at or after `stop`, in s."""
     # Half a nanosecond: a stamp that reads the same as start counts as it.
     first = 0 if start is None else _first_at(times, start - 5e-10)

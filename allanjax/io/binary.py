@@ -1,15 +1,16 @@
-"""Binary files: NumPy, Parquet, MATLAB."""
+"""Binary files: NumPy, Parquet, MATLAB up to -v7."""
 
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from allanjax.columns import split_unit
-from allanjax.io.table import Table
+from allanjax.errors import RecordingError
+from allanjax.io.table import ChunkedTable, Table
 from allanjax.validation import Source
 
 _RATES = re.compile(r"(?:sample_?|sampling_?)?(?:rate|freq|frequency)|fs|f_s", re.IGNORECASE)
@@ -23,9 +24,27 @@ def read_npy(path: Path, label: str) -> Table:
     Raises:
         RecordingError: unreadable, of another shape, or seemingly transposed.
     """
+    return _npy_table(path, label, None)
+
+
+def chunked_npy(path: Path, label: str) -> ChunkedTable:
+    """What `read_npy` reads, through a memory map."""
+    table = _npy_table(path, label, "r")
+    n, labels = len(table.columns[0]), table.labels
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        for first in range(0, n, chunk):
+            # A map of its own for each chunk: the pages of a map stay in memory as long as it does.
+            columns = _npy_table(path, label, "r").columns
+            yield tuple(np.array(column[first : first + chunk]) for column in columns)
+
+    return ChunkedTable(rows, n, labels, table.source)
+
+
+def _npy_table(path: Path, label: str, mmap_mode: Literal["r"] | None) -> Table:
     source = Source(label)
     try:
-        array = np.load(path, allow_pickle=False)
+        array = np.load(path, mmap_mode, allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
         raise source.error(f"can not be read as .npy: {error}; save a plain array of numbers") from error
     if array.dtype.names:
@@ -51,7 +70,7 @@ def read_npz(path: Path, label: str) -> Table:
             named = {name: arrays[name] for name in arrays.files}
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise source.error(f"can not be read as .npz: {error}; save plain arrays of numbers") from error
-    return _from_named(named, source)
+    return from_named(named, source)
 
 
 def read_mat(path: Path, label: str) -> Table:
@@ -67,10 +86,10 @@ def read_mat(path: Path, label: str) -> Table:
     try:
         contents = loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
-        raise hdf5_error(source) from error
+        raise source.error("a MATLAB -v7.3 file without its header; save it again") from error
     except (MatReadError, ValueError, TypeError, OSError) as error:
         raise source.error(f"can not be read as a MATLAB file: {error}; save it with -v7") from error
-    return _from_named(
+    return from_named(
         _flat({key: value for key, value in contents.items() if not key.startswith("__")}), source
     )
 
@@ -88,16 +107,39 @@ def read_parquet(path: Path, label: str) -> Table:
     try:
         table = pq.ParquetFile(path).read()
     except (pa.ArrowException, OSError) as error:
-        raise source.error(f"can not be read as Parquet: {error}; write the file again") from error
+        raise _parquet_error(error, source) from error
     return Table(tuple(column.to_numpy() for column in table.columns), tuple(table.column_names), source)
 
 
-def hdf5_error(source: Source) -> Exception:
-    """The error for a MATLAB -v7.3 or another HDF5 file."""
-    return source.error(
-        "an HDF5 file (MATLAB -v7.3), which is not read; in MATLAB save it with "
-        "save('file.mat', ..., '-v7'), or save it as CSV, Parquet or .npz"
-    )
+def chunked_parquet(path: Path, label: str) -> ChunkedTable:
+    """What `read_parquet` reads, by batches of rows.
+
+    Raises:
+        RecordingError: unreadable.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    source = Source(label)
+    try:
+        with pq.ParquetFile(path) as file:
+            n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
+    except (pa.ArrowException, OSError) as error:
+        raise _parquet_error(error, source) from error
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        try:
+            with pq.ParquetFile(path) as file:
+                for batch in file.iter_batches(chunk):
+                    yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
+        except (pa.ArrowException, OSError) as error:
+            raise _parquet_error(error, source) from error
+
+    return ChunkedTable(rows, n, labels, source)
+
+
+def _parquet_error(error: Exception, source: Source) -> RecordingError:
+    return source.error(f"can not be read as Parquet: {error}; write the file again")
 
 
 def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
@@ -110,7 +152,12 @@ def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray
     return flat
 
 
-def _from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
+def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
+    """The table of named arrays: columns, matrices [samples, columns], scalars that state the rate.
+
+    Raises:
+        RecordingError: the arrays do not fit together.
+    """
     rate: float | None = None
     notes: list[str] = []
     columns: dict[str, np.ndarray] = {}

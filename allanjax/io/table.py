@@ -1,6 +1,7 @@
 """A file's columns as they were read, before it is known what they are."""
 
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,28 @@ class Table:
     def label(self, index: int) -> str:
         """The column's label, or its place (from 1) if the file has no names."""
         return f"column {index + 1}" if self.labels is None else self.labels[index]
+
+
+@dataclass(frozen=True)
+class ChunkedTable:
+    """Columns that are read some rows at a time.
+
+    Attributes:
+        rows: columns of at most so many rows, one stretch of the file after the other.
+        n: rows in all, if the file tells.
+        labels, source, rate, notes: as those of a `Table`.
+    """
+
+    rows: Callable[[int], Iterator[tuple[Shaped[np.ndarray, " samples"], ...]]]
+    n: int | None
+    labels: tuple[str, ...] | None
+    source: Source
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def head(self, columns: tuple[Shaped[np.ndarray, " samples"], ...]) -> Table:
+        """The table of its first rows."""
+        return Table(columns, self.labels, self.source, self.rate, self.notes)
 
 
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:

@@ -6,12 +6,19 @@ import itertools
 import re
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from allanjax.columns import recognise
-from allanjax.io.table import Table
+from allanjax.io.table import ChunkedTable, Table
 from allanjax.validation import Source
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
@@ -44,35 +51,77 @@ def read_text(path: Path, label: str) -> Table:
     import pandas as pd
 
     layout = _layout(path, Source(label))
-    source = Source(
+    source = _source(path, label, layout)
+    with _errors_located(path, layout, source):
+        frame = pd.read_csv(path, **_options(layout))
+    return Table(_columns(frame, path, layout, source), layout.labels, source, notes=layout.notes)
+
+
+def chunked_text(path: Path, label: str) -> ChunkedTable:
+    """What `read_text` reads, some rows at a time.
+
+    Raises:
+        RecordingError: no row of numbers, or decimal commas; `rows` raises it at a row of another length.
+    """
+    import pandas as pd
+
+    layout = _layout(path, Source(label))
+    source = _source(path, label, layout)
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        with (
+            _errors_located(path, layout, source),
+            pd.read_csv(path, chunksize=chunk, **_options(layout)) as frames,
+        ):
+            for frame in frames:
+                yield _columns(frame, path, layout, source)
+
+    return ChunkedTable(rows, None, layout.labels, source, notes=layout.notes)
+
+
+def _source(path: Path, label: str, layout: _Layout) -> Source:
+    return Source(
         label,
         lambda row: f"line {_line_number(path, layout, row)}",
         "nan, an empty cell, or a row cut short",
     )
+
+
+def _options(layout: _Layout) -> dict[str, Any]:
+    """How pandas is to read the file."""
+    return {
+        "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
+        "header": None,
+        "skiprows": layout.start,
+        "comment": layout.comment,
+        "skipinitialspace": True,
+        "low_memory": False,
+        "encoding": layout.encoding,
+        "encoding_errors": "replace",
+        "compression": "gzip" if layout.compressed else None,
+    }
+
+
+@contextmanager
+def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[None]:
+    import pandas as pd
+
     try:
-        frame = pd.read_csv(
-            path,
-            sep=r"\s+" if layout.delimiter is None else layout.delimiter,
-            header=None,
-            skiprows=layout.start,
-            comment=layout.comment,
-            skipinitialspace=True,
-            low_memory=False,
-            encoding=layout.encoding,
-            encoding_errors="replace",
-            compression="gzip" if layout.compressed else None,
-        )
+        yield
     except pd.errors.ParserError as error:
         raise source.error(_ragged_row(path, layout) or f"can not be read: {error}") from error
     except (EOFError, OSError, zlib.error) as error:
         raise source.error(f"can not be read: {error}; copy or compress it again") from error
+
+
+def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> tuple[np.ndarray, ...]:
     columns = [frame[name].to_numpy() for name in frame.columns]
     # A delimiter at the end of every line makes one empty column too many.
     if len(columns) == layout.fields + 1 and frame[layout.fields].isna().all():
         columns.pop()
     if len(columns) != layout.fields:
         raise source.error(_ragged_row(path, layout) or f"{len(columns)} columns for {layout.fields} names")
-    return Table(tuple(columns), layout.labels, source, notes=layout.notes)
+    return tuple(columns)
 
 
 def _layout(path: Path, source: Source) -> _Layout:

@@ -1,9 +1,10 @@
 """Sample times from a file's time stamps, and the sample rate from them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from allanjax.columns import Column
 from allanjax.errors import UnitError
@@ -16,10 +17,23 @@ _MAX_JITTER = 0.2
 MAX_RATE_DIFFERENCE = 0.01
 # More long intervals than this are irregular sampling, not gaps.
 _MANY_GAPS = 0.05
+_IGNORE_STAMPS = "or if no sample is lost ignore the stamps by time='none' and rate= (--time none --rate)"
 _UNITS = ("s", "ms", "us", "ns")
 # What stamps without a unit must fit: UNIX time in s, 2001 to 2065, and the rates of inertial sensors in Hz.
 _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
+
+
+#: Words for gaps: of times, their label, the samples before the gaps, the typical interval, the source.
+GapMessage = Callable[[np.ndarray, str, np.ndarray, float, Source], str]
+
+
+class Times(NamedTuple):
+    """Times in s from the first sample; the stamps' unit, if they are numbers in one column; and notes."""
+
+    seconds: Float[np.ndarray, " samples"]
+    unit: str | None
+    notes: tuple[str, ...]
 
 
 def seconds_from_first(
@@ -27,8 +41,8 @@ def seconds_from_first(
     time_unit: str | None,
     rate: float | None,
     source: Source,
-) -> tuple[Float[np.ndarray, " samples"], tuple[str, ...]]:
-    """Times in s from the first sample, and notes, from one column or from seconds and nanoseconds.
+) -> Times:
+    """Times in s from the first sample, from one column or from seconds and nanoseconds.
 
     Raises:
         RecordingError: a stamp is missing or not a number, or the unit can not be told.
@@ -36,7 +50,7 @@ def seconds_from_first(
     """
     if len(stamps) == 2:
         parts = [_since_first(values, column.label, source) for column, values in stamps]
-        return parts[0] + 1e-9 * parts[1], ()
+        return Times(parts[0] + 1e-9 * parts[1], None, ())
     column, values = stamps[0]
     if values.dtype.kind == "O":
         values = _iso_dates(values)
@@ -46,10 +60,10 @@ def seconds_from_first(
             raise source.error(
                 f"column {column.label!r} has no time at {source.locate(int(missing[0]))}; repair it"
             )
-        return (values - values[0]) / np.timedelta64(1, "ns") * 1e-9, ()
+        return Times((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, None, ())
     times = _since_first(values, column.label, source)
     unit, notes = _unit(column, times, values, time_unit, rate, source)
-    return convert(times, unit, "s"), notes
+    return Times(convert(times, unit, "s"), unit, notes)
 
 
 def rate_from_times(
@@ -57,8 +71,11 @@ def rate_from_times(
     label: str,
     rate: float | None,
     source: Source,
+    gap_message: GapMessage,
 ) -> tuple[float, str]:
     """Sample rate in Hz and a note on it, from times in s; a `rate` given is used if they agree with it.
+
+    `gap_message` says what is wrong where there are gaps: `gap_in_record` or `gap_in_stream`.
 
     Raises:
         RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
@@ -85,7 +102,7 @@ def rate_from_times(
             "ignore the stamps by time='none' and rate= (--time none --rate)"
         )
     if np.any(long):
-        raise source.error(_gap_message(times, label, np.flatnonzero(long), typical, source))
+        raise source.error(gap_message(times, label, np.flatnonzero(long), typical, source))
     measured = (len(times) - 1) / float(times[-1] - times[0])
     # Below a nanosecond it is the rounding of the stamps.
     shaken = f"jitter {jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "jitter below 1 ns"
@@ -173,22 +190,59 @@ def _fits(unit: str, first: float, typical: float, values: np.ndarray, rate: flo
     return low <= stamped <= high and (unix or bool(np.any(values % 1)))
 
 
-def _gap_message(
-    times: Float[np.ndarray, " samples"], label: str, gaps: np.ndarray, typical: float, source: Source
+def gap_in_record(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    gaps: Int[np.ndarray, " gaps"],
+    typical: float,
+    source: Source,
 ) -> str:
-    first = int(gaps[0])
-    length = times[first + 1] - times[first]
+    """What to say of gaps after the samples `gaps`, where all times of the record are known."""
     edges = np.concatenate([[-1], gaps, [len(times) - 1]])
     longest = int(np.argmax(np.diff(edges)))
     begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
-    # Rounded inwards, to stay clear of the gaps; but a time that is a whole ms stays so.
-    start, stop = np.ceil(begin * 1e3 - 1e-7) / 1e3, np.floor(end * 1e3 + 1e-7) / 1e3
     count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
     return (
-        f"column {label!r} has a gap of {length:.6g} s ({length / typical:.3g} intervals) before "
-        f"{source.locate(first + 1)}, {count}; take a stretch without gaps, the longest by "
-        f"start={start:.3f}, "
-        f"stop={stop:.3f} (--start, --stop), or if no sample is lost ignore the stamps by time='none' "
-        "and rate= "
-        "(--time none --rate)"
+        f"{_gap(times, label, gaps, typical, source)}, {count}; take a stretch without gaps, the longest by "
+        f"start={_after(begin):.3f}, stop={_before(end):.3f} (--start, --stop), {_IGNORE_STAMPS}"
     )
+
+
+def gap_in_stream(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    gaps: Int[np.ndarray, " gaps"],
+    typical: float,
+    source: Source,
+) -> str:
+    """What to say of gaps after the samples `gaps`, where more samples may follow."""
+    first = int(gaps[0])
+    return (
+        f"{_gap(times, label, gaps, typical, source)}; take what comes before it by "
+        f"stop={_before(times[first]):.3f} (--stop) or after it by start={_after(times[first + 1]):.3f} "
+        f"(--start), {_IGNORE_STAMPS}"
+    )
+
+
+def _gap(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    gaps: Int[np.ndarray, " gaps"],
+    typical: float,
+    source: Source,
+) -> str:
+    first = int(gaps[0])
+    length = times[first + 1] - times[first]
+    return (
+        f"column {label!r} has a gap of {length:.6g} s ({length / typical:.3g} intervals) before "
+        f"{source.locate(first + 1)}"
+    )
+
+
+# Rounded inwards, to stay clear of the gaps; but a time that is a whole ms stays so.
+def _after(time: float) -> float:
+    return float(np.ceil(time * 1e3 - 1e-7) / 1e3)
+
+
+def _before(time: float) -> float:
+    return float(np.floor(time * 1e3 + 1e-7) / 1e3)
