@@ -16,6 +16,13 @@ Between the points u = 0, m_i, m_j − m_i, m_j, m_i + m_j both are smooth (poly
 walks and ramps), so the sum over the integers between two such points is a Gauss quadrature of the counting
 measure: exact for those terms, and of the same cost for any cluster size.
 
+Estimates that take every s_i-th start only (the pyramid's) have M_i = ⌊(N − 2m_i)/s_i⌋ + 1 differences. Where
+s_i divides m_i, and the stride s_j of the larger clusters, the lags are the multiples of s_i, and
+
+    w_ij(u) = M_j − ⌈(u − m_j + m_i − d)/s_j⌉ where that is less than M_j,
+
+with d = 0 for the lags on one side of m_j − m_i and d = (N mod s_j) − (N mod s_i) for those on the other.
+
 A deterministic part μ of the differences (a ramp, a line) adds 4μμ'C and no 2μ²μ'²: its own square does not
 scatter from record to record.
 """
@@ -89,6 +96,22 @@ def _sum_over_lags(
     return u, np.where(u > 0, 2.0, 1.0) * w
 
 
+def _pairs_at_lag(
+    u: Float[np.ndarray, "pairs lags"],
+    mi: Int[np.ndarray, "pairs 1"],
+    mj: Int[np.ndarray, "pairs 1"],
+    si: Int[np.ndarray, "pairs 1"],
+    sj: Int[np.ndarray, "pairs 1"],
+    Mj: Int[np.ndarray, "pairs 1"],
+    shift: Int[np.ndarray, "pairs 1"],
+) -> Float[np.ndarray, "pairs lags"]:
+    """Pairs of differences at distance u from lag m_j − m_i, on the side that has this shift."""
+    beyond = (u - (mj - mi) - shift) / sj
+    # Nodes of the tail are far apart: they stand for the mean of the steps, of which equal strides have none.
+    steps = np.where((si < sj) & (u <= mi + mj), np.ceil(beyond), beyond + (1.0 - si / sj) / 2.0)
+    return np.clip(Mj - steps, 0.0, Mj)
+
+
 class AllanCovariance(eqx.Module):
     """The geometry of the covariance: what does not depend on the model.
 
@@ -109,18 +132,36 @@ class AllanCovariance(eqx.Module):
     weights: Float[np.ndarray, "pairs lags"]
 
     @classmethod
-    def of(cls, n: int, rate: float, sizes: Int[np.ndarray, " m"], order: int = _ORDER) -> AllanCovariance:
-        """The geometry for overlapping estimates at these cluster sizes of n rate samples at `rate` [Hz]."""
+    def of(
+        cls,
+        n: int,
+        rate: float,
+        sizes: Int[np.ndarray, " m"],
+        order: int = _ORDER,
+        strides: Int[np.ndarray, " m"] | None = None,
+    ) -> AllanCovariance:
+        """The geometry for estimates at these cluster sizes of n rate samples at `rate` [Hz].
+
+        Args:
+            n, rate, sizes: as above.
+            order: nodes a stretch between two kinks.
+            strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
+                of the strides after it, and an eighth of the size at least where these are larger; 1 for
+                overlapping estimates, if there are none.
+        """
         sizes = np.asarray(sizes, np.int64)
+        strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
         i, j = np.triu_indices(len(sizes))
-        mi, mj = sizes[i], sizes[j]
-        both = mi + mj
+        mi, mj, si, sj = sizes[i], sizes[j], strides[i], strides[j]
+        Mi, Mj = (n - 2 * mi) // si + 1, (n - 2 * mj) // sj + 1
+        both, shift = mi + mj, n % sj - n % si
         kinks = np.stack([0 * mi, mi, mj - mi, mj, both, *(reach * both for reach in _TAIL)], axis=1)
-        u, w = _sum_over_lags(kinks, n + 1 - both, order)
-        Mi, Mj = n + 1 - 2 * mi, n + 1 - 2 * mj
-        pairs_at_lag = np.minimum(Mj[:, None], (n + 1 - both)[:, None] - u)
+        support = mj - mi + shift + (Mj - 1) * sj + si
+        u, w = _sum_over_lags(kinks // si[:, None], support // si, order)
+        u = u * si[:, None]
+        sides = [_pairs_at_lag(u, *(x[:, None] for x in (mi, mj, si, sj, Mj, d))) for d in (0 * shift, shift)]
         factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
-        weights = factor[:, None] * w * pairs_at_lag
+        weights = factor[:, None] * w * sum(sides) / 2.0
         return cls(np.asarray(1.0 / rate), np.asarray(n / rate), sizes.astype(float), (i, j), u, weights)
 
     @property
@@ -169,6 +210,7 @@ def equivalent_degrees_of_freedom(
     kind: str = "allan",
     overlapping: bool = True,
     model: Model | None = None,
+    strides: Int[np.ndarray, " m"] | None = None,
 ) -> Float[np.ndarray, " m"]:
     """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variance estimates V.
 
@@ -179,24 +221,29 @@ def equivalent_degrees_of_freedom(
         kind: "allan", "modified" or "hadamard".
         overlapping: False for clusters that do not overlap.
         model: the model they are estimates of; white rate noise if there is none.
+        strides: samples from one start of a cluster to the next, each a divisor of its cluster size; if there
+            are none, 1 or, where clusters do not overlap, their size.
 
     The lag sum is that of this module's covariance. A modified variance at more than 64 samples a cluster is
     computed for a record thinned to 64 (exact for self-similar noise, close for others).
     """
+    if strides is None:
+        strides = np.ones_like(sizes) if overlapping else sizes
+    pairs = list(zip(sizes, strides, strict=True))
     if model is None:
         terms: Any = (AngleRandomWalk(1.0),)
-        return np.array([_edf(terms, n, rate, int(m), kind, overlapping) for m in sizes])
+        return np.array([_edf(terms, n, rate, int(m), kind, int(s)) for m, s in pairs])
     model.check_complete()
     terms = model.sampled(rate).terms
 
     @eqx.filter_jit
     def all_sizes(terms: Any) -> Array:
-        return jnp.stack([_edf(terms, n, rate, int(m), kind, overlapping) for m in sizes])
+        return jnp.stack([_edf(terms, n, rate, int(m), kind, int(s)) for m, s in pairs])
 
     return np.asarray(all_sizes(terms))
 
 
-def _edf(terms: Any, n: int, rate: float, m: int, kind: str, overlapping: bool) -> Any:
+def _edf(terms: Any, n: int, rate: float, m: int, kind: str, stride: int) -> Any:
     alpha = _FILTERS[kind]
     reach = len(alpha)
     if kind == "modified":
@@ -206,16 +253,12 @@ def _edf(terms: Any, n: int, rate: float, m: int, kind: str, overlapping: bool) 
         u, w = _integers(np.arange(min(M, 4 * m)))
         inner = np.arange(-m + 1.0, m)
         share = (m - np.abs(inner)) / m**2
-    elif overlapping:
-        M = n + 1 - (reach - 1) * m
-        kinks = np.array([[*range(reach), *(multiple * reach for multiple in _TAIL)]]) * m
-        u, w = (x[0] for x in _sum_over_lags(kinks, np.array([M])))
-        inner, share = np.zeros(1), np.ones(1)
     else:
-        M = n // m - (reach - 2)
-        u, w = _integers(np.arange(min(M, 16)) * m)
+        M = (n - (reach - 1) * m) // stride + 1
+        kinks = np.array([[*range(reach), *(multiple * reach for multiple in _TAIL)]]) * (m // stride)
+        u, w = (x[0] for x in _sum_over_lags(kinks, np.array([M])))
+        u = u * stride
         inner, share = np.zeros(1), np.ones(1)
-    stride = 1 if overlapping else m
 
     def kernel(term: NoiseTerm) -> Any:
         lag = u[:, None] + inner

@@ -120,11 +120,22 @@ class AllanDesign(Design):
     constants: _Constants
 
     @classmethod
-    def of(cls, model: Model, n: int, rate: float, sizes: Int[np.ndarray, " m"]) -> AllanDesign:
-        """The design of a model for overlapping Allan variances at these cluster sizes of n samples."""
+    def of(
+        cls,
+        model: Model,
+        n: int,
+        rate: float,
+        sizes: Int[np.ndarray, " m"],
+        strides: Int[np.ndarray, " m"] | None = None,
+    ) -> AllanDesign:
+        """The design of a model for Allan variances at these cluster sizes of n samples.
+
+        `strides`: samples from one start of a cluster to the next, see `AllanCovariance.of`.
+        """
         model = model.sampled(rate)
         oscillates = any(term.oscillates for term in model.terms)
-        geometry = AllanCovariance.of(n, rate, sizes, *([_OSCILLATING_ORDER] if oscillates else []))
+        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
+        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, **order)
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
         ridge = np.asarray(_OSCILLATING_RIDGE if oscillates else _RIDGE)
         return cls(model, geometry, np.exp(-distance), ridge, _constants(model, geometry))
