@@ -24,6 +24,10 @@ PSD of the samples, aliases included. High frequencies are averaged in bins: c_j
 
 from __future__ import annotations
 
+import abc
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +39,7 @@ from allanjax.design import Design
 from allanjax.linalg import Whitened
 from allanjax.model import Model
 from allanjax.terms import NoiseTerm
+from allanjax.terms.base import Value
 
 # Coefficients up to this one are a bin each, and have their exact expectation.
 _SINGLE = 64
@@ -42,6 +47,8 @@ _PER_OCTAVE = 6
 # Points of the quadratures over lags (of the exact expectation) and over a bin.
 _LAG_ORDER = 12
 _BIN_ORDER = 3
+# Lags of pooled spectra are filled up to a multiple of this many, so that compiled functions serve again.
+_LAGS = 128
 # Around a line bins are single for so many coefficients, then grow by this factor.
 _AROUND = 12
 _GROWTH = 1.25
@@ -54,20 +61,43 @@ def cosine_transform(x: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n-1 ..
     return dct(x, type=2, norm="ortho", axis=0, workers=-1)[1:]
 
 
-class CosineBins(eqx.Module):
+class Bins(eqx.Module):
+    """Bins of cosine coefficients, of one transform or pooled over several.
+
+    Attributes:
+        n: number of samples.
+        rate: sample rate [Hz].
+        size: coefficients in each bin; 0 for bins that only fill up the array.
+    """
+
+    n: eqx.AbstractVar[Any]
+    rate: eqx.AbstractVar[float]
+    size: eqx.AbstractVar[Int[np.ndarray, " m"]]
+
+    @property
+    @abc.abstractmethod
+    def frequency(self) -> Float[np.ndarray, " m"]:
+        """Middle of each bin [Hz]."""
+
+    @abc.abstractmethod
+    def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
+        """Mean expectation [rate²] of the squared coefficients in each bin; zero for a deterministic term."""
+
+
+class CosineBins(Bins):
     """Bins of the coefficients of n samples: where they are, and what a noise term puts into them.
 
     Attributes:
         n: number of samples.
         rate: sample rate [Hz].
-        first: index j of each bin's first coefficient.
         size: coefficients in each bin; 0 for bins that only fill up the array.
+        first: index j of each bin's first coefficient.
     """
 
     n: int = eqx.field(static=True)
     rate: float = eqx.field(static=True)
-    first: Int[np.ndarray, " m"]
     size: Int[np.ndarray, " m"]
+    first: Int[np.ndarray, " m"]
     lags: Float[np.ndarray, " lags"]
     lag_weights: Float[np.ndarray, "low lags"]
     nodes: Float[np.ndarray, "m order"]
@@ -100,7 +130,7 @@ class CosineBins(eqx.Module):
         lags, lag_weights = _exact_expectation(n, rate, top)
         nodes = (first[:, None] + nodes) * rate / (2.0 * n)
         weights = weights * rate / np.maximum(size, 1)[:, None]
-        return cls(n, rate, first, size, lags, lag_weights, nodes, weights)
+        return cls(n, rate, size, first, lags, lag_weights, nodes, weights)
 
     @property
     def frequency(self) -> Float[np.ndarray, " m"]:
@@ -108,22 +138,7 @@ class CosineBins(eqx.Module):
         return (self.first + (self.size - 1) / 2.0) * self.rate / (2.0 * self.n)
 
     def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
-        """Mean expectation [rate²] of the squared coefficients in each bin; zero for a deterministic term."""
-        above = self._from_density(term)
-        # An oscillating covariance is too fast for a few lags: what differs from a smooth one has no memory.
-        smooth = term.at_low_frequencies() if term.oscillates else term
-        if smooth is None or term.deterministic:
-            return above
-        low = jnp.asarray(self.lag_weights) @ smooth.phase_covariance(jnp.asarray(self.lags))
-        if smooth is not term:
-            low += (above - self._from_density(smooth))[: len(low)]
-        return above.at[: len(low)].set(low)
-
-    def _from_density(self, term: NoiseTerm) -> Float[Array, " m"]:
-        """The same from the density of the samples, but for the memory of the record's ends."""
-        density = term.sampled_psd(self.nodes, self.rate)
-        density += term.end_effect(self.nodes, self.rate) / (self.n * self.rate)
-        return jnp.sum(self.node_weights * density, axis=1)
+        return _expected(term, self)
 
     def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
         """Sum of products of coefficients over each bin."""
@@ -131,6 +146,102 @@ class CosineBins(eqx.Module):
         found = np.zeros((len(self.first), *products.shape[1:]))
         found[real] = np.add.reduceat(products, self.first[real] - 1, axis=0)
         return found
+
+
+class _Transform(eqx.Module):
+    """What `CosineBins` knows of a transform, its length and rate as data: compiled functions serve again."""
+
+    n: Value
+    rate: Value
+    lags: Float[np.ndarray, " lags"]
+    lag_weights: Float[np.ndarray, "low lags"]
+    nodes: Float[np.ndarray, "m order"]
+    node_weights: Float[np.ndarray, "m order"]
+
+    @classmethod
+    def of(cls, n: int, rate: float, edges: Int[np.ndarray, " m+1"]) -> _Transform:
+        size = np.diff(edges)
+        nodes, weights = discrete_gauss(size, _BIN_ORDER)
+        nodes = (edges[:-1, None] + nodes) * rate / (2.0 * n)
+        lags, lag_weights = np.zeros(0), np.zeros((0, 0))
+        if edges[0] == 1:
+            lags, lag_weights = _exact_expectation(n, rate, _SINGLE)
+            pad = -len(lags) % _LAGS
+            lags, lag_weights = np.pad(lags, (0, pad)), np.pad(lag_weights, ((0, 0), (0, pad)))
+        return cls(
+            np.asarray(float(n)), np.asarray(rate), lags, lag_weights, nodes, weights * rate / size[:, None]
+        )
+
+
+class PooledBins(Bins):
+    """Bins of several transforms, those of one being the same bins of many segments.
+
+    Attributes:
+        n: number of samples of the stream.
+        rate: its sample rate [Hz].
+        size: coefficients in each bin, of all segments together.
+        middle: of each bin [Hz], increasing.
+    """
+
+    n: Int[np.ndarray, ""]
+    rate: float = eqx.field(static=True)
+    size: Int[np.ndarray, " m"]
+    middle: Float[np.ndarray, " m"]
+    transforms: tuple[_Transform, ...]
+
+    @classmethod
+    def of(cls, n: int, rate: float, parts: Sequence[Part]) -> PooledBins:
+        """The bins of these parts of the spectrum, the lowest frequencies first."""
+        size = np.concatenate([part.segments * np.diff(part.edges) for part in parts])
+        middle = [(p.edges[:-1] + p.edges[1:] - 1) * p.rate / (4.0 * p.n) for p in parts]
+        transforms = tuple(_Transform.of(part.n, part.rate, part.edges) for part in parts)
+        return cls(np.asarray(n), rate, size, np.concatenate(middle), transforms)
+
+    @property
+    def frequency(self) -> Float[np.ndarray, " m"]:
+        return self.middle
+
+    def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
+        return jnp.concatenate([_expected(term, transform) for transform in self.transforms])
+
+
+class Part(NamedTuple):
+    """A part of a spectrum: transforms of so many segments of n values at `rate` [Hz].
+
+    `edges` are the first coefficients of its bins, and the one after the last; from 1, the bins of which are
+    single up to 64, or well above.
+    """
+
+    n: int
+    rate: float
+    edges: Int[np.ndarray, " m+1"]
+    segments: int
+
+
+def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
+    """Edges of so many bins of coefficients first … stop−1, of equal width in ln; from 1 on, single to 64."""
+    single = np.arange(1, _SINGLE + 1) if first == 1 else np.zeros(0, int)
+    rest = np.rint(np.geomspace(first + len(single), stop, bins - len(single) + 1)).astype(int)
+    return np.append(single, rest)
+
+
+def _expected(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
+    above = _from_density(term, of)
+    # An oscillating covariance is too fast for a few lags: what differs from a smooth one has no memory.
+    smooth = term.at_low_frequencies() if term.oscillates else term
+    if smooth is None or term.deterministic or not of.lags.size:
+        return above
+    low = jnp.asarray(of.lag_weights) @ smooth.phase_covariance(jnp.asarray(of.lags))
+    if smooth is not term:
+        low += (above - _from_density(smooth, of))[: len(low)]
+    return above.at[: len(low)].set(low)
+
+
+def _from_density(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
+    """The same from the density of the samples, but for the memory of the record's ends."""
+    density = term.sampled_psd(of.nodes, of.rate)
+    density += term.end_effect(of.nodes, of.rate) / (of.n * of.rate)
+    return jnp.sum(of.node_weights * density, axis=1)
 
 
 def _exact_expectation(
@@ -165,13 +276,13 @@ class SpectralDesign(Design):
     """
 
     model: Model = eqx.field(static=True)
-    bins: CosineBins
+    bins: Bins
     dof: Float[np.ndarray, " m"]
     per_octave: Float[np.ndarray, " m"]
     constants: tuple[Float[Array, " m"] | None, ...]
 
     @classmethod
-    def of(cls, model: Model, bins: CosineBins, dof: Float[np.ndarray, " m"]) -> SpectralDesign:
+    def of(cls, model: Model, bins: Bins, dof: Float[np.ndarray, " m"]) -> SpectralDesign:
         """The design of a model of random terms only."""
         model = model.sampled(bins.rate)
         return cls(model, bins, dof, bins_per_octave(bins), _constants(model, bins))
@@ -244,7 +355,7 @@ def cube_root_score(ratio: Float[Array, " m"], dof: Float[ArrayLike, " m"]) -> F
 
 
 @eqx.filter_jit
-def _constants(model: Model, bins: CosineBins) -> tuple[Float[Array, " m"] | None, ...]:
+def _constants(model: Model, bins: Bins) -> tuple[Float[Array, " m"] | None, ...]:
     """Expectations of the terms whose shape is not free, with unit amplitude."""
     from allanjax.design import free_shapes, unit
 
@@ -252,7 +363,7 @@ def _constants(model: Model, bins: CosineBins) -> tuple[Float[Array, " m"] | Non
     return tuple(None if k in with_shape else bins.expected(unit(t)) for k, t in enumerate(model.terms))
 
 
-def bins_per_octave(bins: CosineBins) -> Float[np.ndarray, " m"]:
+def bins_per_octave(bins: Bins) -> Float[np.ndarray, " m"]:
     """How many bins lie in the octave around each."""
     f = bins.frequency
     inside = abs(np.log2(f[:, None] / f)) <= 0.5

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from allanjax.cosine import CosineBins, cosine_transform
+from allanjax.cosine import Bins, CosineBins, cosine_transform
 from allanjax.errors import FitError
 from allanjax.model import Model
 from allanjax.terms import DriftRamp, NoiseTerm
@@ -253,7 +253,7 @@ class AxisSpectrum:
         lines: the lines, by the index of their term.
     """
 
-    bins: CosineBins
+    bins: Bins
     squares: Float[np.ndarray, " m"]
     overlap: Float[np.ndarray, " m"]
     cross: Float[np.ndarray, "m columns"]

@@ -260,7 +260,6 @@ def _lines(fit: Fit, spectrum: AxisSpectrum, labels: list[str]) -> _Lines:
     coefficients, known = np.zeros((len(lines), width)), np.zeros((len(lines), width), bool)
     amplitude, frequency = np.full(len(lines), -1), np.full(len(lines), -1)
     held = np.zeros((len(lines), 2))
-    of_coefficient = np.repeat(np.arange(len(bins.first)), bins.size)
     for row, (term, line) in enumerate(lines.items()):
         k = len(line.coefficients)
         index[row, :k], coefficients[row, :k], known[row, :k] = line.indices, line.coefficients, True
@@ -268,13 +267,15 @@ def _lines(fit: Fit, spectrum: AxisSpectrum, labels: list[str]) -> _Lines:
         held[row] = own[0].start or 0.0, own[1].start or 0.0
         amplitude[row] = labels.index(own[0].label) if own[0].free else -1
         frequency[row] = labels.index(own[1].label) if own[1].free else -1
-    return _Lines(index, coefficients, of_coefficient[index - 1], known, amplitude, frequency, held)
+    own_bin = np.searchsorted(np.cumsum(bins.size), index - 1, side="right")
+    return _Lines(index, coefficients, own_bin, known, amplitude, frequency, held)
 
 
 def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k: int) -> AllanLikelihood:
     curve = fit.curve
     chosen = slice(0, None, _THINNED)
-    design = AllanDesign.of(fit.template, curve.n, curve.rate, curve.cluster_size[chosen])
+    sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
+    design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
     placed = _Placed.of(design, parameters, result)
     start, scatter = _estimates(result, parameters)
     values = jnp.asarray(start)

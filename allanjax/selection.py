@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from allanjax.cosine import CosineBins, bins_per_octave, cosine_transform, cube_root_score
+from allanjax.cosine import Bins, CosineBins, bins_per_octave, cosine_transform, cube_root_score
 from allanjax.design import unit
 from allanjax.deterministic import ramp_column, term_column
 from allanjax.errors import AllanjaxError, FitError
@@ -214,26 +215,36 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
             that is no time, more than one term with a free time, more than six terms.
         FitError: a record of fewer than 64 samples.
     """
-    model = (basic_terms() + Markov() if candidates is None else Model(()) + candidates).sampled(
-        recording.rate
-    )
-    fixed, shaped, ramps = _sorted(model)
+    model = candidates_of(candidates, recording.rate)
+    ramps = _sorted(model)[2]
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
             "record at least 64"
         )
     bins = CosineBins.of(recording.n, recording.rate)
-    keep = bins.size > 0
-    columns, times = _columns(model, fixed, shaped, bins)
     place = recording.n, recording.rate
     ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
     c = cosine_transform(recording.values - recording.values.mean(axis=0))
-    levels = Levels(
-        bins.sums(c**2)[keep].T,
-        bins.sums(c * ramp[:, None])[keep].T,
-        np.broadcast_to(bins.sums(ramp**2)[keep], (len(recording.axes), keep.sum())),
-    )
+    squares, cross, gram = (bins.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
+    levels = Levels(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
+    return rank_terms(model, bins, levels, recording.axes, recording.name)
+
+
+def candidates_of(candidates: Model | NoiseTerm | None, rate: float) -> Model:
+    """The terms to choose from, as sampled at `rate` [Hz]: those given, or the default ones."""
+    return (basic_terms() + Markov() if candidates is None else Model(()) + candidates).sampled(rate)
+
+
+def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], name: str) -> TermSelection:
+    """As `select_terms`, from the statistics [axes, m] of a spectrum instead of a recording.
+
+    The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
+    """
+    fixed, shaped, ramps = _sorted(model)
+    columns, times = _columns(model, fixed, shaped, bins)
+    keep = bins.size > 0
+    levels = Levels(*(np.asarray(x)[:, keep] for x in levels))
     jobs = jobs_of(len(fixed), len(times) if shaped else 0, bool(ramps))
     size, columns = bins.size[keep].astype(float), columns[:, keep]
     cut = len(fixed)
@@ -252,10 +263,10 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
         used = np.concatenate([columns[:cut], grid[jobs.column[job]][None]])
         return _discrepancy(levels, k, power[k, job] @ used, bool(jobs.ramp[job]), size, per_octave)
 
-    axes = range(len(recording.axes))
+    every = range(len(axes))
     per_octave = bins_per_octave(bins)[keep]
     log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(jobs.ramp)))
-    incomplete = np.array([off(k, int(np.argmax(log_evidence[k]))) > 0.0 for k in axes])
+    incomplete = np.array([off(k, int(np.argmax(log_evidence[k]))) > 0.0 for k in every])
     # The sets without a free time come first; only these are left where none suffices.
     plain = int((~jobs.terms[:, -1]).sum())
     log_evidence[incomplete, plain:] = -np.inf
@@ -268,9 +279,9 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
         power[incomplete, :plain] = found.power[incomplete]
     ranked = (
         _ranked(axis, model, (fixed, shaped, ramps), jobs, log_evidence[k], float(discrepancy[k]) / 2.0)
-        for k, axis in enumerate(recording.axes)
+        for k, axis in enumerate(axes)
     )
-    return TermSelection(recording.name, tuple(ranked))
+    return TermSelection(name, tuple(ranked))
 
 
 def _discrepancy(
@@ -323,25 +334,25 @@ def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
 
 
 def _columns(
-    model: Model, fixed: list[int], shaped: list[int], bins: CosineBins
+    model: Model, fixed: list[int], shaped: list[int], bins: Bins
 ) -> tuple[Float[np.ndarray, "columns m"], Float[np.ndarray, " grid"]]:
     """Unit expectations of the fixed terms, then of the shaped one over its grid; and the grid."""
     times = np.geomspace(4.0 / bins.rate, bins.n / bins.rate / 4.0, _GRID)
-    terms = [unit(model.terms[k]) for k in fixed]
+    terms = tuple(unit(model.terms[k]) for k in fixed)
+    with_time = unit(model.terms[shaped[0]]) if shaped else None
+    return np.asarray(_expectations(terms, with_time, bins, times)), times
 
-    def at(k: int, time: Float[Array, ""]) -> Float[Array, " m"]:
-        own = unit(model.terms[k])
-        p = next(p for p in own.parameters()[1:] if own.is_free(p))
-        return bins.expected(own.replace(**{p.name: time}))
 
-    @jax.jit
-    def expectations(times: Float[Array, " grid"]) -> Float[Array, "columns m"]:
-        rows = [bins.expected(term) for term in terms]
-        for k in shaped:
-            rows += list(jax.lax.map(lambda time, k=k: at(k, time), times))
-        return jnp.stack(rows)
-
-    return np.asarray(expectations(jnp.asarray(times))), times
+@eqx.filter_jit
+def _expectations(
+    terms: tuple[NoiseTerm, ...], with_time: NoiseTerm | None, bins: Bins, times: Float[ArrayLike, " grid"]
+) -> Float[Array, "columns m"]:
+    rows = [bins.expected(term) for term in terms]
+    if with_time is not None:
+        name = next(p.name for p in with_time.parameters()[1:] if with_time.is_free(p))
+        grid = jax.lax.map(lambda t: bins.expected(with_time.replace(**{name: t})), jnp.asarray(times))
+        rows += list(grid)
+    return jnp.stack(rows)
 
 
 def jobs_of(fixed: int, grid: int, ramp: bool) -> Job:

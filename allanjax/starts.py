@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -33,17 +34,32 @@ def find_starts(
     design: Design,
     V: Float[np.ndarray, "axes m"],
     active: Bool[np.ndarray, "axes terms"],
-    values: Float[np.ndarray, "samples axes"],
+    records: Iterable[Float[np.ndarray, " samples"] | None],
+    n: int,
     rate: float,
 ) -> Starts:
-    """Start values for every axis, from its Allan variances and, for lines, its spectrum.
+    """Start values for every axis, from its Allan variances and, for lines, its record of n samples.
 
-    Shape parameters without a value of their own are tried on a grid; the powers at each point come from a
-    non-negative least squares fit weighted by cluster counts; the best few points are the starts, best first.
+    Shape parameters without a value of their own are tried on a grid (`shape_candidates`); see `best_starts`.
+    """
+    searched = any(p.parameter.kind == "line" and p.start is None for p in design.shapes)
+    peaks = (find_lines(x, rate) if searched and x is not None else () for x in records)
+    shape = [shape_candidates(design.shapes, n / rate, rate, of_axis) for of_axis in peaks]
+    return best_starts(design, V, active, np.stack(shape))
+
+
+def best_starts(
+    design: Design,
+    V: Float[np.ndarray, "axes m"],
+    active: Bool[np.ndarray, "axes terms"],
+    shape: Float[np.ndarray, "axes candidates shapes"],
+) -> Starts:
+    """The best few of these shapes for every axis, best first, and the powers that go with them.
+
+    The powers come from a non-negative least squares fit weighted by `Design.weight`.
     """
     from scipy.ndimage import median_filter
 
-    shape = np.stack([_shape_candidates(design.shapes, x, rate) for x in values.T])
     given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
     # One estimate that happens to be small must not pull everything down.
     smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
@@ -102,14 +118,18 @@ def _rough_powers(
     return jax.vmap(of_axis)(jnp.asarray(V), jnp.asarray(active), jnp.asarray(shape))
 
 
-def _shape_candidates(
-    shapes: tuple[ModelParameter, ...], x: Float[np.ndarray, " samples"], rate: float
+def shape_candidates(
+    shapes: tuple[ModelParameter, ...],
+    duration: float,
+    rate: float,
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
 ) -> Float[np.ndarray, "candidates shapes"]:
-    """Transformed shape values to try; the same number for every axis."""
+    """Transformed shape values to try in a record of this duration [s]: those given, or a grid.
+
+    `peaks` are the frequencies [Hz] to try for lines (`find_lines`).
+    """
     if not shapes:
         return np.zeros((1, 0))
-    duration = len(x) / rate
-    lines = None
     choices = []
     for p in shapes:
         if p.start is not None:
@@ -119,8 +139,7 @@ def _shape_candidates(
         elif p.parameter.kind == "frequency":
             choices.append(np.geomspace(4.0 / duration, rate / 4.0, 16))
         elif p.parameter.kind == "line":
-            lines = find_lines(x, rate) if lines is None else lines
-            choices.append(lines)
+            choices.append(np.asarray(peaks))
         elif p.parameter.upper < np.inf:
             choices.append(np.linspace(p.parameter.lower, p.parameter.upper, 9)[1:-1])
         else:

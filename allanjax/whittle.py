@@ -10,7 +10,7 @@ optimistix moves correlation times and frequencies. Lines, ramps and regressors 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import jax
 import numpy as np
@@ -26,7 +26,7 @@ from allanjax.inference import HYPOTHESES, infer
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import Coefficient
-from allanjax.starts import find_lines, find_starts
+from allanjax.starts import best_starts, find_lines, shape_candidates
 
 # The levels and the noise's fit to them settle after as many rounds.
 _ROUNDS = 3
@@ -87,20 +87,43 @@ def fit_axis(
     Raises:
         FitError: there is no random term in the model.
     """
+    searched = any(p.parameter.kind == "line" and p.start is None for p in template.parameters)
+    peaks = find_lines(x, rate) if searched else ()
+    return fit_spectrum(template, axis, spectrum_of(template, x, rate, regressors), active, peaks)
+
+
+def fit_spectrum(
+    template: Model,
+    axis: Axis,
+    spectrum: AxisSpectrum,
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+) -> WhittleFit:
+    """Maximum likelihood for the statistics of one axis.
+
+    Args:
+        template: the terms.
+        axis: whose statistics they are.
+        spectrum: the statistics, with a column for each deterministic term.
+        active: the terms in use; for the others there is an upper limit.
+        peaks: frequencies [Hz] to try for narrow-band terms without one.
+
+    Raises:
+        FitError: there is no random term in the model.
+    """
     random = np.array([not term.deterministic for term in template.terms])
     if not (random & active).any():
         raise FitError(
             "Whittle's likelihood needs a noise term besides lines and ramps: add AngleRandomWalk()"
         )
     noise = Model(tuple(term for term in template.terms if not term.deterministic))
-    spectrum = spectrum_of(template, x, rate, regressors)
     used = spectrum.used([k for k in range(len(template)) if not active[k]])
-    design, projection, solution = _fit_noise(noise, spectrum, used, active[random], x)
+    design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
     free = _free(noise)
     V = projection.level[None]
     inference = infer(design, V, free, active[random][None], solution, np.asarray(HYPOTHESES))
-    solution, inference = (jax.tree.map(lambda x: np.asarray(x)[0], part) for part in (solution, inference))
-    noise_found = coefficients_of(noise, axis, active[random], solution, inference)
+    (noise_found,) = coefficients_of(noise, [axis], active[random][None], solution, inference)
+    solution = jax.tree.map(lambda x: np.asarray(x)[0], solution)
     variance = _expected(design, solution)
     values = dict(noise_found.values)
     for k in np.flatnonzero(~random):
@@ -131,7 +154,7 @@ def _fit_noise(
     spectrum: AxisSpectrum,
     used: Bool[np.ndarray, " columns"],
     active: Bool[np.ndarray, " terms"],
-    x: Float[np.ndarray, " n"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
 ) -> tuple[SpectralDesign, Projection, Solution]:
     """The random terms, in turn with the deterministic parts in use."""
     bins, free = spectrum.bins, _free(noise)
@@ -144,7 +167,8 @@ def _fit_noise(
         if solution is None:
             # Single coefficients scatter too much to be compared with anything.
             rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
-            starts = find_starts(design, rough[None], active[None], x[:, None], bins.rate)
+            shapes = shape_candidates(design.shapes, float(bins.n / bins.rate), bins.rate, peaks)
+            starts = best_starts(design, rough[None], active[None], shapes[None])
             # Levels are many and a correlation time has several places to settle: all starts are tried.
             for k in range(starts.power.shape[1] if design.movable.any() else 1):
                 other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])

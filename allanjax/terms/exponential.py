@@ -40,12 +40,26 @@ def exponential_covariance(
 
 
 def exponential_density(
-    pole: Num[Array, ""], weight: Num[ArrayLike, ""], frequency: Float[ArrayLike, ...], rate: float
+    pole: Num[Array, ""],
+    weight: Num[ArrayLike, ""],
+    frequency: Float[ArrayLike, ...],
+    rate: float,
+    sample_interval: float,
 ) -> Float[Array, ...]:
     """Two-sided PSD at frequencies [Hz] of R(t) = Re[weight·e^{pole·t}] read at the sample instants.
 
-    The geometric series of R(d/rate).
+    Samples at `rate` that are means of M readings, a sample interval [s] apart, have the autocovariance
+    Re[weight·r_d], r_0 = [M(1 + q)/(1 − q) − 2q(1 − q^M)/(1 − q)²]/M² and, from d = 1 on,
+    r_d = q^{M(d−1)}·q(1 − q^M)²/(M(1 − q))², q = e^{pole·interval}: a geometric series. M is 1 at the
+    readings' own rate, and for a sample interval of 0.
     """
-    a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
-    up, down = (-jnp.expm1(pole / rate + sign * 1j * a) for sign in (1.0, -1.0))
-    return jnp.real(weight * (1.0 / up + 1.0 / down - 1.0)) / rate
+    M = 1.0 if sample_interval == 0.0 else 1.0 / (rate * sample_interval)
+    x = pole / rate / M
+    q, y, z = jnp.exp(x), -jnp.expm1(x), -jnp.expm1(M * x)
+    # Its series where the terms of r_0 would cancel.
+    series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
+    r_0 = jnp.where(jnp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
+    r_1 = q * (z / (M * y)) ** 2
+    a = 2j * jnp.pi * jnp.asarray(frequency) / rate
+    up, down = (jnp.exp(turn) / -jnp.expm1(M * x + turn) for turn in (a, -a))
+    return jnp.real(weight * (r_0 + r_1 * (up + down))) / rate

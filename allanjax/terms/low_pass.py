@@ -54,7 +54,7 @@ class LowPass(NoiseTerm):
         return self.coefficient**2 / (1.0 + ratio ** (2 * self.order))
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        return exponential_density(*self._pole(), frequency, rate)
+        return exponential_density(*self._pole(), frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Exact recursion of the filter's state."""

@@ -63,7 +63,7 @@ class Resonance(NoiseTerm):
             aliases = jnp.asarray(frequency, float)[..., None] + rate * jnp.arange(-_ALIASES, _ALIASES + 1)
             return jnp.sum(self.psd(aliases) * jnp.sinc(aliases / rate) ** 2, axis=-1)
         pole, c = self._poles()
-        return self.amplitude**2 * exponential_density(pole, c, frequency, rate)
+        return self.amplitude**2 * exponential_density(pole, c, frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Exact recursion of position and velocity, as one complex mode."""

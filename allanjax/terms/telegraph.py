@@ -37,7 +37,7 @@ class Telegraph(NoiseTerm):
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         pole = jnp.asarray(-2.0 / self.dwell_time)
-        return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate)
+        return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Exponential dwell times: the jumps in a sample interval are Poisson, and odd ones change the level.
