@@ -13,13 +13,16 @@ import jax
 # Allan variances of a long record span ten decades: single precision cannot hold them.
 jax.config.update("jax_enable_x64", True)
 
+from allanjax.accumulator import AllanAccumulator, accumulate  # noqa: E402
 from allanjax.allan import AllanDeviation, allan_deviation  # noqa: E402
+from allanjax.bulk import BulkFit, fit_many  # noqa: E402
 from allanjax.cache import enable_compilation_cache  # noqa: E402
 from allanjax.critique import Cause, Critique, Finding, critique  # noqa: E402
 from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
 from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
 from allanjax.fit import fit  # noqa: E402
-from allanjax.io import read, write  # noqa: E402
+from allanjax.fleet import FleetResult, characterize_fleet  # noqa: E402
+from allanjax.io import ChunkedRecording, read, read_chunks, write  # noqa: E402
 from allanjax.model import Model  # noqa: E402
 from allanjax.plot import plot_allan  # noqa: E402
 from allanjax.plot_spectrum import plot_psd  # noqa: E402
@@ -52,6 +55,7 @@ from allanjax.units import convert  # noqa: E402
 
 __all__ = [
     "SENSORS",
+    "AllanAccumulator",
     "AllanDeviation",
     "AllanjaxError",
     "AngleRandomWalk",
@@ -61,13 +65,16 @@ __all__ = [
     "AxisSelection",
     "BiasInstability",
     "BiasStep",
+    "BulkFit",
     "Cause",
+    "ChunkedRecording",
     "Coefficient",
     "Critique",
     "DriftRamp",
     "Finding",
     "Fit",
     "FitError",
+    "FleetResult",
     "LogNormal",
     "LogUniform",
     "LowPass",
@@ -92,17 +99,21 @@ __all__ = [
     "Uniform",
     "UnitError",
     "WarmUp",
+    "accumulate",
     "allan_deviation",
     "basic_terms",
+    "characterize_fleet",
     "convert",
     "critique",
     "enable_compilation_cache",
     "fit",
+    "fit_many",
     "parameter",
     "plot_allan",
     "plot_psd",
     "power_spectrum",
     "read",
+    "read_chunks",
     "sample",
     "select_terms",
     "simulate",

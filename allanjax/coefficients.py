@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float
+from jaxtyping import Bool, Float
 
 from allanjax.deterministic import Line, amplitude_quantile
 from allanjax.gls import Solution
@@ -47,61 +47,116 @@ def reported(model: Model) -> tuple[ModelParameter, ...]:
     return tuple(p for p in model.parameters if p.free or (p.start is not None and np.isfinite(p.start)))
 
 
-def coefficients_of(
-    model: Model, axis: Axis, active: Bool[np.ndarray, " terms"], solution: Solution, inference: Inference
-) -> Coefficients:
-    """The coefficients of one axis from its solution; terms not active have upper limits only."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class Estimates:
+    """The coefficients of several axes in SI, [axes, coefficients] in the order of `reported`.
+
+    Attributes:
+        value, std: estimates and their standard deviations; NaN for the shape of an absent term.
+        interval, interval_68: [axes, coefficients, 2] ends of the 95 and 68 % intervals.
+        upper_limit: one-sided 95 % limits of amplitudes; NaN for what has none.
+        detected: whether the term's amplitude excludes zero.
+        covariance: [axes, coefficients, coefficients].
+    """
+
+    value: Float[np.ndarray, "axes params"]
+    std: Float[np.ndarray, "axes params"]
+    interval: Float[np.ndarray, "axes params 2"]
+    interval_68: Float[np.ndarray, "axes params 2"]
+    upper_limit: Float[np.ndarray, "axes params"]
+    detected: Bool[np.ndarray, "axes params"]
+    covariance: Float[np.ndarray, "axes params params"]
+
+
+def estimates_of(
+    model: Model, active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
+) -> Estimates:
+    """The coefficients of every axis from its solution; terms not active have upper limits only.
+
+    Args:
+        model: the model.
+        active: the terms that each axis has.
+        solution, inference: what `gls.solve` and `infer` return, of as many axes.
+    """
     parameters = reported(model)
     shapes = [p for p in parameters if p.free and p.parameter.kind != "amplitude"]
+    power, shape = np.asarray(solution.power), np.asarray(solution.shape)
     covariance = np.asarray(inference.covariance)
-    values: dict[str, Coefficient] = {}
-    jacobian = np.zeros((len(parameters), len(covariance)))
-    has_power = active & (np.asarray(solution.power) > 0.0)
+    power_at, pivot_at = np.asarray(inference.power_at), np.asarray(inference.pivot_at)
+    count = (len(power), len(parameters))
+    value, std, limit = np.zeros(count), np.zeros(count), np.full(count, np.nan)
+    interval, interval_68 = np.zeros((*count, 2)), np.zeros((*count, 2))
+    detected = np.zeros(count, bool)
+    jacobian = np.zeros((*count, covariance.shape[-1]))
+    has_power = active & (power > 0.0)
     found = has_power.copy()
     for row, p in enumerate(parameters):
-        limit = None
         is_amplitude = p.parameter.kind == "amplitude"
-        column = p.term if is_amplitude else len(model) + shapes.index(p) if p.free else None
-        if column is None or not p.free:
-            value, std = float(p.start or 0.0), 0.0
-            interval = interval_68 = (value, value)
-            found[p.term] |= is_amplitude
-        elif not is_amplitude and not has_power[p.term]:
-            value = std = float("nan")
-            interval = interval_68 = (p.parameter.lower, p.parameter.upper)
+        if not p.free:
+            value[:, row] = p.start or 0.0
+            interval[:, row] = interval_68[:, row] = value[:, row, None]
+            found[:, p.term] |= is_amplitude
         elif is_amplitude:
-            power = float(solution.power[p.term])
-            value = np.sqrt(power)
+            column = p.term
+            value[:, row] = np.sqrt(power[:, column])
+            present = power[:, column] > 0.0
             levels = (TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95)
-            grid = (inference.power_at[p.term], inference.pivot_at[p.term])
-            ends = [float(np.sqrt(_crossing(*grid, level, power > 0.0))) for level in levels]
-            interval, interval_68, limit = (ends[0], ends[1]), (ends[2], ends[3]), ends[4]
-            found[p.term] = bool(active[p.term] and interval[0] > 0.0)
-            jacobian[row, column] = 0.5 / value if value > 0.0 else 0.0
-            std = float(jacobian[row, column] * np.sqrt(covariance[column, column]))
-        else:
-            distance = float(np.exp(solution.shape[column - len(model)]))
-            sd = float(np.sqrt(covariance[column, column]))
-            value = p.parameter.lower + distance
-            interval, interval_68 = (
-                _around(p.parameter, distance, level * sd) for level in (TWO_SIDED_95, TWO_SIDED_68)
+            grid = (power_at[:, column], pivot_at[:, column])
+            ends = np.stack([np.sqrt(_crossings(*grid, level, present)) for level in levels], axis=1)
+            interval[:, row], interval_68[:, row], limit[:, row] = ends[:, :2], ends[:, 2:4], ends[:, 4]
+            found[:, column] = active[:, column] & (ends[:, 0] > 0.0)
+            jacobian[:, row, column] = np.divide(
+                0.5, value[:, row], out=np.zeros(len(power)), where=value[:, row] > 0.0
             )
-            jacobian[row, column] = distance
-            std = distance * sd
-        values[p.label] = Coefficient(
-            label=p.label,
-            term=p.term_label,
-            parameter=p.parameter,
-            axis=axis,
-            value=float(value),
-            std=std,
-            interval=interval,
-            interval_68=interval_68,
-            upper_limit=limit,
-            detected=bool(found[p.term]),
-            held=not p.free,
-        )
-    return Coefficients(values, jacobian @ covariance @ jacobian.T)
+            std[:, row] = jacobian[:, row, column] * np.sqrt(covariance[:, column, column])
+        else:
+            column = len(model) + shapes.index(p)
+            distance, sd = np.exp(shape[:, column - len(model)]), np.sqrt(covariance[:, column, column])
+            present = has_power[:, p.term]
+            value[:, row] = np.where(present, p.parameter.lower + distance, np.nan)
+            std[:, row] = np.where(present, distance * sd, np.nan)
+            jacobian[:, row, column] = np.where(present, distance, 0.0)
+            nowhere = np.array([p.parameter.lower, p.parameter.upper])
+            interval[:, row], interval_68[:, row] = (
+                np.where(present[:, None], _around(p.parameter, distance, level * sd), nowhere)
+                for level in (TWO_SIDED_95, TWO_SIDED_68)
+            )
+        detected[:, row] = found[:, p.term]
+    covariance = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+    return Estimates(value, std, interval, interval_68, limit, detected, covariance)
+
+
+def coefficients_of(
+    model: Model,
+    axes: Sequence[Axis],
+    active: Bool[np.ndarray, "axes terms"],
+    solution: Solution,
+    inference: Inference,
+) -> tuple[Coefficients, ...]:
+    """The coefficients of these axes, as `estimates_of` finds them, by their labels."""
+    estimates = estimates_of(model, active, solution, inference)
+    found: list[dict[str, Coefficient]] = [{} for _ in axes]
+    for row, p in enumerate(reported(model)):
+        limited = p.free and p.parameter.kind == "amplitude"
+        for k, axis in enumerate(axes):
+            found[k][p.label] = Coefficient(
+                label=p.label,
+                term=p.term_label,
+                parameter=p.parameter,
+                axis=axis,
+                value=float(estimates.value[k, row]),
+                std=float(estimates.std[k, row]),
+                interval=_pair(estimates.interval[k, row]),
+                interval_68=_pair(estimates.interval_68[k, row]),
+                upper_limit=float(estimates.upper_limit[k, row]) if limited else None,
+                detected=bool(estimates.detected[k, row]),
+                held=not p.free,
+            )
+    return tuple(map(Coefficients, found, estimates.covariance))
+
+
+def _pair(ends: Float[np.ndarray, " 2"]) -> tuple[float, float]:
+    return float(ends[0]), float(ends[1])
 
 
 def deterministic_coefficients(
@@ -168,39 +223,44 @@ def deterministic_coefficients(
     return found
 
 
-def _around(p: Parameter, distance: float, width: float) -> tuple[float, float]:
-    """Interval of a parameter whose distance from its lower bound is known to this width in ln."""
-    ratio = np.exp(min(width, 700.0))
-    return float(p.lower + distance / ratio), float(min(p.lower + distance * ratio, p.upper))
+def _around(
+    p: Parameter, distance: Float[np.ndarray, " axes"], width: Float[np.ndarray, " axes"]
+) -> Float[np.ndarray, "axes 2"]:
+    """Intervals of a parameter whose distance from its lower bound is known to this width in ln."""
+    ratio = np.exp(np.minimum(width, 700.0))
+    return np.stack([p.lower + distance / ratio, np.minimum(p.lower + distance * ratio, p.upper)], axis=1)
 
 
-def _crossing(
-    power: Float[ArrayLike, " grid"], pivot: Float[ArrayLike, " grid"], level: float, present: bool
-) -> float:
-    """The hypothetical power at which the data are `level` standard deviations away.
+def _crossings(
+    power: Float[np.ndarray, "axes grid"],
+    pivot: Float[np.ndarray, "axes grid"],
+    level: float,
+    present: Bool[np.ndarray, " axes"],
+) -> Float[np.ndarray, " axes"]:
+    """The hypothetical powers at which the data are `level` standard deviations away.
 
     Positive levels are sought below the estimate (zero if none is reached), negative ones above (infinity).
     """
-    power, pivot = np.asarray(power), np.asarray(pivot)
     # Without this term the others may leave no noise at all: such a hypothesis is out of the question.
-    side = np.where(np.arange(len(power)) < ESTIMATE, np.inf, -np.inf)
+    side = np.where(np.arange(pivot.shape[1]) < ESTIMATE, np.inf, -np.inf)
     pivot = np.where(np.isfinite(pivot), pivot, side)
     # Where others' powers ended at zero the data may still pull at this one. It is taken as if they were
     # content with the estimate; so is an absent term of which they would like less than nothing, lest its
     # limit shrink.
-    at_estimate = pivot[ESTIMATE] if np.isfinite(pivot[ESTIMATE]) else 0.0
-    pivot = pivot - (at_estimate if present else min(at_estimate, 0.0))
-    beyond = pivot >= level if level > 0.0 else pivot <= level
-    below, above = np.flatnonzero(beyond[:ESTIMATE]), ESTIMATE + np.flatnonzero(beyond[ESTIMATE:])
+    at_estimate = np.where(np.isfinite(pivot[:, ESTIMATE]), pivot[:, ESTIMATE], 0.0)
+    pivot = pivot - np.where(present, at_estimate, np.minimum(at_estimate, 0.0))[:, None]
+    # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
     if level > 0.0:
-        if not below.size:
-            return 0.0
-        g, inside = below[-1], below[-1] + 1
+        beyond, nowhere = pivot[:, ESTIMATE - 1 :: -1] >= level, 0.0
+        outer = ESTIMATE - 1 - np.argmax(beyond, axis=1)
+        inner = outer + 1
     else:
-        if not above.size:
-            return float("inf")
-        g, inside = above[0], max(above[0] - 1, ESTIMATE)
-    if pivot[g] == pivot[inside] or not np.isfinite(pivot[g]):
-        return float(power[inside])
-    share = (level - pivot[inside]) / (pivot[g] - pivot[inside])
-    return float(power[inside] + share * (power[g] - power[inside]))
+        beyond, nowhere = pivot[:, ESTIMATE:] <= level, np.inf
+        outer = ESTIMATE + np.argmax(beyond, axis=1)
+        inner = np.maximum(outer - 1, ESTIMATE)
+    axis = np.arange(len(power))
+    (from_, to), (near, far) = ((x[axis, inner], x[axis, outer]) for x in (power, pivot))
+    between = np.isfinite(far) & (far != near)
+    with np.errstate(invalid="ignore"):  # NaN where there is no distance at the estimate itself
+        share = np.divide(level - near, far - near, out=np.zeros(len(power)), where=between)
+    return np.where(beyond.any(axis=1), from_ + share * (to - from_), nowhere)

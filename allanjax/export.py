@@ -91,9 +91,12 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
 
 
 def write_results(
-    fit: Fit, spectrum: PowerSpectrum, directory: str | os.PathLike[str], name: str
+    fit: Fit, spectrum: PowerSpectrum | None, directory: str | os.PathLike[str], name: str
 ) -> tuple[Path, ...]:
-    """Write NAME.json, NAME_{allan,coefficients}.csv and NAME_{allan,psd}.png; returns their paths."""
+    """Write NAME.json, NAME_{allan,coefficients}.csv and NAME_{allan,psd}.png; returns their paths.
+
+    Without a spectrum, as of a recording that was read in chunks, there is no NAME_psd.png.
+    """
     from matplotlib import pyplot as plt
 
     from allanjax.plot import plot_allan
@@ -101,13 +104,15 @@ def write_results(
 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    suffixes = (".json", "_allan.csv", "_coefficients.csv", "_allan.png", "_psd.png")
+    suffixes = [".json", "_allan.csv", "_coefficients.csv", "_allan.png"]
+    suffixes += [] if spectrum is None else ["_psd.png"]
     paths = tuple(directory / f"{name}{suffix}" for suffix in suffixes)
     write_json(fit, paths[0])
     write_curve_csv(fit, paths[1])
     write_coefficients_csv(fit, paths[2])
     plt.close(plot_allan(fit, path=paths[3]))
-    plt.close(plot_psd(spectrum, fit, path=paths[4]))
+    if spectrum is not None:
+        plt.close(plot_psd(spectrum, fit, path=paths[4]))
     return paths
 
 

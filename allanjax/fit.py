@@ -18,15 +18,15 @@ from allanjax.design import AllanDesign
 from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.gls import Solution, solve
-from allanjax.inference import HYPOTHESES, infer
+from allanjax.inference import HYPOTHESES, Inference, infer
 from allanjax.model import Model
 from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Fit
 from allanjax.selection import TermSelection, basic_terms, select_terms
-from allanjax.starts import find_starts
+from allanjax.starts import Starts, find_starts
 from allanjax.terms import Markov, NoiseTerm
 from allanjax.terms.transient import Transient
-from allanjax.whittle import fit_axis
+from allanjax.whittle import WhittleFit, fit_axis
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
 _PER_OCTAVE = 4
@@ -70,40 +70,46 @@ def fit(
     if objective not in ("allan", "whittle"):
         raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
     given = _regressors(recording, regressors, objective)
-    selection = None
-    if model is None:
-        selection = select_terms(recording)
-        sets = [axis.chosen.terms for axis in selection]
-        # A Markov process is part of the template where it is needed only: it costs time.
-        template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()
-        active = np.array([[label in s for label in template.term_labels] for s in sets])
-    else:
-        template = _with_known_transients(Model(()) + model, objective)
-        active = np.ones((len(recording.axes), len(template)), bool)
+    selection = select_terms(recording) if model is None else None
+    template, active = terms_to_fit(model, selection, len(recording.axes), objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
-    free_count = sum(p.free for p in template.parameters)
-    if len(curve.cluster_size) <= free_count:
-        raise FitError(
-            f"{recording.name or 'the recording'}: {recording.n} samples give "
-            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; "
-            "record longer or use fewer terms"
-        )
+    check_length(curve, template, recording.name)
     if objective == "allan":
-        results, variance = _fit_allan(recording, template, curve, active)
-        curve = _with_model_edf(curve, results, variance)
+        results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
     else:
         axes = range(len(recording.axes))
         results = tuple(_fit_whittle(recording, k, template, active[k], given) for k in axes)
-        curve = _with_model_edf(curve, results, _variances_under(template, curve, results))
-    return Fit(
-        recording.name,
-        template,
-        curve,
-        results,
-        recording.notes + _ambiguities(selection),
-        objective,
-        selection,
-    )
+        curve = with_edf_under(curve, template, results)
+    notes = recording.notes + ambiguities(selection)
+    return Fit(recording.name, template, curve, results, notes, objective, selection)
+
+
+def terms_to_fit(
+    model: Model | NoiseTerm | None, selection: TermSelection | None, axes: int, objective: Objective
+) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
+    """The model to fit, given or chosen, and which of its terms each axis has.
+
+    Raises:
+        FitError: a step or a warm-up without a time, or with "allan".
+    """
+    if selection is None:
+        template = _with_known_transients(Model(()) + (model or basic_terms()), objective)
+        return template, np.ones((axes, len(template)), bool)
+    sets = [axis.chosen.terms for axis in selection]
+    # A Markov process is part of the template where it is needed only: it costs time.
+    template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()
+    return template, np.array([[label in s for label in template.term_labels] for s in sets])
+
+
+def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
+    """Raise FitError if there are no more Allan variances than parameters."""
+    free_count = sum(p.free for p in template.parameters)
+    if len(curve.cluster_size) <= free_count:
+        raise FitError(
+            f"{name or 'the recording'}: {curve.n} samples give "
+            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; "
+            "record longer or use fewer terms"
+        )
 
 
 def _with_known_transients(template: Model, objective: Objective) -> Model:
@@ -147,7 +153,7 @@ def _regressors(
     return channels
 
 
-def _ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
+def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
     """For people: which terms the data could not tell apart."""
     notes = []
     for axis in selection or ():
@@ -156,19 +162,34 @@ def _ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _fit_allan(
-    recording: Recording, template: Model, curve: AllanDeviation, active: Bool[np.ndarray, "axes terms"]
-) -> tuple[tuple[AxisFit, ...], Float[np.ndarray, "axes m"]]:
-    """Every axis by generalized least squares, and the variances of its Allan variances under the fit."""
-    design = AllanDesign.of(template, recording.n, recording.rate, curve.cluster_size)
+def fit_allan(
+    curve: AllanDeviation,
+    axes: Sequence[Axis],
+    template: Model,
+    active: Bool[np.ndarray, "axes terms"],
+    values: Float[np.ndarray, "n axes"] | None = None,
+) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
+    """Every axis by generalized least squares, and the curve with the degrees of freedom under the fit.
+
+    Args:
+        curve: the Allan variances.
+        axes: whose they are.
+        template: the model.
+        active: the terms that each axis has.
+        values: the record, without which lines and resonances can not be found.
+    """
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
     variance = curve.variance.T
-    starts = find_starts(design, variance, active, recording.values, recording.rate)
+    records = [None] * len(axes) if values is None else values.T
+    starts = find_starts(design, variance, active, records, curve.n, curve.rate)
     free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
     # A line is seen in the record far better than in its Allan variances, which get to know of it.
     indices, wanted = lines_of(template)
     lines = [
-        dict(zip(indices, take_out_lines(x - x.mean(), recording.rate, wanted)[1], strict=True))
-        for x in recording.values.T
+        {}
+        if x is None
+        else dict(zip(indices, take_out_lines(x - x.mean(), curve.rate, wanted)[1], strict=True))
+        for x in records
     ]
     for k, of_axis in enumerate(lines):
         for i, line in of_axis.items():
@@ -178,6 +199,28 @@ def _fit_allan(
                 if p.term == i:
                     starts.shape[k, :, column] = np.log(line.frequency)
     free = free & ~np.isin(np.arange(len(template)), indices)
+    solution, inference = solve_and_infer(design, variance, free, active, starts)
+    results = []
+    found = coefficients_of(template, axes, active, solution, inference)
+    for k, (axis, coefficients) in enumerate(zip(axes, found, strict=True)):
+        for i, line in lines[k].items():
+            square = (line.amplitude / line.amplitude_std) ** 2
+            of_line = (square, line.amplitude_std, 2, line, curve.n)
+            coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_line))
+        dof = len(curve.cluster_size) - estimated(template, active[k])
+        of_axis = jax.tree.map(lambda x, k=k: x[k], solution)
+        results.append(_axis_fit(axis, template, active[k], coefficients, of_axis, dof))
+    return tuple(results), _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
+
+
+def solve_and_infer(
+    design: AllanDesign,
+    variance: Float[np.ndarray, "axes m"],
+    free: Bool[np.ndarray, " terms"],
+    active: Bool[np.ndarray, "axes terms"],
+    starts: Starts,
+) -> tuple[Solution, Inference]:
+    """The best solution that the starts of each axis lead to, and what the data say around it."""
     solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
     # A correlation time has several places to settle: all starts are tried.
     for k in range(1, starts.power.shape[1]):
@@ -188,18 +231,7 @@ def _fit_allan(
         better = np.asarray(other.converged & ~(other.cost >= solution.cost) | ~solution.converged)
         solution = _choose(doubtful & better, other, solution)
     inference = infer(design, variance, free, active, solution, np.asarray(HYPOTHESES))
-    solution, inference = jax.device_get((solution, inference))
-    results = []
-    for k, axis in enumerate(recording.axes):
-        of_axis = jax.tree.map(lambda x, k=k: x[k], (solution, inference))
-        coefficients = coefficients_of(template, axis, active[k], *of_axis)
-        for i, line in lines[k].items():
-            square = (line.amplitude / line.amplitude_std) ** 2
-            of_line = (square, line.amplitude_std, 2, line, recording.n)
-            coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_line))
-        dof = len(curve.cluster_size) - _estimated(template, active[k])
-        results.append(_axis_fit(axis, template, active[k], coefficients, of_axis[0], dof))
-    return tuple(results), inference.estimate_variance
+    return jax.device_get((solution, inference))
 
 
 def _fit_whittle(
@@ -212,8 +244,13 @@ def _fit_whittle(
     """One axis by maximum likelihood."""
     axis = recording.axes[k]
     found = fit_axis(template, axis, recording.values[:, k], recording.rate, active, regressors)
+    return result_of(found, template, axis, active)
+
+
+def result_of(found: WhittleFit, template: Model, axis: Axis, active: Bool[np.ndarray, " terms"]) -> AxisFit:
+    """What Whittle's likelihood found, as the result of one axis."""
     random = np.array([not term.deterministic for term in template.terms])
-    dof = round(found.estimates) - _estimated(template, active & random)
+    dof = round(found.estimates) - estimated(template, active & random)
     result = _axis_fit(axis, template, active, found.coefficients, found.solution, dof)
     return dataclasses.replace(result, regression=found.regression, spectrum=found.spectrum)
 
@@ -227,7 +264,8 @@ def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> So
     return jax.tree.map(of, new, old)
 
 
-def _estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
+def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
+    """How many coefficients are estimated, which χ² has fewer degrees of freedom."""
     return sum(p.free and bool(active[p.term]) for p in reported(template))
 
 
@@ -259,33 +297,49 @@ def _axis_fit(
     )
 
 
+def with_edf_under(curve: AllanDeviation, template: Model, results: Sequence[AxisFit]) -> AllanDeviation:
+    """The curve with degrees of freedom under fitted models, where the fit has not looked at it."""
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
+    variance = np.asarray(_variances(design, *_parameters(design, results)))
+    return _with_model_edf(curve, design, results, variance)
+
+
 def _with_model_edf(
-    curve: AllanDeviation, results: tuple[AxisFit, ...], variance: Float[np.ndarray, "axes m"]
+    curve: AllanDeviation,
+    design: AllanDesign,
+    results: Sequence[AxisFit],
+    variance: Float[np.ndarray, "axes m"],
 ) -> AllanDeviation:
     """The curve with degrees of freedom 2μ²/Var under the fitted models."""
+    mean = np.asarray(_means(design, *_parameters(design, results)))
     edf = np.array(curve.edf)
     for k, result in enumerate(results):
         if result.converged:
-            mean = np.asarray(result.model.sampled(curve.rate).allan_variance(curve.cluster_time))
-            edf[:, k] = 2.0 * mean**2 / variance[k]
+            edf[:, k] = 2.0 * mean[k] ** 2 / variance[k]
     return dataclasses.replace(curve, edf=edf)
 
 
-def _variances_under(
-    template: Model, curve: AllanDeviation, results: tuple[AxisFit, ...]
-) -> Float[np.ndarray, "axes m"]:
-    """Variances of the Allan variances, where the fit has not looked at them."""
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size)
-    power = np.zeros((len(results), len(template)))
+def _parameters(
+    design: AllanDesign, results: Sequence[AxisFit]
+) -> tuple[Float[np.ndarray, "axes terms"], Float[np.ndarray, "axes shapes"]]:
+    """Powers and transformed shapes of the fitted models; zero where there is none."""
+    power = np.zeros((len(results), len(design.model)))
     shape = np.zeros((len(results), len(design.shapes)))
+    amplitudes = [p for p in design.model.parameters if p.parameter.kind == "amplitude"]
     for k, result in enumerate(results):
         if result.converged:
             values = {label: c.value for label, c in result.coefficients.items()}
-            amplitudes = [p for p in template.parameters if p.parameter.kind == "amplitude"]
             power[k] = [float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes]
             shape[k] = [np.log(values[p.label] - p.parameter.lower) for p in design.shapes]
     # The shape of an absent term does not matter.
-    return np.asarray(_variances(design, power, np.nan_to_num(shape)))
+    return power, np.nan_to_num(shape)
+
+
+@eqx.filter_jit
+def _means(
+    design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
+) -> Float[Array, "axes m"]:
+    return jax.vmap(lambda v, u: v @ design.means(u))(jnp.asarray(power), jnp.asarray(shape))
 
 
 @eqx.filter_jit

@@ -22,20 +22,22 @@ class Whitened(NamedTuple):
 
 
 def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> Whitened:
-    """L⁻¹X with C = LL' positive definite; NaN if it is not. Gaussian elimination of [C | X], row by row."""
+    """L⁻¹X with C = LL' positive definite; NaN if it is not.
+
+    Row k of [L' | L⁻¹X] is that of [C | X] less what the rows above it explain: one pass over memory a row,
+    several times faster than eliminating it from all rows below.
+    """
     m = C.shape[0]
-    below = jnp.arange(m)
+    both = jnp.concatenate([C, X], axis=1)
 
-    def eliminate(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        A, log_det = carry
-        pivot = jnp.sqrt(A[k, k])
-        row = A[k] / pivot
-        column = jnp.where(below > k, row[:m], 0.0)
-        A = (A - column[:, None] * row).at[k].set(row)
-        return A, log_det + jnp.log(pivot)
+    def row(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        done, log_det = carry
+        rest = both[k] - jnp.sum(done[:, k, None] * done, axis=0)
+        pivot = jnp.sqrt(rest[k])
+        return done.at[k].set(rest / pivot), log_det + jnp.log(pivot)
 
-    A, log_det = jax.lax.fori_loop(0, m, eliminate, (jnp.concatenate([C, X], axis=1), jnp.zeros(())))
-    return Whitened(A[:, m:], log_det)
+    done, log_det = jax.lax.fori_loop(0, m, row, (jnp.zeros_like(both), jnp.zeros(())))
+    return Whitened(done[:, m:], log_det)
 
 
 def inverse(C: Float[Array, "m m"]) -> Float[Array, "m m"]:

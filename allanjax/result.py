@@ -16,7 +16,7 @@ from allanjax.errors import FitError
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.terms import Parameter
-from allanjax.units import convert, default_coefficient_unit, unit_scale
+from allanjax.units import Sensor, convert, default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,9 +61,7 @@ class Coefficient:
     @property
     def unit(self) -> str:
         """The usual unit of such a coefficient, e.g. "deg/√h"."""
-        if self.parameter.kind == "amplitude":
-            return default_coefficient_unit(self.axis.sensor, self.parameter.time_exponent)
-        return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(self.parameter.kind, "1")
+        return usual_unit(self.parameter, self.axis.sensor)
 
     @property
     def title(self) -> str:
@@ -105,6 +103,13 @@ class Coefficient:
 
     def __str__(self) -> str:
         return f"{self.axis.name} {self.label}: {self.describe()}"
+
+
+def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
+    """The usual unit of a parameter of this sensor's noise, e.g. "deg/√h"."""
+    if parameter.kind == "amplitude":
+        return default_coefficient_unit(sensor, parameter.time_exponent)
+    return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(parameter.kind, "1")
 
 
 def title_of(label: str, axis: Axis) -> str:

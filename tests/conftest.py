@@ -1,14 +1,30 @@
-"""Small recordings and their fits, made once for all tests."""
+"""One cache of compiled programs for a run of the tests; small recordings and their fits, made once."""
 
 import dataclasses
+import os
+import shutil
+import tempfile
 
 import pytest
 
-from allanjax.fit import fit
-from allanjax.notation import parse_model
-from allanjax.recording import Recording
-from allanjax.result import Fit
-from allanjax.simulate import simulate_recording
+# Before JAX is imported. The processes that pytest, the notebooks and the commands start inherit it: half of
+# the tests' time would go into compiling the same programs again.
+_CACHE = "JAX_COMPILATION_CACHE_DIR"
+_OWN = _CACHE not in os.environ
+if _OWN:
+    os.environ[_CACHE] = tempfile.mkdtemp(prefix="allanjax-tests-")
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+
+from allanjax.fit import fit  # noqa: E402
+from allanjax.notation import parse_model  # noqa: E402
+from allanjax.recording import Recording  # noqa: E402
+from allanjax.result import Fit  # noqa: E402
+from allanjax.simulate import simulate_recording  # noqa: E402
+
+
+def pytest_unconfigure() -> None:
+    if _OWN:
+        shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,284 @@
+"""Characterize a recording while it is being made, or one that no memory holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.allan import AllanDeviation
+from allanjax.columns import recognise
+from allanjax.errors import AllanjaxError, RecordingError
+from allanjax.fit import (
+    Objective,
+    ambiguities,
+    check_length,
+    fit_allan,
+    terms_to_fit,
+    with_edf_under,
+)
+from allanjax.model import Model
+from allanjax.pyramid import Pyramid
+from allanjax.recording import Axis, axes_of
+from allanjax.result import Fit
+from allanjax.segments import SegmentedLevel, SegmentSpectra, check_terms
+from allanjax.terms import NoiseTerm
+from allanjax.validation import Source
+
+if TYPE_CHECKING:
+    from allanjax.io.chunks import ChunkedRecording
+
+# Samples that are gathered before they are looked at: a call of a compiled program costs as much as many.
+_GATHERED = 1 << 17
+_FORMAT = 1
+
+_T = TypeVar("_T")
+
+
+class AllanAccumulator:
+    """Allan deviation and spectrum of samples that come piece by piece, in memory that does not grow.
+
+    `update` takes samples in chunks of any sizes, `merge` joins the accumulators of adjacent pieces, and
+    `result` and `fit` say what all of them show: the same, to rounding, however the samples were divided.
+    `snapshot` and `restore` carry an accumulator over a restart.
+
+        accumulator = AllanAccumulator(1000.0, ["gyro_x", "gyro_y", "gyro_z"])
+        for samples in rig:                      # [n, 3], rad/s
+            accumulator.update(samples)
+        accumulator.result().plot()
+        print(accumulator.fit())
+    """
+
+    def __init__(
+        self, rate: float, axes: Sequence[Axis | str] = ("gyro",), *, start: int = 0, name: str = ""
+    ) -> None:
+        """An accumulator of no samples.
+
+        Args:
+            rate: sample rate [Hz].
+            axes: of the samples, in order: names such as `gyro_x` or `accel`, or those of a recording.
+            start: number of the first sample, for a piece that is merged later: how many there are before it.
+            name: for display.
+
+        Raises:
+            AllanjaxError: a rate that is not positive, a negative start.
+            RecordingError: no axes, or a name of no axis.
+        """
+        if not 0.0 < rate < np.inf:
+            raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
+        if start < 0:
+            raise AllanjaxError(f"the number of the first sample must not be negative: start is {start}")
+        self.rate, self.start, self.name = float(rate), start, name
+        self.axes = _axes(axes)
+        empty = np.zeros((0, len(self.axes)))
+        self._pyramid = Pyramid.of(empty, start)
+        self._spectra = SegmentSpectra.of(empty, self.rate, start)
+        self._gathered: list[Float[np.ndarray, "n axes"]] = []
+
+    @property
+    def n(self) -> int:
+        """Number of samples so far."""
+        return self._pyramid.n + sum(map(len, self._gathered))
+
+    def update(self, samples: Float[np.ndarray, "n axes"] | Float[np.ndarray, " n"]) -> None:
+        """Add the samples that follow those so far, rates in SI: rad/s or m/s².
+
+        Raises:
+            AllanjaxError: another number of axes, or values that are not finite; none of them is added then.
+        """
+        # A copy: a rig fills the same buffer again.
+        values = np.array(samples, float)
+        values = values[:, None] if values.ndim == 1 else values
+        if values.ndim != 2 or values.shape[1] != len(self.axes):
+            raise AllanjaxError(
+                f"samples of {len(self.axes)} axes have the shape [n, {len(self.axes)}], not {values.shape}"
+            )
+        bad = ~np.isfinite(values)
+        if bad.any():
+            row, axis = np.argwhere(bad)[0]
+            raise AllanjaxError(
+                f"sample {self.start + self.n + row} of {self.axes[axis].name} is not finite: every sample "
+                "is needed; end the piece before it and begin another"
+            )
+        self._gathered.append(values)
+        if sum(map(len, self._gathered)) >= _GATHERED:
+            self._look()
+
+    def merge(self, right: AllanAccumulator) -> AllanAccumulator:
+        """An accumulator of this one's samples and those of the piece after it; both stay as they are.
+
+        Raises:
+            AllanjaxError: `right` does not begin where this one ends, or has another rate or other axes.
+        """
+        if (self.rate, self.axes) != (right.rate, right.axes):
+            raise AllanjaxError(
+                f"{_described(self)} and {_described(right)} are not of one recording: they cannot be merged"
+            )
+        for piece in (self, right):
+            piece._look()
+        merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name)
+        merged._pyramid = self._pyramid.merge(right._pyramid)
+        merged._spectra = self._spectra.merge(right._spectra)
+        return merged
+
+    def result(self) -> AllanDeviation:
+        """The Allan deviations of all samples so far, at octaves: those of `estimator="pyramid"`.
+
+        Raises:
+            AllanjaxError: fewer than two samples.
+        """
+        self._look()
+        return AllanDeviation.of_pyramid(self._pyramid, self.rate, self.axes)
+
+    def fit(self, model: Model | NoiseTerm | None = None, objective: Objective = "allan") -> Fit:
+        """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
+
+        Without a model its terms are chosen by their evidence in the averaged spectra. "allan" fits the
+        pyramid's Allan variances with their own covariance; "whittle" the averaged spectra.
+
+        Raises:
+            FitError: too few samples; a line, a resonance or a transient, which need the record itself.
+        """
+        curve = self.result()
+        selection = self._spectra.select(self.axes, name=self.name) if model is None else None
+        template, active = terms_to_fit(model, selection, len(self.axes), objective)
+        check_terms(template)
+        check_length(curve, template, self.name)
+        if objective == "allan":
+            results, curve = fit_allan(curve, self.axes, template, active)
+        else:
+            results = self._spectra.fit(template, self.axes, active)
+            curve = with_edf_under(curve, template, results)
+        return Fit(self.name, template, curve, results, ambiguities(selection), objective, selection)
+
+    def snapshot(self, path: str | os.PathLike[str]) -> None:
+        """Write the state to a file, whole or not at all; `restore` goes on from there.
+
+        Raises:
+            OSError: the file can not be written.
+        """
+        self._look()
+        header = {
+            "format": _FORMAT,
+            "rate": self.rate,
+            "start": self.start,
+            "name": self.name,
+            "axes": [dataclasses.asdict(axis) for axis in self.axes],
+        }
+        arrays = {"header": np.array(json.dumps(header))}
+        arrays |= _packed(self._pyramid, "pyramid") | _packed(self._spectra, "spectra")
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            with temporary.open("wb") as stream:
+                np.savez(stream, **arrays)  # type: ignore[arg-type]
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @classmethod
+    def restore(cls, path: str | os.PathLike[str]) -> AllanAccumulator:
+        """The accumulator of a snapshot.
+
+        Raises:
+            RecordingError: the file is no snapshot, is damaged, or is of a later version.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                header = json.loads(str(arrays["header"]))
+                if header["format"] != _FORMAT:
+                    raise RecordingError(
+                        f"{path}: a snapshot of format {header['format']}, this version reads {_FORMAT}; "
+                        "restore it with the allanjax that wrote it"
+                    )
+                axes = [Axis(**axis) for axis in header["axes"]]
+                found = cls(header["rate"], axes, start=header["start"], name=header["name"])
+                found._pyramid = _unpacked(Pyramid, arrays, "pyramid")
+                found._spectra = _unpacked(SegmentSpectra, arrays, "spectra")
+        except FileNotFoundError as error:
+            raise RecordingError(f"{path}: no such file; check the path") from error
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+            raise RecordingError(f"{path}: not a snapshot of an accumulator, or damaged: {error}") from error
+        return found
+
+    def _look(self) -> None:
+        """Take in what has been gathered."""
+        if not self._gathered:
+            return
+        values, start = np.concatenate(self._gathered), self.start + self._pyramid.n
+        self._pyramid = self._pyramid.merge(Pyramid.of(values, start))
+        self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
+        self._gathered = []
+
+    def __repr__(self) -> str:
+        return f"<AllanAccumulator {self.name!r}: {_described(self)}; {self.n} samples from {self.start}>"
+
+
+def _described(accumulator: AllanAccumulator) -> str:
+    names = ", ".join(axis.name for axis in accumulator.axes)
+    return f"{names} at {accumulator.rate:.9g} Hz"
+
+
+def accumulate(
+    recording: ChunkedRecording, *, start: int = 0, progress: Callable[[int, int | None], None] | None = None
+) -> AllanAccumulator:
+    """Read a recording chunk by chunk into an accumulator.
+
+    Args:
+        recording: what `read_chunks` returns.
+        start: number of its first sample, for a piece that is merged later.
+        progress: is told the samples done and, if that is known, the samples in all.
+
+    Raises:
+        RecordingError: the file has bad values, gaps or damaged rows; the message says where.
+    """
+    accumulator = AllanAccumulator(recording.rate, recording.axes, start=start, name=recording.name)
+    for samples in recording:
+        accumulator.update(samples)
+        if progress is not None:
+            progress(accumulator.n, recording.n)
+    return accumulator
+
+
+def _axes(given: Sequence[Axis | str]) -> tuple[Axis, ...]:
+    """The axes of these names, in SI."""
+    if isinstance(given, str):
+        raise AllanjaxError(f"axes= takes a list of names: [{given!r}]")
+    columns = [recognise(axis if isinstance(axis, str) else axis.name) for axis in given]
+    named, _ = axes_of(columns, "rad/s", "m/s^2", Source("axes="))
+    return tuple(a if isinstance(a, Axis) else b for a, b in zip(given, named, strict=True))
+
+
+def _packed(part: Any, name: str) -> dict[str, np.ndarray]:
+    """The fields of a statistic as arrays; of those that are several of a kind, one after the other."""
+    arrays = {}
+    for field in dataclasses.fields(part):
+        key, value = f"{name}.{field.name}", getattr(part, field.name)
+        arrays[key] = np.asarray(len(value) if isinstance(value, tuple) else value)
+        for k, level in enumerate(value if isinstance(value, tuple) else ()):
+            arrays |= _packed(level, f"{key}.{k}")
+    return arrays
+
+
+def _unpacked(kind: type[_T], arrays: Mapping[str, np.ndarray], name: str) -> _T:
+    """The statistic of arrays made by `_packed`."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        key = f"{name}.{field.name}"
+        value = arrays[key]
+        if kind is SegmentSpectra and field.name == "segmented":
+            values[field.name] = tuple(
+                _unpacked(SegmentedLevel, arrays, f"{key}.{k}") for k in range(int(value))
+            )
+        else:
+            values[field.name] = value if value.ndim else value.item()
+    return kind(**values)
