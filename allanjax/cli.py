@@ -1,4 +1,4 @@
-"""The command line: `allanjax characterize`, `critique`, `simulate` and `demo`."""
+"""The command line: `allanjax characterize`, `critique`, `fleet`, `simulate` and `demo`."""
 
 import json
 import sys
@@ -10,34 +10,39 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from allanjax import cli_critique, cli_fleet
 from allanjax.cli_common import (
     RESULTS,
     AccelUnit,
     Columns,
     Files,
     GyroUnit,
+    ObjectiveName,
     Out,
     Rate,
+    Regressors,
+    Sensor,
     Start,
     Stop,
+    Terms,
     Time,
     TimeUnit,
     epilog,
     exit_if_failed,
+    fit_model,
+    names_in,
+    parsed_model,
     prepare,
     print_error,
     result_names,
     stage,
 )
-from allanjax.cli_critique import EPILOG, HELP, critique_command
 
 if TYPE_CHECKING:
     from allanjax.model import Model
     from allanjax.recording import Recording
     from allanjax.result import Fit
     from allanjax.spectrum import PowerSpectrum
-
-Sensor = Literal["gyro", "accel"]
 
 _WIDTH = 110
 
@@ -85,6 +90,7 @@ def _common(
         "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
         "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
         "allanjax characterize *.csv --start 60 --json > fits.json",
+        "allanjax characterize week.parquet --stream",
     ),
 )
 def characterize(
@@ -97,24 +103,17 @@ def characterize(
     time_unit: TimeUnit = None,
     start: Start = None,
     stop: Stop = None,
-    terms: Annotated[
-        str | None,
+    terms: Terms = None,
+    objective: ObjectiveName = "allan",
+    regressors: Regressors = None,
+    stream: Annotated[
+        bool,
         typer.Option(
-            help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
-            "markov(correlation_time=100 s held)'. Without: those of the five basic terms and a Markov "
-            "process that the data call for, by their evidence."
+            "--stream",
+            help="Read chunk by chunk, for recordings that do not fit into memory. The Allan variances are "
+            "those of the pyramid estimator, at octaves; there is no NAME_psd.png.",
         ),
-    ] = None,
-    objective: Annotated[
-        Literal["allan", "whittle"],
-        typer.Option(
-            help="Fit the Allan variances, or the spectrum by Whittle's likelihood: better for lines."
-        ),
-    ] = "allan",
-    regressors: Annotated[
-        str | None,
-        typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
-    ] = None,
+    ] = False,
     out: Out = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
@@ -123,7 +122,7 @@ def characterize(
     from allanjax.errors import AllanjaxError
     from allanjax.export import SCHEMA_VERSION, to_dict, write_results
 
-    model = None if terms is None else _fit_model(terms)
+    model = None if terms is None else fit_model(terms)
     options = {
         "rate": rate,
         "gyro_unit": gyro_unit,
@@ -138,10 +137,15 @@ def characterize(
     errors: list[dict[str, str]] = []
     for file, name in zip(files, result_names(files), strict=True):
         try:
-            spectrum, fit = _read_and_fit(file, options, model, objective, _names(regressors))
+            spectrum: Future[PowerSpectrum] | None = None
+            if stream:
+                fit = _accumulate_and_fit(file, options, model, objective, names_in(regressors))
+            else:
+                spectrum, fit = _read_and_fit(file, options, model, objective, names_in(regressors))
             if directory is not None:
                 with stage(f"{file}: writing results"):
-                    paths = write_results(fit, spectrum.result(), directory, name)
+                    drawn = None if spectrum is None else spectrum.result()
+                    paths = write_results(fit, drawn, directory, name)
         except (AllanjaxError, OSError) as error:
             errors.append({"file": str(file), "message": str(error)})
             print_error(str(error))
@@ -165,7 +169,8 @@ def characterize(
     exit_if_failed(errors, files)
 
 
-app.command("critique", help=HELP, epilog=EPILOG)(critique_command)
+app.command("critique", help=cli_critique.HELP, epilog=cli_critique.EPILOG)(cli_critique.critique_command)
+app.command("fleet", help=cli_fleet.HELP, epilog=cli_fleet.EPILOG)(cli_fleet.fleet_command)
 
 
 @app.command(
@@ -212,7 +217,7 @@ def simulate(
         raise typer.BadParameter("give a file to write, e.g. imu.csv", param_hint="--out")
     if preset is not None and preset not in SENSORS:
         raise typer.BadParameter(f"no sensor {preset!r}; there are {', '.join(SENSORS)}", param_hint="SENSOR")
-    model = None if terms is None else _parsed(terms, sensor)
+    model = None if terms is None else parsed_model(terms, sensor)
     prepare()
     from allanjax.io import write
     from allanjax.recording import Recording
@@ -265,30 +270,6 @@ def demo(
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
 
 
-def _parsed(terms: str, sensor: "Sensor | None" = None) -> "Model":
-    from allanjax.errors import AllanjaxError
-    from allanjax.notation import parse_model
-
-    try:
-        return parse_model(terms, sensor)
-    except AllanjaxError as error:
-        raise typer.BadParameter(str(error), param_hint="--terms") from error
-
-
-def _fit_model(terms: str) -> "Model":
-    model = _parsed(terms)
-    for p in model.parameters:
-        if p.parameter.kind == "amplitude" and p.start is not None:
-            raise typer.BadParameter(
-                f"{p.label} is what the fit estimates; leave out its value", param_hint="--terms"
-            )
-    return model
-
-
-def _names(text: str | None) -> list[str]:
-    return [] if text is None else [name.strip() for name in text.split(",")]
-
-
 def _read_and_fit(
     file: Path,
     options: dict[str, Any],
@@ -309,6 +290,33 @@ def _read_and_fit(
     ):
         spectrum = pool.submit(_spectrum, recording)
         return spectrum, fit(recording, model, objective, regressors=regressors)
+
+
+def _accumulate_and_fit(
+    file: Path,
+    options: dict[str, Any],
+    model: "Model | None",
+    objective: Literal["allan", "whittle"],
+    regressors: Sequence[str],
+) -> "Fit":
+    """The fit of a file that is never in memory as a whole."""
+    from allanjax.errors import AllanjaxError
+
+    if regressors:
+        raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
+    with stage(f"{file}: loading allanjax"):
+        from allanjax.accumulator import accumulate
+        from allanjax.io import read_chunks
+    with stage(f"{file}: reading") as say:
+
+        def progress(done: int, total: int | None) -> None:
+            share = f" of {total:,} ({100.0 * done / total:.0f} %)" if total else ""
+            say(f"{file}: {done:,}{share} samples read")
+
+        accumulator = accumulate(read_chunks(file, **options), progress=progress)
+    size = f"{accumulator.n:,} samples of {len(accumulator.axes)} axes"
+    with stage(f"{file}: fitting {size} (the first run on a machine also compiles)"):
+        return accumulator.fit(model, objective)
 
 
 def _spectrum(recording: "Recording") -> "PowerSpectrum":

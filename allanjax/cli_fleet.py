@@ -1,0 +1,130 @@
+"""The command `allanjax fleet`."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from allanjax.cli_common import (
+    RESULTS,
+    AccelUnit,
+    Columns,
+    GyroUnit,
+    ObjectiveName,
+    Rate,
+    Regressors,
+    Start,
+    Stop,
+    Terms,
+    Time,
+    TimeUnit,
+    epilog,
+    exit_if_failed,
+    fit_model,
+    names_in,
+    prepare,
+    print_error,
+    stage,
+)
+
+if TYPE_CHECKING:
+    from allanjax.fleet import Progress
+
+HELP = (
+    "Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary, and "
+    "writes fleet.parquet (one row a recording, axis and coefficient), fleet.png (how each coefficient is "
+    "distributed over the fleet, outlying units marked), errors.csv, and each recording's fit to "
+    "recordings/NAME.json as soon as it is done. Where one of the files is bad, the others go on. A later "
+    "run with the same --out computes only what is not there yet."
+)
+EPILOG = epilog(
+    "allanjax fleet 'logs/*.parquet' --out results",
+    "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
+    "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
+)
+
+
+def fleet_command(
+    patterns: Annotated[
+        list[str],
+        typer.Argument(
+            help="Recordings, or patterns of them in quotes: * for any name, ** for any folders.",
+            metavar="PATTERN",
+        ),
+    ],
+    rate: Rate = None,
+    gyro_unit: GyroUnit = None,
+    accel_unit: AccelUnit = None,
+    columns: Columns = None,
+    time: Time = None,
+    time_unit: TimeUnit = None,
+    start: Start = None,
+    stop: Stop = None,
+    terms: Terms = None,
+    objective: ObjectiveName = "allan",
+    regressors: Regressors = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results, from which a later run goes on.")
+    ] = RESULTS,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; by default one a core.", min=1)
+    ] = None,
+    piece: Annotated[
+        int, typer.Option(help="Samples; longer recordings are divided, and never in memory as a whole.")
+    ] = 20_000_000,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Address of a running Dask scheduler to use instead, e.g. tcp://cluster:8786."),
+    ] = None,
+) -> None:
+    from allanjax.errors import AllanjaxError
+
+    model = None if terms is None else fit_model(terms)
+    prepare()
+    with stage("loading allanjax"):
+        from allanjax.fleet import characterize_fleet
+    try:
+        with _progress_bar() as progress:
+            result = characterize_fleet(
+                patterns,
+                out,
+                model,
+                objective,
+                regressors=names_in(regressors),
+                workers=workers,
+                scheduler=scheduler,
+                piece=piece,
+                progress=progress,
+                rate=rate,
+                gyro_unit=gyro_unit,
+                accel_unit=accel_unit,
+                columns=columns,
+                time=time,
+                time_unit=time_unit,
+                start=start,
+                stop=stop,
+            )
+    except (AllanjaxError, OSError) as error:
+        print_error(str(error))
+        raise typer.Exit(1) from error
+    print(result, flush=True)
+    print(f"wrote {', '.join(str(out / name) for name in ('fleet.parquet', 'fleet.png', 'errors.csv'))}")
+    for failure in result.errors:
+        print_error(f"{failure['file']}: {failure['message']}")
+    exit_if_failed(result.errors, result.files)
+
+
+@contextmanager
+def _progress_bar() -> Iterator["Progress"]:
+    """A bar on stderr, where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    counts = TextColumn("{task.completed} of {task.total} done, {task.fields[failed]} failed")
+    columns = (BarColumn(), counts, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None, failed=0)
+        yield lambda done, failed, total: bar.update(task, completed=done, failed=failed, total=total)

@@ -1,0 +1,233 @@
+"""The picture of a fleet: how each coefficient is distributed over its units."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.errors import AllanjaxError
+from allanjax.figure import POINTS, finished, look
+from allanjax.recording import Axis
+from allanjax.result import title_of
+from allanjax.units import Sensor
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, as in the other pictures.
+_MEDIAN, _OUTLYING, _LIMIT, _BAR = "#0072B2", "#D55E00", "0.6", "0.55"
+_SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+
+# Inches: places are fixed, so that nothing can overlap.
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 1.25, 0.1
+_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.75, 0.65
+_NAME_HEIGHT = 0.125
+# Half the width that an axis's units take, of the distance between axes; from points to names, of the panel.
+_SPREAD = 0.33
+_BESIDE = 0.02
+# Outlying units that are named in a panel, on each axis; the table names all.
+_NAMED = 12
+_MANY = 60
+# Intervals reach so many times beyond the outermost values at most.
+_BEYOND = 2.0
+# Ratio of highest to lowest from which ticks are at 1, 2 and 5 times powers of ten.
+_NEAR = 8.0
+# Of the units, from which to which the bands reach.
+_BAND = (0.05, 0.95)
+
+
+def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw each coefficient of every unit, a panel a coefficient, gyros beside accelerometers.
+
+    Points are the units' estimates with their 95 % intervals, axis beside axis, the units of each in the
+    order of the table; hollow triangles are the 95 % limits of units in which the coefficient was not
+    detected. Outlying units are red and named. Blue are the median of the others' estimates and the band of
+    90 % of them. Coefficients that no unit determines, or that were held, have no panel.
+
+    Args:
+        table: of a fleet's coefficients, `FleetResult.table`.
+        path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+
+    Returns:
+        The matplotlib figure.
+
+    Raises:
+        AllanjaxError: the table lacks a column.
+    """
+    import matplotlib.pyplot as plt
+
+    from allanjax.fleet_table import table_schema
+
+    if missing := set(table_schema().names) - set(table.columns):
+        raise AllanjaxError(
+            f"a fleet's table has a column {', '.join(sorted(missing))}; pass the table of FleetResult"
+        )
+    drawn = _drawn(table)
+    sensors = [sensor for sensor in _SENSOR if (drawn["sensor"] == sensor).any()]
+    coefficients = list(drawn["coefficient"].unique())
+    rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
+    width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
+    height = _TOP + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
+    with look():
+        figure = plt.figure(figsize=(width, height))
+        _draw_title(figure, table, width, height)
+        for row, coefficient in enumerate(coefficients):
+            for column, sensor in enumerate(sensors):
+                of = drawn[(drawn["coefficient"] == coefficient) & (drawn["sensor"] == sensor)]
+                if of.empty:
+                    continue
+                left = _LEFT + column * (_PANEL_WIDTH + _GAP)
+                bottom = height - _TOP - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
+                place = (left / width, bottom / height, _PANEL_WIDTH / width, _PANEL_HEIGHT / height)
+                _draw_panel(figure.add_axes(place), of, coefficient, sensor)
+        return finished(figure, path)
+
+
+def _drawn(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows with an estimate or a limit, if estimated; `height` is where they are."""
+    height = np.where(table["detected"], table["value"], table["upper_limit_95"])
+    held = table["detected"] & (table["lower_95"] == table["upper_95"])
+    return table.assign(height=height)[np.isfinite(height) & ~held]
+
+
+def _draw_title(figure: Figure, table: pd.DataFrame, width: float, height: float) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
+    units = table["recording"].nunique()
+    outlying = table.loc[table["outlying"], "recording"].nunique()
+    figure.text(y=1.0 - 0.12 / height, s=f"{units} units", fontsize=13, fontweight="bold", **at)
+    facts = f"{outlying or 'none'} of them outlying" if units else "no results"
+    figure.text(y=1.0 - 0.4 / height, s=facts, color="0.35", fontsize=9.5, **at)
+    points: dict[str, Any] = {"marker": "o", "markersize": 3, "linewidth": 0.8}
+    hollow: dict[str, Any] = {"marker": "v", "markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
+    handles = [
+        Line2D([], [], color=POINTS, label="estimate, 95 % interval", **points),
+        Line2D([], [], color=_LIMIT, label="not detected: 95 % limit", **hollow),
+        Line2D([], [], color=_OUTLYING, label="outlying", **points),
+        Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
+        Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
+    ]
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(_LEFT / width, 1.0 - 0.62 / height),
+        ncols=len(handles) if width > _LEFT + _RIGHT + _PANEL_WIDTH else 3,
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        columnspacing=1.2,
+    )
+
+
+def _draw_panel(panel: Axes, of: pd.DataFrame, coefficient: str, sensor: Sensor) -> None:
+    unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
+    title = title_of(coefficient, Axis(axes[0], sensor, unit))
+    panel.set_title(f"{_SENSOR[sensor]}: {title}", loc="left", fontweight="bold")
+    panel.set_ylabel("" if unit == "1" else f"[{unit}]")
+    panel.set_xticks(range(len(axes)), axes)
+    panel.set_xlim(-0.5, len(axes) - 0.5)
+    panel.tick_params(axis="x", length=0.0)
+    panel.grid(True, axis="y", which="major", color="0.88", linewidth=0.6)
+    panel.set_axisbelow(True)
+    _set_scale(panel, of)
+    for k, axis in enumerate(axes):
+        _draw_axis(panel, k, of[of["axis"] == axis])
+
+
+def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
+    """Logarithmic where it can be, with numbers for people; ends of wide intervals leave the panel."""
+    height = of["height"].to_numpy()
+    if (height <= 0.0).any():
+        return
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
+
+    low = max(float(of.loc[of["lower_95"] > 0.0, "lower_95"].min()), height.min() / _BEYOND)
+    high = min(float(of.loc[of["detected"], "upper_95"].max()), height.max() * _BEYOND)
+    low, high = np.nanmin([low, height.min()]), np.nanmax([high, height.max()])
+    panel.set_yscale("log")
+    margin = max((high / low) ** 0.08, 1.05)
+    panel.set_ylim(low / margin, high * margin)
+    # Within a decade or less, powers of ten alone would leave the scale without numbers.
+    near = high / low < _NEAR
+    panel.yaxis.set_major_locator(MaxNLocator(6) if near else LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    panel.yaxis.set_minor_locator(NullLocator())
+
+
+def _draw_axis(panel: Axes, k: int, of: pd.DataFrame) -> None:
+    """The units' values on one axis, left to right about x = k."""
+    x = k + (np.linspace(-_SPREAD, _SPREAD, len(of)) if len(of) > 1 else np.zeros(1))
+    y, detected, outlying = (of[name].to_numpy() for name in ("height", "detected", "outlying"))
+    usual = detected & ~outlying
+    if usual.any():
+        low, median, high = np.quantile(y[usual], (_BAND[0], 0.5, _BAND[1]))
+        reach = [k - 0.42, k + 0.42]
+        panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
+        panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
+    panel.plot(
+        x[~detected],
+        y[~detected],
+        "v",
+        color=_LIMIT,
+        markersize=3.5,
+        markerfacecolor="none",
+        markeredgewidth=0.7,
+    )
+    # Many units' bars must not hide their points.
+    bars = 0.8 if len(of) <= _MANY else 0.4
+    for rows, colour, bar in ((usual, POINTS, _BAR), (outlying, _OUTLYING, _OUTLYING)):
+        ends = np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y])[:, rows]
+        panel.errorbar(
+            x[rows],
+            y[rows],
+            np.maximum(np.nan_to_num(ends, posinf=0.0), 0.0),
+            fmt="o",
+            color=colour,
+            markersize=2.6,
+            markeredgewidth=0.0,
+            elinewidth=bars,
+            ecolor=bar,
+            zorder=4 if colour == _OUTLYING else 3,
+        )
+    _name_units(panel, k, x[outlying], y[outlying], list(of.loc[outlying, "recording"]))
+
+
+def _name_units(
+    panel: Axes, k: int, x: Float[np.ndarray, " units"], y: Float[np.ndarray, " units"], names: list[str]
+) -> None:
+    """Names in a column beside their points, from the lowest up, each clear of the one before."""
+    if not names:
+        return
+    to_share = panel.transLimits.transform
+    places = to_share(panel.transScale.transform(np.stack([x, y], axis=1)))
+    # Where there is more room.
+    right = x.mean() <= k
+    column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
+    step = _NAME_HEIGHT / _PANEL_HEIGHT
+    order = np.argsort(places[:, 1])[:_NAMED]
+    clear = -np.inf
+    for count, i in enumerate(order):
+        # So low that those above it have a place too.
+        highest = 1.0 - (len(order) - 1 - count + 0.6) * step
+        level = max(min(places[i, 1], highest), clear)
+        clear = level + step
+        more = len(names) - _NAMED
+        panel.annotate(
+            names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more",
+            places[i],
+            (column, level),
+            xycoords="axes fraction",
+            textcoords="axes fraction",
+            color=_OUTLYING,
+            fontsize=7,
+            va="center",
+            ha="left" if right else "right",
+            arrowprops={"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2},
+        )
