@@ -59,6 +59,9 @@ def criticize(
     if fit is None:
         tell("fitting the noise model")
         fit = fit_recording(recording)
+        if not all(result.converged for result in fit):
+            # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
+            fit = fit_recording(recording, objective="whittle")
     if fit.axes != recording.names:
         raise AllanjaxError(
             f"the fit is of {', '.join(fit.axes)}, the recording has {', '.join(recording.names)}"

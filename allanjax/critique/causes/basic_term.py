@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
+import dataclasses
 
+import numpy as np
+from jaxtyping import Bool
+from scipy.stats import chi2
+
+from allanjax.critique.bank import SLOW, Bank
 from allanjax.critique.causes.spectral import (
+    SHAPE,
     FineLevels,
     baseline_predictive,
     coefficient_folds,
     predictive,
+    relative_errors,
 )
 from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov, NoiseTerm
 from allanjax.units import default_coefficient_unit, unit_scale
-
-# Of ln(correlation time), for a derivative.
-_STEP = 0.02
 
 
 class BasicTerm(Cause):
@@ -38,20 +42,22 @@ class BasicTerm(Cause):
             return None
 
         def held_out() -> float:
+            if term == RAMP:
+                # Its shape is known, and nearly all of it is in one coefficient: parts of the time, then.
+                shape = Bank(view.family.ramp[None, :SLOW])
+                return shape.held_out(view, dataclasses.replace(noise, ramp=False))
             total = 0.0
             for fold in coefficient_folds(view.n):
                 other = view.family.of(view.c, view.factor, fold).best(allowed, required=(term,))
-                c = view.c
-                if other.ramp:
-                    c = c - view.family.slope(c, other.variance, fold)[0] * view.family.ramp
-                total += predictive(c, view.variance(other), ~fold) - baseline_predictive(view, fold)
+                total += predictive(_without_ramp(view, other, fold), view.variance(other), ~fold)
+                total -= baseline_predictive(view, fold)
             return total
 
         return Candidate(
             term,
             self._parameters(view, noise, term),
             gain,
-            float(np.exp(-gain)),
+            _p_value(view, noise, term),
             view.allowing(allowed),
             held_out,
             (0.0, view.duration),
@@ -67,34 +73,33 @@ class BasicTerm(Cause):
         declared = Markov() if term == MARKOV else basic_terms()[term]
         unit = _unit(view, declared)
         value = float(np.sqrt(noise.power[term]))
-        relative = _relative_errors(view, noise)
+        relative = relative_errors(view, noise)
         name = declared.parameters()[0].name
         scale = unit_scale(unit, view.axis.sensor)
         found = {name: Quantity(value / scale, 0.5 * relative[term] * value / scale, unit)}
         if term == MARKOV:
             time = _correlation_time(view, noise)
-            found["correlation_time"] = Quantity(time, relative["correlation_time"] * time, "s")
+            found["correlation_time"] = Quantity(time, relative[SHAPE] * time, "s")
         return found
 
 
-def _relative_errors(view: View, noise: Noise) -> dict[str, float]:
-    """Relative errors of all powers, and of the correlation time, by their Fisher information."""
-    rows = {}
-    for name, power in noise.power.items():
-        spectra = [
-            view.family.spectrum(term)
-            for term in (
-                [Markov(1.0, noise.shape * np.exp(s)) for s in (0.0, _STEP, -_STEP)]
-                if name == MARKOV
-                else [basic_terms()[name].replace(coefficient=1.0)]
-            )
-        ]
-        rows[name] = power * spectra[0]
-        if name == MARKOV:
-            rows["correlation_time"] = power * (spectra[1] - spectra[2]) / (2.0 * _STEP)
-    relative = np.stack(list(rows.values())) / noise.variance
-    covariance = np.linalg.pinv(0.5 * relative @ relative.T)
-    return dict(zip(rows, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+def _without_ramp(view: View, noise: Noise, fold: Bool[np.ndarray, " n-1"] | None = None) -> np.ndarray:
+    """The coefficients without the ramp of this noise, if it has one, as a fold shows it."""
+    if not noise.ramp:
+        return view.c
+    return view.c - view.family.slope(view.c, view.variance(noise), fold)[0] * view.family.ramp
+
+
+def _p_value(view: View, noise: Noise, term: str) -> float:
+    """Of the likelihood ratio, with Wilks's law; an amplitude is at the boundary of what it can be."""
+    every = np.ones(view.n - 1, bool)
+    likelihoods = [
+        predictive(_without_ramp(view, x, None), view.variance(x), every) for x in (noise, view.noise)
+    ]
+    ratio = 2.0 * max(likelihoods[0] - likelihoods[1], 0.0)
+    if term == MARKOV:
+        return float(chi2.sf(ratio, 2))
+    return float(chi2.sf(ratio, 1)) * (1.0 if term == RAMP else 0.5)
 
 
 def _correlation_time(view: View, noise: Noise) -> float:

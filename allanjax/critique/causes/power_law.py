@@ -9,6 +9,7 @@ from allanjax.critique.causes.spectral import (
     baseline_predictive,
     coefficient_folds,
     predictive,
+    relative_errors,
 )
 from allanjax.critique.noise import MARKOV, POWER_LAW, Noise, density
 from allanjax.critique.view import MARGIN, Candidate, Cause, Quantity, View
@@ -35,6 +36,7 @@ class PowerLaw(Cause):
         after = view.allowing(allowed)
         exponent, std = _exponent(view, noise)
         amplitude = float(np.sqrt(noise.power[POWER_LAW]))
+        relative = relative_errors(view, noise)[POWER_LAW]
 
         def held_out() -> float:
             total = 0.0
@@ -46,7 +48,7 @@ class PowerLaw(Cause):
 
         parameters = {
             "exponent": Quantity(exponent, std, "1"),
-            "amplitude": view.own(amplitude, float("nan"), "/√Hz"),
+            "amplitude": view.own(amplitude, 0.5 * relative * amplitude, "/√Hz"),
         }
         low = view.rate / (2.0 * view.n)
         return Candidate(

@@ -8,8 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar, nnls
 
-from allanjax.critique.noise import FIXED
+from allanjax.critique.noise import FIXED, MARKOV, POWER_LAW, Noise
 from allanjax.critique.view import View
+from allanjax.terms import Markov, PowerLaw
+
+#: The free shape among the powers of `relative_errors`.
+SHAPE = "shape"
 
 _PER_OCTAVE = 64
 _NEAR = 400
@@ -120,3 +124,26 @@ def baseline_predictive(view: View, fold: Bool[np.ndarray, " n-1"]) -> float:
     """Log-likelihood outside a fold of the best basic noise in it."""
     noise = view.family.of(view.c, view.factor, fold).best(view.allowed)
     return predictive(view.c, view.variance(noise), ~fold)
+
+
+def relative_errors(view: View, noise: Noise) -> dict[str, float]:
+    """Relative errors of all powers by their Fisher information, and the error of the `SHAPE`.
+
+    That is of the logarithm of a Markov process's correlation time, or of a power law's exponent.
+    """
+
+    def spectrum(name: str, change: float = 0.0) -> Float[np.ndarray, " n-1"]:
+        if name == MARKOV:
+            return view.family.spectrum(Markov(1.0, noise.shape * np.exp(change)))
+        if name == POWER_LAW:
+            return view.family.spectrum(PowerLaw(1.0, noise.shape + change))
+        return view.family.spectra[FIXED.index(name)]
+
+    rows = {}
+    for name, power in noise.power.items():
+        rows[name] = power * spectrum(name)
+        if name not in FIXED:
+            rows[SHAPE] = power * (spectrum(name, _STEP) - spectrum(name, -_STEP)) / (2.0 * _STEP)
+    relative = np.stack(list(rows.values())) / noise.variance
+    covariance = np.linalg.pinv(0.5 * relative @ relative.T)
+    return dict(zip(rows, np.sqrt(np.diag(covariance)).tolist(), strict=True))
