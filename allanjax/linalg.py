@@ -32,7 +32,7 @@ def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> Whitened:
 
     def row(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         done, log_det = carry
-        rest = both[k] - jnp.sum(done[:, k, None] * done, axis=0)
+        rest = both[k] - done[:, k] @ done
         pivot = jnp.sqrt(rest[k])
         return done.at[k].set(rest / pivot), log_det + jnp.log(pivot)
 
