@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 # Samples that are gathered before they are looked at: a call of a compiled program costs as much as many.
 _GATHERED = 1 << 17
 _FORMAT = 1
+_TOO_FINE = "the Allan variances did not determine the fit; it is that of the averaged spectra (whittle)"
 
 _T = TypeVar("_T")
 
@@ -141,7 +142,9 @@ class AllanAccumulator:
         """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
 
         Without a model its terms are chosen by their evidence in the averaged spectra. "allan" fits the
-        pyramid's Allan variances with their own covariance; "whittle" the averaged spectra.
+        pyramid's Allan variances with their own covariance, or the spectra where that does not converge (of
+        10⁹ samples with a strong random walk the covariance of 28 octaves loses its digits; a note says so);
+        "whittle" the averaged spectra.
 
         Raises:
             FitError: too few samples; a line, a resonance or a transient, which need the record itself.
@@ -151,12 +154,15 @@ class AllanAccumulator:
         template, active = terms_to_fit(model, selection, len(self.axes), objective)
         check_terms(template)
         check_length(curve, template, self.name)
+        notes = ambiguities(selection)
         if objective == "allan":
-            results, curve = fit_allan(curve, self.axes, template, active)
-        else:
-            results = self._spectra.fit(template, self.axes, active)
-            curve = with_edf_under(curve, template, results)
-        return Fit(self.name, template, curve, results, ambiguities(selection), objective, selection)
+            results, fitted = fit_allan(curve, self.axes, template, active)
+            if all(result.converged for result in results):
+                return Fit(self.name, template, fitted, results, notes, objective, selection)
+            notes += (_TOO_FINE,)
+        results = self._spectra.fit(template, self.axes, active)
+        curve = with_edf_under(curve, template, results)
+        return Fit(self.name, template, curve, results, notes, "whittle", selection)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:
         """Write the state to a file, whole or not at all; `restore` goes on from there.

@@ -1,5 +1,6 @@
 """Samples that come piece by piece: the same answers however they were divided, restarted or merged."""
 
+import dataclasses
 import itertools
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import pytest
 from allanjax import AllanAccumulator, accumulate, allan_deviation, read_chunks
 from allanjax.cli import app
 from allanjax.errors import AllanjaxError, FitError, RecordingError
-from allanjax.fit import fit
+from allanjax.fit import fit, fit_allan
 from allanjax.recording import Recording
 from allanjax.terms import AngleRandomWalk, BiasInstability, RateRandomWalk, Sinusoid
 
@@ -253,3 +254,16 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     # 18 million more samples are 144 MB; a tenth of that is the allocator's to waste (units of 1 kB).
     if sys.platform.startswith("linux"):
         assert long - short < 14_400
+
+
+def test_where_the_allan_variances_determine_nothing_the_spectra_do(x, monkeypatch):
+    def hopeless(*given):
+        results, curve = fit_allan(*given)
+        return tuple(dataclasses.replace(r, converged=False) for r in results), curve
+
+    monkeypatch.setattr("allanjax.accumulator.fit_allan", hopeless)
+    model = AngleRandomWalk() + RateRandomWalk()
+    found = filled(x, np.full(5, 60_000)).fit(model)
+    assert found.objective == "whittle"
+    assert "whittle" in found.notes[-1]
+    assert abs(found["gyro_x"].coefficients["angle_random_walk"].value / N - 1.0) < 0.01

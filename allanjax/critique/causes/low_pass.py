@@ -23,7 +23,8 @@ _WORTH = 6.0
 _GRID = 40
 # Kinds of filters that are so much less likely [nats] are out of the question.
 _RIVALS = 10.0
-_RESPONSE = 4097
+# Of the response: points, and up to which share of the Nyquist frequency.
+_RESPONSE, _REACHED = 4097, 0.8
 # A Markov process this short [samples] without white noise is white noise behind a filter.
 _SHORT = 20.0
 # Below this response the record's ends are reckoned with; coefficients that a local mean is taken over.
@@ -37,7 +38,8 @@ _FILTERS = ((1, False), (2, False), (1, True), (2, True), (3, True), (4, True))
 class LowPass(Cause):
     """All noise behind a Butterworth filter.
 
-    The bandwidth found is where the samples' spectrum has fallen by half.
+    The bandwidth found is where the samples' spectrum has fallen by half, or, where aliases keep it from
+    falling so far, the −3 dB frequency of the analog filter.
     """
 
     name = "low_pass"
@@ -174,20 +176,24 @@ class _Screen(FineLevels):
         k = int(np.argmax(self.gains[i]))
         bounds = (np.log(self.grid[max(k - 1, 0)]), np.log(self.grid[min(k + 1, _GRID - 1)]))
         u, std, gain = self.shape_of(lambda u: self.gain(_FILTERS[i], float(np.exp(u))), bounds)
+        bandwidth = float(np.exp(u))
         half, above = (_half_power(self.rate, float(np.exp(x)), _FILTERS[i]) for x in (u, u + std))
-        return float(np.exp(u)), half, abs(above - half), gain
+        if half is None:
+            return bandwidth, bandwidth, bandwidth * std, gain
+        return bandwidth, half, abs((above or self.rate / 2.0) - half), gain
 
 
-def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float:
+def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float | None:
     """Where the samples' spectrum has fallen by half, which aliases put above an analog filter's −3 dB.
 
-    The bandwidth itself where they keep it from falling so far.
+    None where they keep it from falling so far before the Nyquist frequency is near: then the bandwidth of
+    the analog filter is what can be said.
     """
-    frequency = np.linspace(0.0, rate / 2.0, _RESPONSE)[1:]
+    frequency = np.linspace(0.0, _REACHED * rate / 2.0, _RESPONSE)[1:]
     passed = _passed(frequency, rate, bandwidth, filter_)
     below = np.flatnonzero(passed < 0.5 * passed[0])
     if len(below) == 0 or below[0] == 0:
-        return bandwidth
+        return None
     k = below[0]
     share = (passed[k - 1] - 0.5 * passed[0]) / (passed[k - 1] - passed[k])
     return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
