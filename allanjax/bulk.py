@@ -20,6 +20,7 @@ from allanjax.allan import AllanDeviation, allan_deviation
 from allanjax.clusters import Spacing
 from allanjax.coefficients import estimates_of, reported
 from allanjax.design import AllanDesign
+from allanjax.deterministic import needs_record
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.fit import check_length, estimated, solve_and_infer
 from allanjax.gls import Solution
@@ -28,7 +29,7 @@ from allanjax.model import Model
 from allanjax.recording import Recording
 from allanjax.result import usual_unit
 from allanjax.starts import find_starts
-from allanjax.terms import DriftRamp, NoiseTerm
+from allanjax.terms import NoiseTerm
 from allanjax.text_table import text_table
 from allanjax.units import unit_scale
 
@@ -163,7 +164,7 @@ def fit_many(
 
 def _check_terms(template: Model) -> None:
     for term in template.terms:
-        if term.narrow_band or (term.deterministic and not isinstance(term, DriftRamp)):
+        if needs_record(term):
             raise FitError(
                 f"{term.name()} is found in the record itself, not in Allan variances: "
                 "leave it out, or fit each recording with allanjax.fit"

@@ -48,6 +48,11 @@ def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1
     return cosine_transform(column)
 
 
+def needs_record(term: NoiseTerm) -> bool:
+    """Whether a term is estimated from the record itself: lines, resonances, transients; not a ramp."""
+    return term.narrow_band or (term.deterministic and not isinstance(term, DriftRamp))
+
+
 def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
     """Coefficients of a ramp of 1 per second."""
     return term_column(DriftRamp(), n, rate)

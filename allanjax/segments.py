@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.cosine import Bins, CosineBins, Part, PooledBins, bin_edges, cosine_transform
-from allanjax.deterministic import AxisSpectrum, ramp_column
+from allanjax.deterministic import AxisSpectrum, needs_record, ramp_column
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.evidence import Levels
 from allanjax.fit import result_of
@@ -31,7 +31,7 @@ from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import AxisFit
 from allanjax.selection import TermSelection, candidates_of, rank_terms
-from allanjax.terms import DriftRamp, NoiseTerm
+from allanjax.terms import NoiseTerm
 from allanjax.whittle import fit_spectrum
 
 _FACTOR = 8
@@ -304,7 +304,7 @@ class SegmentSpectra:
 def check_terms(model: Model) -> None:
     """Raise FitError if a term can be estimated from the record only."""
     for term in model.terms:
-        if term.narrow_band or (term.deterministic and not isinstance(term, DriftRamp)):
+        if needs_record(term):
             raise FitError(
                 f"{term.name()} can not be found in a stream's averaged spectrum, it needs the record: "
                 "leave it out, or read a stretch that fits into memory (start=, stop=) and fit that"
