@@ -24,11 +24,12 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.linalg import inverse, whiten
 
 _DECADES = np.log1p(1e4)
-_STEPS = 20
+#: Steps of scoring to the maximum; after the few of `ROUGH` sets that matter can be told from others.
+STEPS, ROUGH = 20, 6
 _SWEEPS = 40
 _QUADRATURE = 96
-#: Sets looked at together; one shape, one compilation.
-BLOCK = 128
+# Sets looked at together.
+_BLOCK = 128
 
 
 class Levels(NamedTuple):
@@ -114,9 +115,19 @@ def _ramp_evidence(levels: Levels, share: Array, mean: Array) -> Array:
 
 
 def _evidence(
-    job: Job, levels: Levels, fixed: Array, grid: Array, size: Array, share: Array, start: Array, knees: Array
+    job: Job,
+    first: Array,
+    levels: Levels,
+    fixed: Array,
+    grid: Array,
+    size: Array,
+    share: Array,
+    smooth: Array,
+    knees: Array,
+    steps: Array,
 ) -> Evidence:
     columns = jnp.concatenate([fixed, grid[job.column][None]])
+    start = jnp.where(jnp.any(first > 0.0), jnp.maximum(first @ columns, 1e-300), smooth)
     knee = knees[jnp.append(jnp.arange(len(fixed)), len(fixed) + job.column)]
 
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -132,7 +143,7 @@ def _evidence(
         best = jnp.argmax(values)
         return tried[best], means[best]
 
-    power, mean = jax.lax.fori_loop(0, _STEPS, step, (jnp.zeros(len(columns)), start))
+    power, mean = jax.lax.fori_loop(0, steps, step, (first, start))
     likelihood = _log_likelihood(levels, size, share, mean, job.ramp)
     present = job.terms & (power > 0.0)
     information = _fisher(columns, size, share, mean)
@@ -154,31 +165,59 @@ def _evidence(
 
 
 @eqx.filter_jit
-def evidences(
+def _evidences(
     jobs: Job,
+    first: Float[Any, "axes jobs terms"],
     levels: Levels,
     fixed: Float[Any, "fixed m"],
     grid: Float[Any, "grid m"],
     size: Float[Any, " m"],
     share: Float[Any, "axes m"],
+    steps: Any,
 ) -> Evidence:
-    """The evidence of every set of terms for every axis.
+    def of_axis(first: Array, levels: Levels, share: Array) -> Evidence:
+        columns = jnp.concatenate([fixed, grid])
+        window = jnp.ones(7)
+        smooth = jnp.convolve(levels.squares, window, "same") / jnp.convolve(size, window, "same")
+        information = jnp.sum(0.5 * share * size * (columns / smooth) ** 2, axis=1)
+        knees = information**-0.25
+        of_job = lambda job, first: _evidence(  # noqa: E731
+            job, first, levels, fixed, grid, size, share, smooth, knees, steps
+        )
+        return jax.vmap(of_job)(jobs, first)
+
+    return jax.lax.map(lambda of: of_axis(*of), (first, levels, share))
+
+
+def evidences(
+    jobs: Job,
+    levels: Levels,
+    fixed: Float[np.ndarray, "fixed m"],
+    grid: Float[np.ndarray, "grid m"],
+    size: Float[np.ndarray, " m"],
+    share: Float[np.ndarray, "axes m"],
+    first: Float[np.ndarray, "axes jobs terms"] | None = None,
+    steps: int = STEPS,
+) -> Evidence:
+    """The evidence of every set of terms for every axis, [axes, jobs].
 
     Args:
-        jobs: the sets, their fields stacked [BLOCK].
+        jobs: the sets, their fields stacked [jobs].
         levels: statistics, stacked [axes].
         fixed: expectations of the terms without a free shape, unit amplitude.
         grid: those of the term with one, at each of its values.
         size: coefficients in each bin.
         share: what a bin counts, less than one where the model has an error of its own.
+        first: powers to start from.
+        steps: of scoring.
     """
-
-    def of_axis(levels: Levels, share: Array) -> Evidence:
-        columns = jnp.concatenate([fixed, grid])
-        window = jnp.ones(7)
-        start = jnp.convolve(levels.squares, window, "same") / jnp.convolve(size, window, "same")
-        information = jnp.sum(0.5 * share * size * (columns / start) ** 2, axis=1)
-        knees = information**-0.25
-        return jax.vmap(lambda job: _evidence(job, levels, fixed, grid, size, share, start, knees))(jobs)
-
-    return jax.lax.map(lambda of: of_axis(*of), (levels, share))
+    count, blocks = len(jobs.ramp), []
+    if first is None:
+        first = np.zeros((len(share), count, len(fixed) + 1))
+    for begin in range(0, count, _BLOCK):
+        # The last block is filled up: one shape, one compilation.
+        rows = np.minimum(np.arange(begin, begin + _BLOCK), count - 1)
+        block = Job(*(x[rows] for x in jobs))
+        found = _evidences(block, first[:, rows], levels, fixed, grid, size, share, np.asarray(steps))
+        blocks.append(jax.device_get(found))
+    return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))

@@ -17,7 +17,7 @@ from allanjax.cosine import Bins, CosineBins, bins_per_octave, cosine_transform,
 from allanjax.design import unit
 from allanjax.deterministic import ramp_column, term_column
 from allanjax.errors import AllanjaxError, FitError
-from allanjax.evidence import BLOCK, Evidence, Job, Levels, evidences, taken_out
+from allanjax.evidence import Evidence, Job, Levels, evidences, taken_out
 from allanjax.model import Model
 from allanjax.recording import Axis, Recording
 from allanjax.terms import (
@@ -252,12 +252,7 @@ def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], n
 
     def run(share: Float[np.ndarray, "axes m"], last: int) -> Evidence:
         """The evidence of the sets up to this one."""
-        blocks = []
-        for first in range(0, last, BLOCK):
-            rows = np.minimum(np.arange(first, first + BLOCK), len(jobs.ramp) - 1)
-            block = Job(*(x[rows] for x in jobs))
-            blocks.append(jax.device_get(evidences(block, levels, columns[:cut], grid, size, share)))
-        return Evidence(*(np.concatenate(part, axis=1)[:, :last] for part in zip(*blocks, strict=True)))
+        return evidences(Job(*(x[:last] for x in jobs)), levels, columns[:cut], grid, size, share)
 
     def off(k: int, job: int) -> float:
         used = np.concatenate([columns[:cut], grid[jobs.column[job]][None]])

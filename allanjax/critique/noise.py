@@ -16,11 +16,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import ramp_column
-from allanjax.evidence import BLOCK, Evidence, Job, Levels, evidences
+from allanjax.evidence import ROUGH, STEPS, Evidence, Job, Levels, evidences
 from allanjax.model import Model
 from allanjax.selection import basic_terms, jobs_of
 from allanjax.terms import Markov, NoiseTerm, PowerLaw
@@ -29,6 +29,8 @@ FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_w
 MARKOV, POWER_LAW, RAMP = "markov", "power_law", "drift_ramp"
 # Lengths of spectra are rounded up to multiples of this.
 _PADDED = 4096
+# Sets of which the most probable one is chosen with all digits.
+_CONTENDERS = 128
 #: Values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
 # Slopes that no basic term has; the grid keeps its distance from those that have one.
@@ -112,13 +114,14 @@ class NoiseFamily:
 
         With a `fold` only its coefficients are looked at.
         """
-        used = np.ones(self.n - 1) if fold is None else fold.astype(float)
-        constant = 0.0 if factor is None else -0.5 * float(used @ np.log(factor))
-        weight = used if factor is None else used / factor
-        weighted = weight * c, weight * self.ramp
-        products = weighted[0] * c, weighted[0] * self.ramp, weighted[1] * self.ramp
+        weight, constant = 1.0 if fold is None else fold.astype(float), 0.0
+        if factor is not None:
+            constant = -0.5 * float(np.sum(weight * np.log(factor)))
+            weight = weight / factor
+        ramp = weight * self.ramp
+        products = weight * c**2, ramp * c, ramp * self.ramp
         sums = (self.bins.sums(z)[self.keep][None] for z in products)
-        size = self.size if fold is None else self.bins.sums(used)[self.keep]
+        size = self.size if fold is None else self.bins.sums(fold.astype(float))[self.keep]
         return Weighing(self, Levels(*sums), size, constant)
 
     def slope(
@@ -133,18 +136,21 @@ class NoiseFamily:
         return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
 
     def run(
-        self, levels: Levels, size: Float[np.ndarray, " m"], grid: Float[np.ndarray, "grid m"]
+        self,
+        levels: Levels,
+        size: Float[np.ndarray, " m"],
+        grid: Float[np.ndarray, "grid m"],
+        rows: Int[np.ndarray, " jobs"],
+        first: Float[np.ndarray, "jobs terms"] | None = None,
     ) -> Evidence:
-        """Evidence and powers of every job."""
-        total, blocks = len(self.jobs.ramp), []
-        for first in range(0, total, BLOCK):
-            rows = np.minimum(np.arange(first, first + BLOCK), total - 1)
-            block = Job(*(x[rows] for x in self.jobs))
-            share = np.ones((1, len(self.size)))
-            found = evidences(block, levels, self.columns[: len(FIXED)], grid, size, share)
-            blocks.append(jax.device_get(found))
-        parts = zip(*blocks, strict=True)
-        return Evidence(*(np.concatenate([b[0] for b in part])[:total] for part in parts))
+        """Evidence and powers of these jobs, roughly, or, from powers to start with, to the maximum."""
+        jobs, share = Job(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
+        known = self.columns[: len(FIXED)]
+        if first is None:
+            found = evidences(jobs, levels, known, grid, size, share, steps=ROUGH)
+        else:
+            found = evidences(jobs, levels, known, grid, size, share, first[None], STEPS)
+        return Evidence(*(x[0] for x in found))
 
     @functools.lru_cache(maxsize=2 * GRID)  # noqa: B019 - families are few, and themselves cached
     def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
@@ -178,11 +184,14 @@ class Weighing:
 
     @functools.cached_property
     def _basic(self) -> Evidence:
-        return self.family.run(self.levels, self.size, self.family.columns[len(FIXED) :])
+        return self._rough(self.family.columns[len(FIXED) :])
 
     @functools.cached_property
     def _with_power_law(self) -> Evidence:
-        return self.family.run(self.levels, self.size, self.family.power_laws)
+        return self._rough(self.family.power_laws)
+
+    def _rough(self, grid: Float[np.ndarray, "grid m"]) -> Evidence:
+        return self.family.run(self.levels, self.size, grid, np.arange(len(self.family.jobs.ramp)))
 
     def best(
         self,
@@ -190,7 +199,7 @@ class Weighing:
         required: Sequence[str] = (),
     ) -> Noise:
         """The most probable set of `allowed` terms that has the `required` ones."""
-        evidence = self._with_power_law if POWER_LAW in allowed else self._basic
+        rough = self._with_power_law if POWER_LAW in allowed else self._basic
         jobs, grid = self.family.jobs, POWER_LAW if POWER_LAW in allowed else MARKOV
         possible = np.ones(len(jobs.ramp), bool)
         for name, has in self._members(grid):
@@ -198,7 +207,12 @@ class Weighing:
                 possible &= ~has
             if name in required:
                 possible &= has
-        values = np.where(possible, evidence.log_evidence, -np.inf)
+        values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
+        # Only those that may be the best one are carried to their maximum.
+        near = np.argsort(-values)[: min(_CONTENDERS, np.sum(possible))]
+        columns = self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
+        found = self.family.run(self.levels, self.size, columns, near, powers[near])
+        values[near], powers[near] = found.log_evidence, found.power
         in_grid = jobs.terms[:, -1]
         # The evidence of a set with a free shape is the mean over its grid.
         total = values.copy()
@@ -209,11 +223,7 @@ class Weighing:
             total[rows] = np.where(values[rows] == values[rows].max(), mean, -np.inf)
         k = int(np.argmax(total))
         names = [*FIXED, grid]
-        power = {
-            names[i]: float(evidence.power[k, i])
-            for i in np.flatnonzero(jobs.terms[k])
-            if evidence.power[k, i] > 0.0
-        }
+        power = {names[i]: float(powers[k, i]) for i in np.flatnonzero(jobs.terms[k]) if powers[k, i] > 0.0}
         shape = float("nan")
         if grid in power:
             values_of = _EXPONENTS if grid == POWER_LAW else self.family.times

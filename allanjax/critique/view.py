@@ -129,6 +129,15 @@ class View:
         return tuple(found)
 
     @functools.cached_property
+    def foretold(self) -> float:
+        """Log-likelihood of half of the coefficients under the best basic noise of the others, both ways."""
+        total = 0.0
+        for fold in coefficient_folds(self.n):
+            noise = self.family.of(self.c, self.factor, fold).best(self.allowed)
+            total += predictive(self.c, self.variance(noise), ~fold)
+        return total
+
+    @functools.cached_property
     def e(self) -> Float[np.ndarray, " n"]:
         """Whitened residuals in time order: independent and standard normal if the model is right."""
         return in_time(self.c / np.sqrt(self.variance()))
@@ -140,9 +149,16 @@ class View:
         precision = float(np.mean(1.0 / v))
         return in_time(self.c / v) / precision, float(1.0 / np.sqrt(precision))
 
-    def with_x(self, x: Float[np.ndarray, " n"], factor: Float[np.ndarray, " n-1"] | None = None) -> View:
-        """The view of other samples, and of a spectrum with a further factor."""
-        return dataclasses.replace(self, x=x, factor=self.factor if factor is None else self.combined(factor))
+    def with_x(self, x: Float[np.ndarray, " n"]) -> View:
+        """The view of other samples."""
+        return dataclasses.replace(self, x=x)
+
+    def behind(self, factor: Float[np.ndarray, " n-1"]) -> View:
+        """The view of a spectrum with a further factor."""
+        view = dataclasses.replace(self, factor=self.combined(factor))
+        # The coefficients are what they were: a transform saved.
+        vars(view)["c"] = self.c
+        return view
 
     def allowing(self, terms: Collection[str]) -> View:
         """The view with these basic terms in the noise."""
@@ -179,6 +195,24 @@ class View:
     def own(self, value: float, std: float, per: str = "") -> Quantity:
         """An amplitude in the recording's own unit."""
         return Quantity(value / self.scale, std / self.scale, self.axis.unit + per)
+
+
+def predictive(
+    c: Float[np.ndarray, " n-1"],
+    v: Float[np.ndarray, " n-1"],
+    fold: Bool[np.ndarray, " n-1"],
+) -> float:
+    """Log-likelihood of the coefficients in a fold."""
+    return float(-0.5 * np.sum((np.log(v) + c**2 / v)[fold]))
+
+
+def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Every other pair of coefficients, and the others: independent, and both see the whole spectrum.
+
+    Pairs, since a shape that is odd about the record's middle has odd coefficients only.
+    """
+    some = np.arange(n - 1) // 2 % 2 == 0
+    return some, ~some
 
 
 def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:

@@ -60,6 +60,8 @@ def exponential_density(
     series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
     r_0 = jnp.where(jnp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
     r_1 = q * (z / (M * y)) ** 2
-    a = 2j * jnp.pi * jnp.asarray(frequency) / rate
-    up, down = (jnp.exp(turn) / -jnp.expm1(M * x + turn) for turn in (a, -a))
-    return jnp.real(weight * (r_0 + r_1 * (up + down))) / rate
+    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, by what is small near Q = 1.
+    s = jnp.sin(jnp.pi * jnp.asarray(frequency) / rate) ** 2
+    below = z**2 + 4.0 * (1.0 - z) * s
+    both = 2.0 * (z - 2.0 * s) * jnp.conj(below) / (jnp.real(below) ** 2 + jnp.imag(below) ** 2)
+    return jnp.real(weight * (r_0 + r_1 * both)) / rate

@@ -9,16 +9,9 @@ from jaxtyping import Bool
 from scipy.stats import chi2
 
 from allanjax.critique.bank import SLOW, Bank
-from allanjax.critique.causes.spectral import (
-    SHAPE,
-    FineLevels,
-    baseline_predictive,
-    coefficient_folds,
-    predictive,
-    relative_errors,
-)
+from allanjax.critique.causes.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, predictive
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov, NoiseTerm
 from allanjax.units import default_coefficient_unit, unit_scale
@@ -46,11 +39,10 @@ class BasicTerm(Cause):
                 # Its shape is known, and nearly all of it is in one coefficient: parts of the time, then.
                 shape = Bank(view.family.ramp[None, :SLOW])
                 return shape.held_out(view, dataclasses.replace(noise, ramp=False))
-            total = 0.0
+            total = -view.foretold
             for fold in coefficient_folds(view.n):
                 other = view.family.of(view.c, view.factor, fold).best(allowed, required=(term,))
                 total += predictive(_without_ramp(view, other, fold), view.variance(other), ~fold)
-                total -= baseline_predictive(view, fold)
             return total
 
         return Candidate(

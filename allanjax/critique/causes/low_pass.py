@@ -9,14 +9,9 @@ from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 
 from allanjax import terms
-from allanjax.critique.causes.spectral import (
-    FineLevels,
-    baseline_predictive,
-    coefficient_folds,
-    predictive,
-)
+from allanjax.critique.causes.spectral import FineLevels
 from allanjax.critique.noise import MARKOV, density
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, predictive
 from allanjax.model import Model
 
 _WORTH = 6.0
@@ -58,7 +53,7 @@ class LowPass(Cause):
         if gains.max() < _WORTH:
             return None
         filter_, bandwidth, half_power, std = screen.best()
-        after = _without_ends(view.with_x(view.x, _visible(view, bandwidth, filter_)))
+        after = _without_ends(view.behind(_visible(view, bandwidth, filter_)))
         gain = after.noise.log_evidence - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
@@ -200,11 +195,11 @@ def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> flo
 
 
 def _held_out(view: View) -> float:
-    gain = 0.0
+    gain = -view.foretold
     for fold in coefficient_folds(view.n):
         filter_, bandwidth, *_ = _Screen(view, fold).best()
         factor = _visible(view, bandwidth, filter_, fold)
         whole = view.combined(factor)
         noise = view.family.of(view.c, whole, fold).best(view.allowed)
-        gain += predictive(view.c, noise.variance * whole, ~fold) - baseline_predictive(view, fold)
+        gain += predictive(view.c, noise.variance * whole, ~fold)
     return gain

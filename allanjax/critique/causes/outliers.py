@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
 
 from allanjax.critique.bank import folds
-from allanjax.critique.view import Candidate, Cause, Quantity, View
+from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _SCALES = np.geomspace(3.0, 3e4, 25)
 _SHARES = np.geomspace(1e-7, 0.1, 40)
@@ -19,6 +20,8 @@ _WORTH = 8.0
 _ODDS = 2.0
 # Prediction errors so near [samples] to each other may have one cause; longer trains are no outliers.
 _APART, _LONGEST = 8, 48
+# Samples at each end of the record whose scatter is looked at; rounds in which neighbours come to light.
+_END, _ROUNDS = 16, 5
 _FOLD_BLOCK = 16
 
 
@@ -28,25 +31,31 @@ class Outliers(Cause):
     name = "outliers"
 
     def p_value(self, view: View) -> float:
-        spikes, sigma = view.spikes
-        return _p_value(float(np.max(abs(spikes))) / sigma, view.n)
+        return _p_value(float(np.max(abs(_scores(view, view.spikes[1])))), view.n)
 
     def detect(self, view: View) -> Candidate | None:
-        spikes, _ = view.spikes
         # The scale of the bulk: that of the fit has the outliers in it.
-        bulk = 1.4826 * float(np.median(abs(spikes)))
+        bulk = 1.4826 * float(np.median(abs(view.spikes[0])))
         if bulk == 0.0:
             return None
-        z = np.where(view.restored, 0.0, spikes / bulk)
-        gain, _, scale, loud = _mixture(z)
-        if gain < _WORTH or not loud.any():
+        z = _scores(view, bulk)
+        gain, share, scale = _mixture(z)
+        if gain < _WORTH:
             return None
-        times = _peaks(z, np.flatnonzero(loud))
-        if times is None:
+        missing, after, loud = np.zeros(view.n, bool), view, _loud(z, share, scale)
+        # Beside a large one others are seen only when it is gone.
+        for _ in range(_ROUNDS):
+            if not loud.any():
+                break
+            peaks = _peaks(_scores(after, bulk), np.flatnonzero(loud))
+            if peaks is None:
+                return None
+            missing[peaks] = True
+            after = view.filled(missing)
+            loud = _loud(_scores(after, bulk), share, scale)
+        times = np.flatnonzero(missing)
+        if len(times) == 0:
             return None
-        missing = np.zeros(view.n, bool)
-        missing[times] = True
-        after = view.filled(missing)
         gain -= _price(view.n)
         # Of all that there are, also of those too small to be seen.
         spread = scale * bulk
@@ -98,12 +107,12 @@ def _log_ratio(
     return np.logaddexp(np.log1p(-share), np.log(share) + exponent)
 
 
-def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float, np.ndarray]:
-    """Log-likelihood ratio of the best mixture to noise alone, its share and scale, and who is in it."""
+def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
+    """Log-likelihood ratio of the best mixture to noise alone, its share and scale."""
     noticed = abs(z) > _NOTICED
     few = z[noticed]
     if len(few) == 0:
-        return 0.0, 0.0, 1.0, noticed
+        return 0.0, 0.0, 1.0
     # Of the quiet ones only their number counts: a histogram of their squares.
     counts, edges = np.histogram(abs(z[~noticed]), bins=60)
     centres = 0.5 * (edges[1:] + edges[:-1])
@@ -119,17 +128,40 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float, np.ndarra
             best = (float(value[k]), float(share), float(_SCALES[k]))
     gain, share, scale = best
     if gain == 0.0:
-        return 0.0, 0.0, 1.0, np.zeros_like(noticed)
+        return 0.0, 0.0, 1.0
     found = minimize(
         lambda u: -float(values(min(np.exp(u[0]), 0.5), np.exp(u[1:]))[0]),
         np.log([share, scale]),
         method="Nelder-Mead",
         options={"xatol": 0.01, "fatol": 0.01},
     )
-    gain, (share, scale) = -float(found.fun), np.exp(found.x)
+    share, scale = np.exp(found.x)
+    return -float(found.fun), float(min(share, 0.5)), float(scale)
+
+
+def _loud(z: Float[np.ndarray, " n"], share: float, scale: float) -> Bool[np.ndarray, " n"]:
+    """Which samples have been drawn from the wider of the two laws."""
     s2 = scale**2
-    odds = np.log(share / (1.0 - share)) + 0.5 * z**2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
-    return gain, share, scale, odds > _ODDS
+    return np.log(share / (1.0 - share)) + 0.5 * z**2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2) > _ODDS
+
+
+def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
+    """The spikes over their scale, zero where samples were filled in.
+
+    At the record's ends quantization noise is not the one that the mirrored record has, and spikes scatter
+    more: those that stand out there are compared with their own scatter.
+    """
+    z = np.where(view.restored, 0.0, view.spikes[0] / scale)
+    v, n = view.variance(), view.n
+    for k in (*range(_END), *range(n - _END, n)):
+        if abs(z[k]) > _NOTICED:
+            sample = np.zeros(n)
+            sample[k] = 1.0
+            weight = in_time(dct(sample, norm="ortho", workers=-1)[1:] / v) / float(np.mean(1.0 / v))
+            # Its variance by the density, in a record so long that the ends do not meet.
+            response = np.abs(rfft(weight, 2 * n, workers=-1)[1:n]) ** 2
+            z[k] /= max(1.0, np.sqrt(float(response @ v) / n * np.mean(1.0 / v)))
+    return z
 
 
 def _held_out(z: Float[np.ndarray, " n"]) -> float:
@@ -140,7 +172,7 @@ def _held_out(z: Float[np.ndarray, " n"]) -> float:
     """
     gain = 0.0
     for part in folds(len(z), _FOLD_BLOCK):
-        _, share, scale, _ = _mixture(z[~part])
+        _, share, scale = _mixture(z[~part])
         if share > 0.0:
             gain += float(_log_ratio(z[part], share, scale).sum())
         else:

@@ -12,14 +12,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy.special import gammaincc
 
 from allanjax import terms
-from allanjax.critique.causes.spectral import (
-    baseline_predictive,
-    coefficient_folds,
-    fine_bins,
-    predictive,
-    sums,
-)
-from allanjax.critique.view import Candidate, Cause, Quantity, View
+from allanjax.critique.causes.spectral import fine_bins, sums
+from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds, predictive
 from allanjax.linalg import solve
 
 _NARROWEST = 8
@@ -59,7 +53,7 @@ class Resonance(Cause):
             theta, covariance = _fitted(view.c, v, start, width, view.rate)
             if not np.isfinite(covariance).all():
                 return None
-            after = view.with_x(view.x, 1.0 + _density(theta, view) / v)
+            after = view.behind(1.0 + _density(theta, view) / v)
             start = theta[:2]
             if np.all(abs(theta - before) < _SETTLED * np.sqrt(np.diag(covariance))):
                 break
@@ -225,7 +219,7 @@ def _maximum(
 
 def _held_out(view: View, theta: Float[np.ndarray, " 3"], width: float) -> float:
     """Gain on every other coefficient by the bump fitted to the others, both ways."""
-    gain = 0.0
+    gain = -view.foretold
     for fold in coefficient_folds(view.n):
         noise = view.family.of(view.c, view.factor, fold).best(view.allowed)
         v = view.variance(noise)
@@ -235,5 +229,5 @@ def _held_out(view: View, theta: Float[np.ndarray, " 3"], width: float) -> float
             whole = view.combined(factor)
             noise = view.family.of(view.c, whole, fold).best(view.allowed)
             v = view.variance(noise)
-        gain += predictive(view.c, v * factor, ~fold) - baseline_predictive(view, fold)
+        gain += predictive(view.c, v * factor, ~fold)
     return gain

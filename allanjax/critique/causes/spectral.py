@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar, nnls
 
-from allanjax.critique.noise import FIXED, MARKOV, POWER_LAW, Noise
+from allanjax.critique.noise import FIXED, MARKOV, POWER_LAW, Noise, density
 from allanjax.critique.view import View
 from allanjax.terms import Markov, PowerLaw
 
@@ -102,48 +102,28 @@ class FineLevels:
         return u, float(1.0 / np.sqrt(max(curvature, 1e-2))), -float(found.fun)
 
 
-def predictive(
-    c: Float[np.ndarray, " n-1"],
-    v: Float[np.ndarray, " n-1"],
-    fold: Bool[np.ndarray, " n-1"],
-) -> float:
-    """Log-likelihood of the coefficients in a fold."""
-    return float(-0.5 * np.sum((np.log(v) + c**2 / v)[fold]))
-
-
-def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Every other pair of coefficients, and the others: independent, and both see the whole spectrum.
-
-    Pairs, since a shape that is odd about the record's middle has odd coefficients only.
-    """
-    some = np.arange(n - 1) // 2 % 2 == 0
-    return some, ~some
-
-
-def baseline_predictive(view: View, fold: Bool[np.ndarray, " n-1"]) -> float:
-    """Log-likelihood outside a fold of the best basic noise in it."""
-    noise = view.family.of(view.c, view.factor, fold).best(view.allowed)
-    return predictive(view.c, view.variance(noise), ~fold)
-
-
 def relative_errors(view: View, noise: Noise) -> dict[str, float]:
     """Relative errors of all powers by their Fisher information, and the error of the `SHAPE`.
 
     That is of the logarithm of a Markov process's correlation time, or of a power law's exponent.
     """
 
-    def spectrum(name: str, change: float = 0.0) -> Float[np.ndarray, " n-1"]:
+    first = fine_bins(view.n)
+    size = sums(np.ones(view.n - 1), first)
+    frequency, level = (sums(x, first) / size for x in (view.family.frequency, noise.variance))
+
+    def spectrum(name: str, change: float = 0.0) -> Float[np.ndarray, " bins"]:
         if name == MARKOV:
-            return view.family.spectrum(Markov(1.0, noise.shape * np.exp(change)))
+            return view.rate * density(Markov(1.0, noise.shape * np.exp(change)), frequency, view.rate)
         if name == POWER_LAW:
-            return view.family.spectrum(PowerLaw(1.0, noise.shape + change))
-        return view.family.spectra[FIXED.index(name)]
+            return view.rate * density(PowerLaw(1.0, noise.shape + change), frequency, view.rate)
+        return sums(view.family.spectra[FIXED.index(name)], first) / size
 
     rows = {}
     for name, power in noise.power.items():
         rows[name] = power * spectrum(name)
         if name not in FIXED:
             rows[SHAPE] = power * (spectrum(name, _STEP) - spectrum(name, -_STEP)) / (2.0 * _STEP)
-    relative = np.stack(list(rows.values())) / noise.variance
-    covariance = np.linalg.pinv(0.5 * relative @ relative.T)
+    relative = np.stack(list(rows.values())) / level
+    covariance = np.linalg.pinv(0.5 * (size * relative) @ relative.T)
     return dict(zip(rows, np.sqrt(np.diag(covariance)).tolist(), strict=True))
