@@ -265,7 +265,7 @@ def test_drift_is_that_of_simulations():
 def test_views_keep_what_they_are_made_of():
     view = view_of(np.random.default_rng(14).standard_normal(N))
     half = np.full(N - 1, 0.5)
-    twice = view.with_x(view.x, half).with_x(view.x, half)
+    twice = view.behind(half).behind(half)
     assert twice.factor == pytest.approx(0.25 * np.ones(N - 1))
     assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
     assert dataclasses.replace(view, found=("sinusoid",)).found == ("sinusoid",)

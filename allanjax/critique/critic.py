@@ -69,7 +69,9 @@ def criticize(
     for result in fit:
         if not result.converged:
             raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
-    alpha = false_alarms / (len(recording.axes) * (len(causes) + 1))
+    # One share for each kind of cause and axis, and one for what axes have in common.
+    kinds = len({type(cause) for cause in causes}) + 1
+    alpha = false_alarms / (len(recording.axes) * kinds)
 
     def searched(k: int) -> Search:
         result = fit.results[k]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critique.noise import RAMP, family_of
-from allanjax.critique.view import EVERYTHING, MARGIN, Candidate, Cause, Quantity, View, in_time
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, in_time
 from allanjax.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.model import Model
 from allanjax.recording import Axis
@@ -89,7 +89,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
             if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
                 candidates.append((cause, candidate))
-        step = _chosen([candidate for _, candidate in candidates], view, alpha)
+        step = _chosen(candidates, view, alpha)
         if step is None:
             if active is others:
                 texts = (_undecided(candidate, view) for _, candidate in candidates)
@@ -97,9 +97,12 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
                 break
             active = others
             continue
-        view = dataclasses.replace(step.candidate.after, found=(*view.found, step.candidate.cause))
-        candidate = dataclasses.replace(step.candidate, after=view)
-        steps.append(dataclasses.replace(step, candidate=candidate))
+        for part in step.candidate.parts or (step.candidate,):
+            gain = part.held_out() if step.candidate.parts else step.gain
+            after = dataclasses.replace(part.after, found=(*view.found, part.cause))
+            part = dataclasses.replace(part, after=after)
+            steps.append(Step(part, gain, step.rivals, view))
+            view = after
         # What had nothing to say is asked again when the others have finished.
         active = [cause for cause, _ in candidates]
     return Search(start, tuple(_grouped(steps)), view, tests, undecided, restored)
@@ -114,13 +117,13 @@ def _undecided(candidate: Candidate, view: View) -> str:
     return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
 
 
-def _chosen(candidates: Sequence[Candidate], view: View, alpha: float) -> Step | None:
+def _chosen(candidates: Sequence[tuple[Cause, Candidate]], view: View, alpha: float) -> Step | None:
     """The candidate that explains most, if it is significant and holds on data that it has not seen."""
-    ranked = sorted(candidates, key=lambda candidate: -candidate.gain)
-    for candidate in ranked:
-        if candidate.gain < MARGIN:
-            return None
-        if not candidate.p_value < alpha:
+    by_gain = sorted(candidates, key=lambda pair: -pair[1].gain)
+    ranked = [candidate for _, candidate in by_gain]
+    for cause, candidate in by_gain:
+        level = alpha if cause.level is None else cause.level
+        if candidate.gain < cause.margin or not candidate.p_value < level:
             continue
         gain = candidate.held_out()
         if not gain > 0.0:

@@ -22,7 +22,7 @@ _STEADY: tuple[tuple[str, ...], ...] = (
     ("quantization", "angle_random_walk", "bias_instability"),
     ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", RAMP),
 )
-#: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one, all prices paid.
+#: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one.
 MARGIN = 3.0
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 # Of filling in: samples that a level is the mean of, and steps of the conjugate gradients.
@@ -259,6 +259,7 @@ class Candidate:
         held_out: log-likelihood gained on data that it was not estimated from [nats].
         span: where it is: start and end in time [s], or low and high frequency [Hz]; `domain` says which.
         extend: adds it to a model of noise terms.
+        parts: where only several together explain anything: each of them, in order, as a finding of its own.
     """
 
     cause: str
@@ -270,6 +271,7 @@ class Candidate:
     span: tuple[float, float]
     domain: str
     extend: Callable[[Model], Model] = lambda model: model
+    parts: tuple[Candidate, ...] = ()
 
 
 class Cause(ABC):
@@ -279,9 +281,13 @@ class Cause(ABC):
     worth testing.
     """
 
-    name: ClassVar[str]
+    name: str
     #: Whether it is read off the samples themselves and must be undone before anything else is looked at.
     of_samples: ClassVar[bool] = False
+    #: Log-evidence that it must gain beyond the basic terms [nats], all prices paid.
+    margin: ClassVar[float] = MARGIN
+    #: Probability of a false finding that is accepted; None for a share of what the critique may have.
+    level: ClassVar[float | None] = None
 
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:

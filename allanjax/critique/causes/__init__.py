@@ -15,11 +15,11 @@ from allanjax.critique.causes.telegraph import Telegraph
 from allanjax.critique.causes.temperature import Temperature
 from allanjax.critique.causes.variance_change import VarianceChange
 from allanjax.critique.causes.warm_up import WarmUp
-from allanjax.critique.view import Cause
+from allanjax.critique.view import EVERYTHING, Cause
 
 #: What a critique looks for, unless told otherwise.
 CAUSES: tuple[Cause, ...] = (
-    BasicTerm(),
+    *(BasicTerm(term) for term in EVERYTHING),
     BiasStep(),
     Disturbance(),
     LowPass(),

@@ -75,7 +75,7 @@ def additive(
                 partial(bank.held_out, view, noise),
                 span(k),
                 "time",
-                _adding(term, k, float(scan.amplitude[k])),
+                adding(term and term(k, float(scan.amplitude[k]))),
             )
             searched = noise, snr
     if best is not None and best.gain > 0.0:
@@ -83,10 +83,9 @@ def additive(
     return best
 
 
-def _adding(
-    term: Callable[[int, float], NoiseTerm] | None, k: int, amplitude: float
-) -> Callable[[Model], Model]:
-    return lambda model: model if term is None else model + term(k, amplitude)
+def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:
+    """What puts a term, if there is one, into a model."""
+    return lambda model: model if term is None else model + term
 
 
 def mean_and_std(

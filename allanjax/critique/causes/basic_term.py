@@ -11,23 +11,30 @@ from scipy.stats import chi2
 from allanjax.critique.bank import SLOW, Bank
 from allanjax.critique.causes.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, predictive
+from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds, predictive
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov, NoiseTerm
 from allanjax.units import default_coefficient_unit, unit_scale
 
 
 class BasicTerm(Cause):
-    """One of quantization, angle random walk, bias instability, rate random walk, drift ramp, Markov."""
+    """One of quantization, angle random walk, bias instability, rate random walk, drift ramp, Markov.
 
-    name = "basic_term"
+    Between sets of basic terms the evidence decides: of 300 records of sensors whose model was complete one
+    gained two and a half nats by a further term, none three.
+    """
+
+    margin = 2.5
+    level = 0.01
+
+    def __init__(self, term: str) -> None:
+        self.name = term
 
     def detect(self, view: View) -> Candidate | None:
-        known = set(view.allowed) | ({MARKOV} if POWER_LAW in view.allowed else set())
-        found = [self._with(view, term) for term in EVERYTHING if term not in known]
-        return max((c for c in found if c is not None), key=lambda c: c.gain, default=None)
-
-    def _with(self, view: View, term: str) -> Candidate | None:
+        term = self.name
+        # A power law is in the Markov process's place.
+        if term in view.allowed or (term == MARKOV and POWER_LAW in view.allowed):
+            return None
         allowed = [*view.allowed, term]
         noise = view.weighing.best(allowed, required=(term,))
         gain = noise.log_evidence - view.noise.log_evidence
@@ -49,7 +56,7 @@ class BasicTerm(Cause):
             term,
             self._parameters(view, noise, term),
             gain,
-            _p_value(view, noise, term),
+            _p_value(view, term),
             view.allowing(allowed),
             held_out,
             (0.0, view.duration),
@@ -82,8 +89,13 @@ def _without_ramp(view: View, noise: Noise, fold: Bool[np.ndarray, " n-1"] | Non
     return view.c - view.family.slope(view.c, view.variance(noise), fold)[0] * view.family.ramp
 
 
-def _p_value(view: View, noise: Noise, term: str) -> float:
-    """Of the likelihood ratio, with Wilks's law; an amplitude is at the boundary of what it can be."""
+def _p_value(view: View, term: str) -> float:
+    """Of the likelihood ratio of the view's noise with the term to that without, by Wilks's law.
+
+    An amplitude is at the boundary of what it can be.
+    """
+    present = view.noise.terms
+    noise = view.weighing.best([*present, term], required=[*present, term])
     every = np.ones(view.n - 1, bool)
     likelihoods = [
         predictive(_without_ramp(view, x, None), view.variance(x), every) for x in (noise, view.noise)

@@ -17,6 +17,8 @@ _BANDS = 6
 # Motion is smooth: this share of the excess is in the lowest quarter of the frequencies.
 _SMOOTH = 0.75
 _QUIET = 3.0
+# Blocks that its beginning and end are looked for in; share of it that is below the noise at either.
+_FADING, _UNSEEN = 10, 0.1
 _FOLD_BLOCK = 16
 
 
@@ -37,6 +39,7 @@ class Disturbance(Cause):
             if loudest is None:
                 return None
             start, end = _grown(squares, loudest[0], loudest[1], block)
+            start, end = _faded(e, start, end, block)
             excess = _bands(e[start:end])
             power = excess[:, 0] * (excess[:, 1] - 1.0)
             if np.sum(power[:-2]) < _SMOOTH * np.sum(power):
@@ -54,12 +57,14 @@ class Disturbance(Cause):
         if gain < _WORTH or coloured - 2.5 * len(excess) < white:
             return None
         p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
+        # It begins and ends below the noise: a share of it is not seen.
+        std = np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m) / view.rate
         peak = float(np.max(abs(view.x[start:end] - np.median(view.x))))
         return Candidate(
             self.name,
             {
-                "start": Quantity(start / view.rate, block / view.rate, "s"),
-                "end": Quantity(end / view.rate, block / view.rate, "s"),
+                "start": Quantity(start / view.rate, std, "s"),
+                "end": Quantity(end / view.rate, std, "s"),
                 "peak": view.own(peak, view.spikes[1]),
             },
             gain,
@@ -103,6 +108,14 @@ def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -
     while end - start > 2 * block and not loud(end - block):
         end -= block
     return start, end
+
+
+def _faded(e: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
+    """The stretch moved out as far as it is loud at low frequencies: motion is slow, and fades out."""
+    count = len(e) // block
+    means = e[: count * block].reshape(count, block).mean(axis=1) * np.sqrt(block)
+    first, last = _grown(means**2, start // block, -(-end // block), _FADING)
+    return min(first * block, start), max(min(last * block, len(e)), end)
 
 
 def _bands(e: Float[np.ndarray, " m"]) -> Float[np.ndarray, "bands 2"]:

@@ -22,6 +22,8 @@ class Temperature(Cause):
     """coefficient · channel(t − lag), for every auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"
+    # Units do feel the temperature: even odds with the noise that would do as well.
+    margin = 0.5
 
     def detect(self, view: View) -> Candidate | None:
         found = [self._of(view, name, channel) for name, channel in view.auxiliary.items()]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.critique.bank import extrapolated, folds
-from allanjax.critique.view import Candidate, Cause, Quantity, View
+from allanjax.critique.noise import FIXED
+from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _BLOCKS = 256
 # Share of the record that an interval has at least: what is shorter is an event.
@@ -17,64 +19,126 @@ _DRAWS = 1000
 _WORTH = 6.0
 _FINER = 32
 _FOLD_BLOCK = 16
+# White noise that is so much of all noise is not told from it.
+_WHITE, _NEARLY_ALL = "angle_random_walk", 0.9
+# What a place that need not be known saves [nats]; the least that can be left of a noise, less one.
+_PLACE, _LEAST = 5.0, -0.99
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Kind:
+    """A part of the noise that may change: all of it, or the white noise only.
+
+    Attributes:
+        name: for people.
+        share: of this part in the expected squares of the coefficients.
+        squares: of the record behind the filter √share matched to a change of this part, mean 1.
+        worth: of one of them as a degree of freedom: neighbours are correlated.
+        edges: of the blocks that intervals are made of [samples].
+    """
+
+    name: str
+    share: Float[np.ndarray, " n-1"] | float
+    squares: Float[np.ndarray, " n"]
+    worth: float
+    edges: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, view: View, name: str, share: Float[np.ndarray, " n-1"] | float) -> _Kind:
+        u = (
+            view.e
+            if isinstance(share, float)
+            else in_time(np.sqrt(share) * view.c / np.sqrt(view.variance()))
+        )
+        squares = np.where(view.restored, np.mean(u**2), u**2)
+        worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
+        blocks = min(_BLOCKS, view.n // 16)
+        edges = np.rint(np.arange(blocks + 1) * view.n / blocks)
+        return cls(name, share, squares / squares.mean(), worth, edges)
+
+    def excess(self, ratio: float) -> float:
+        """By what share of itself this part has grown where the squares have grown by a ratio."""
+        return (ratio - 1.0) * float(np.mean(self.share) / np.mean(np.square(self.share)))
+
+
+def _kinds(view: View) -> list[_Kind]:
+    kinds = [_Kind.of(view, "all", 1.0)]
+    power = view.noise.power.get(_WHITE)
+    if power is not None:
+        share = power * view.family.spectra[FIXED.index(_WHITE)] / view.noise.variance
+        if np.mean(share) < _NEARLY_ALL:
+            kinds.append(_Kind.of(view, "white", share))
+    return kinds
 
 
 class VarianceChange(Cause):
-    """One interval whose whitened residuals have another variance."""
+    """One interval in which the noise, or its white part, has another variance."""
 
     name = "variance_change"
 
     def p_value(self, view: View) -> float:
-        squares, edges = _blocks(view)
-        return scan_p_value(float(interval_gains(squares, edges).max()), len(edges) - 1)
+        gains = [(kind.worth * interval_gains(kind.squares, kind.edges)).max() for kind in _kinds(view)]
+        return self._p(float(max(gains)), view, len(gains))
+
+    def _p(self, gain: float, view: View, kinds: int) -> float:
+        return 1.0 - (1.0 - scan_p_value(gain, min(_BLOCKS, view.n // 16))) ** kinds
 
     def detect(self, view: View) -> Candidate | None:
-        squares, edges = _blocks(view)
-        blocks = len(edges) - 1
-        length = view.n / blocks
-        gains = interval_gains(squares, edges)
-        i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-        if gains[i, j] < _WORTH:
+        kinds = _kinds(view)
+        gains = [kind.worth * interval_gains(kind.squares, kind.edges) for kind in kinds]
+        best = int(np.argmax([g.max() for g in gains]))
+        kind, gain = kinds[best], gains[best]
+        if gain.max() < _WORTH:
             return None
-        flat = gains[np.triu_indices(blocks + 1, 1)]
+        i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        flat = np.concatenate([g[np.triu_indices(len(g), 1)] for g in gains])
         search = float(flat.max() - np.logaddexp.reduce(flat) + np.log(len(flat)))
-        a, b = _located(squares, edges[i], edges[j], length)
+        a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
+        a, b = _at_ends(kind, a, b)
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
-        louder = squares[inside].mean() > squares[~inside].mean()
+        louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
         # A record that begins or ends with another level: the louder part is what changed.
         if not louder and (a == 0 or b == view.n):
             a, b = (b, view.n) if a == 0 else (0, a)
             inside = ~inside
-        m = np.array([inside.sum(), (~inside).sum()], float)
-        level = np.array([squares[inside].mean(), squares[~inside].mean()])
-        ratio = float(np.sqrt(level[0] / level[1]))
-        std = ratio * float(np.sqrt(0.5 * np.sum(1.0 / m)))
-        after = view.with_x(view.recoloured(np.where(inside, view.e / ratio, view.e)))
-        gain = float(gains[i, j]) - search - 3.0
-        # Where the level changes is known to within what a step of this size stands out in.
-        edge = 4.0 / max((level[0] / level[1] - 1.0 - np.log(level[0] / level[1])), 1e-6)
-        edge_std = float(min(edge, view.n / 4.0)) / view.rate
+        spreads = _spreads(kind, gain, a, b)
+        m = kind.worth * np.array([inside.sum(), (~inside).sum()], float)
+        level = np.array([kind.squares[inside].mean(), kind.squares[~inside].mean()])
+        excess = max(kind.excess(float(level[0] / level[1])), _LEAST)
+        ratio = float(np.sqrt(1.0 + excess))
+        # d ratio = d excess / (2 ratio); the ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
+        std = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m)))) / (2.0 * ratio)
+        quieter = in_time(view.c / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
+        after = view.with_x(view.recoloured(np.where(inside, quieter, view.e)))
         return Candidate(
             self.name,
             {
-                "start": Quantity(a / view.rate, edge_std if a > 0 else 0.0, "s"),
-                "end": Quantity(b / view.rate, edge_std if b < view.n else 0.0, "s"),
+                "start": Quantity(a / view.rate, spreads[0] / view.rate, "s"),
+                "end": Quantity(b / view.rate, spreads[1] / view.rate, "s"),
                 "ratio": Quantity(ratio, std, "1"),
+                "noise": Quantity((kind.name,), 0.0, ""),
             },
-            gain,
-            scan_p_value(float(gains[i, j]), blocks),
+            float(gain.max()) - search - 3.0,
+            self._p(float(gain.max()), view, len(kinds)),
             after,
-            lambda: _held_out(squares, edges),
+            lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
             "time",
         )
 
 
-def _blocks(view: View) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " k"]]:
-    """Squared residuals, and the edges of the blocks that intervals are made of."""
-    blocks = min(_BLOCKS, view.n // 16)
-    squares = np.where(view.restored, np.mean(view.e**2), view.e**2)
-    return squares, np.rint(np.arange(blocks + 1) * view.n / blocks)
+def _at_ends(kind: _Kind, a: int, b: int) -> tuple[int, int]:
+    """The interval up to the record's end where that explains nearly as much: one place less to know."""
+    n = len(kind.squares)
+
+    def gain(a: int, b: int) -> float:
+        edges = np.unique([0.0, float(a), float(b), float(n)])
+        found = kind.worth * interval_gains(kind.squares, edges)
+        return float(found[np.searchsorted(edges, a), np.searchsorted(edges, b)])
+
+    least = gain(a, b) - _PLACE
+    whole = [(x, y) for x, y in ((0, b), (a, n)) if gain(x, y) > least]
+    return max(whole, key=lambda ends: gain(*ends), default=(a, b))
 
 
 def interval_gains(
@@ -116,6 +180,22 @@ def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float
     return int(edges[i]), int(edges[j])
 
 
+def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tuple[float, float]:
+    """How far each of the two places may be from where it was found, the other being right: rms [samples]."""
+    inside = np.zeros(len(kind.squares), bool)
+    inside[a:b] = True
+    step = kind.squares[inside].mean() / kind.squares[~inside].mean()
+    # Within a block: what a change of this size stands out in.
+    block = kind.edges[1] / np.sqrt(12.0)
+    fine = min(4.0 / max((step - 1.0 - np.log(step)) * kind.worth, 1e-6), block)
+    i, j = (int(np.argmin(abs(kind.edges - x))) for x in (a, b))
+    found = []
+    for along, x in ((gains[:, j], a), (gains[i], b)):
+        weight = np.exp(along - along.max())
+        found.append(float(np.hypot(fine, np.sqrt(weight @ (kind.edges - x) ** 2 / weight.sum()))))
+    return found[0], found[1]
+
+
 @functools.lru_cache(maxsize=4)
 def _null(blocks: int) -> Float[np.ndarray, " draws"]:
     """Largest root of twice the gain in draws of blocks of many samples, which are normal."""
@@ -134,8 +214,9 @@ def scan_p_value(gain: float, blocks: int) -> float:
     return extrapolated(_null(blocks), float(np.sqrt(2.0 * gain)))
 
 
-def _held_out(squares: Float[np.ndarray, " n"], edges: Float[np.ndarray, " k"]) -> float:
+def _held_out(kind: _Kind) -> float:
     """Gain on parts of the samples by the interval and the levels that the others show."""
+    squares, edges = kind.squares, kind.edges
     gain, place = 0.0, np.arange(len(squares))
     for part in folds(len(squares), _FOLD_BLOCK):
         fold = ~part
@@ -148,4 +229,4 @@ def _held_out(squares: Float[np.ndarray, " n"], edges: Float[np.ndarray, " k"]) 
             level = squares[fold & stretch].mean()
             rest = squares[part & stretch]
             gain += 0.5 * float(np.sum(rest / whole - rest / level) + len(rest) * np.log(whole / level))
-    return gain
+    return kind.worth * gain
