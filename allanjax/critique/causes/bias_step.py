@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 
 from allanjax import terms
-from allanjax.critique.bank import Bank, Scan, amplitude_price, step_bank, step_coefficients
+from allanjax.critique.bank import Bank, amplitude_price, step_bank, step_coefficients
 from allanjax.critique.causes.additive import adding, additive, mean_and_std
-from allanjax.critique.noise import Noise
+from allanjax.critique.pair import best_pair
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
-_FINER = 64
-# Of pairs: places in the bank between two that are tried, and rounds in which they are moved.
-_COARSER, _ROUNDS = 8, 3
-# A step beside another one is looked at where so much of the most that can be is left of it.
-_CLEAR = 0.1
+# Places looked at around the best one; rounds in which two are moved and the noise chosen anew.
+_FINER, _ROUNDS = 64, 3
 
 
 class BiasStep(Cause):
@@ -65,66 +63,58 @@ class BiasStep(Cause):
 
     def _two(self, view: View, bank: Bank, places: np.ndarray) -> Candidate | None:
         """Two steps that are nothing without each other: there and back, or one on top of the other."""
-        best: Candidate | None = None
+        gain = 0.0
         for noise in view.noises:
-            pair = _best_pair(bank, view, noise)
+            moved = best_pair(bank, view, noise)
             for _ in range(_ROUNDS):
-                before = pair
-                # Each in turn where it fits best, the other as large as it is then.
-                scans = [_beside(bank, view, noise, pair[1])]
-                scans.append(_beside(bank, view, noise, scans[0].best))
-                pair = scans[0].best, scans[1].best
-                a = _amplitudes(bank, view, noise, pair)
-                steps = [size * _shape(view, places[k]) for k, size in zip(pair, a, strict=True)]
-                after = view.with_x(view.x - steps[0] - steps[1])
-                noise = after.noise
-                if pair == before:
+                pair = moved
+                both = [
+                    a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)
+                ]
+                after = view.with_x(view.x - both[0] - both[1])
+                moved = best_pair(bank, view, after.noise, pair.members)
+                if moved.members == pair.members:
                     break
-            gain = noise.log_evidence - view.noise.log_evidence - _price(bank, view, noise, pair)
-            gain -= sum(amplitude_price(float(scan.snr[scan.best])) for scan in scans)
-            if pair[0] != pair[1] and (best is None or gain > best.gain):
-                best = self._as_candidate(view, after, bank, places, pair, a, steps, gain)
-        return best
-
-    def _as_candidate(
-        self,
-        view: View,
-        after: View,
-        bank: Bank,
-        places: np.ndarray,
-        pair: tuple[int, int],
-        amplitudes: np.ndarray,
-        steps: list[np.ndarray],
-        gain: float,
-    ) -> Candidate:
-        parts, left = [], view
-        for k, a, own, other in zip(pair, amplitudes, steps, steps[::-1], strict=True):
-            alone = view.with_x(view.x - other)
-            scan = bank.scan(alone, after.noise)
-            half = 0.5 * scan.snr**2
-            left = left.with_x(left.x - own)
-            part = Candidate(
-                self.name,
-                _parameters(view, places, float(a), float(scan.std[k]), np.exp(half - half.max())),
-                after.noise.log_evidence - alone.noise.log_evidence - scan.search_price,
-                bank.p_value(alone, after.noise, float(scan.snr[k])) if gain > 0.0 else 1.0,
-                left,
-                partial(bank.held_out, alone, after.noise),
-                (places[k] / view.rate, view.duration),
-                "time",
-                adding(_term(view, places[k], float(a))),
-            )
-            parts.append(part)
+            gained = after.noise.log_evidence - view.noise.log_evidence - pair.price
+            gained -= sum(amplitude_price(float(snr)) for snr in pair.snr)
+            if gained > gain:
+                gain, best = gained, (pair, both, after)
+        if gain == 0.0:
+            return None
+        pair, both, after = best
+        first = self._beside(view, bank, places, pair.members[0], both, after)
+        second = self._beside(view, bank, places, pair.members[1], both[::-1], after)
+        first = dataclasses.replace(first, after=view.with_x(view.x - both[0]))
         return Candidate(
             self.name,
-            parts[0].parameters,
+            first.parameters,
             gain,
-            max(part.p_value for part in parts),
+            max(first.p_value, second.p_value),
             after,
-            lambda: min(part.held_out() for part in parts),
-            (float(min(part.span[0] for part in parts)), view.duration),
+            lambda: min(first.held_out(), second.held_out()),
+            (min(first.span[0], second.span[0]), view.duration),
             "time",
-            parts=tuple(parts),
+            parts=(first, second),
+        )
+
+    def _beside(
+        self, view: View, bank: Bank, places: np.ndarray, k: int, steps: list[np.ndarray], without: View
+    ) -> Candidate:
+        """The first of two steps as a finding in the record without the other; its gain: what it adds."""
+        alone = view.with_x(view.x - steps[1])
+        scan = bank.scan(alone, without.noise)
+        half = 0.5 * scan.snr**2
+        a = float(scan.amplitude[k])
+        return Candidate(
+            self.name,
+            _parameters(view, places, a, float(scan.std[k]), np.exp(half - half.max())),
+            without.noise.log_evidence - alone.noise.log_evidence - scan.search_price,
+            bank.p_value(alone, without.noise, float(scan.snr[k])),
+            without,
+            partial(bank.held_out, alone, without.noise),
+            (float(places[k] / view.rate), view.duration),
+            "time",
+            adding(_term(view, places[k], a)),
         )
 
 
@@ -145,47 +135,3 @@ def _parameters(
         "time": Quantity(place / view.rate, float(spread) / view.rate, "s"),
         "amplitude": view.own(amplitude, std),
     }
-
-
-def _best_pair(bank: Bank, view: View, noise: Noise) -> tuple[int, int]:
-    """The two places of a coarse bank that explain most together."""
-    some = np.arange(_COARSER // 2, len(bank.shapes), _COARSER)
-    i, j = np.triu_indices(len(some), 1)
-    best = int(np.argmax(_gains(bank, view, noise, some[i], some[j])))
-    return int(some[i[best]]), int(some[j[best]])
-
-
-def _price(bank: Bank, view: View, noise: Noise, pair: tuple[int, int]) -> float:
-    """What not knowing the places costs [nats]: the best likelihood over the mean of all pairs."""
-    some = np.arange(_COARSER // 2, len(bank.shapes), _COARSER)
-    i, j = np.triu_indices(len(some), 1)
-    every = _gains(bank, view, noise, np.append(some[i], pair[0]), np.append(some[j], pair[1]))
-    return float(every[-1] - np.logaddexp.reduce(every[:-1]) + np.log(len(every) - 1))
-
-
-def _gains(bank: Bank, view: View, noise: Noise, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Log-likelihood gained by each pair of steps."""
-    shapes, e = bank.whitened(view, noise)
-    used, where = np.unique(np.concatenate([first, second]), return_inverse=True)
-    i, j = where[: len(first)], where[len(first) :]
-    gram, p = shapes[used] @ shapes[used].T, shapes[used] @ e
-    own = np.diag(gram)
-    det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
-    return 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
-
-
-def _beside(bank: Bank, view: View, noise: Noise, other: int) -> Scan:
-    """Every step's matched filter where another step may be of any size."""
-    shapes, e = bank.whitened(view, noise)
-    unit = shapes[other] / np.linalg.norm(shapes[other])
-    shapes, e = shapes - np.outer(shapes @ unit, unit), e - (e @ unit) * unit
-    # A step next to the other one is nearly nothing beside it.
-    norms = np.maximum(np.linalg.norm(shapes, axis=1), 1e-300)
-    clear = norms > _CLEAR * norms.max()
-    snr = np.where(clear, shapes @ e / norms, 0.0)
-    return Scan(snr, snr / norms, 1.0 / norms)
-
-
-def _amplitudes(bank: Bank, view: View, noise: Noise, pair: tuple[int, int]) -> np.ndarray:
-    shapes, e = bank.whitened(view, noise)
-    return np.linalg.lstsq(shapes[list(pair)].T, e, rcond=None)[0]

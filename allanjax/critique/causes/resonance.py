@@ -17,8 +17,9 @@ from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient
 from allanjax.linalg import solve
 
 _NARROWEST = 8
-# Independent windows a width, and independent widths an octave.
-_EFFECTIVE, _WIDTHS = 2.2, 0.75
+# Independent windows a width, and how many more for each e-fold that what they show is rarer; widest windows
+# that see nothing of their own.
+_INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
 _WORTH = 8.0
 # The noise has taken part of the bump for its own, and gives it back bit by bit.
 _ROUNDS, _SETTLED = 8, 0.2
@@ -92,11 +93,12 @@ def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " 
 def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float, float, float]:
     """The window with most excess: middle, width [coefficients], p-value, count of such windows, gain.
 
-    Of a width, windows a quarter apart are worth `_EFFECTIVE` independent ones each width, as simulated.
+    Of a width, windows a quarter apart are worth two to four independent ones each width, the more the rarer
+    what they show, as simulated (`_INDEPENDENT`).
     """
     total = np.concatenate([[0.0], np.cumsum(ratio)])
     best = (-np.inf, 0.0, 0.0, 0.0, 0.0)
-    width, log_none = _NARROWEST, 0.0
+    width, widths = _NARROWEST, 0.0
     least = 1.0
     while width <= (len(ratio) - _LOWEST) // 4:
         first = np.arange(_LOWEST, len(ratio) - width + 1, max(width // 4, 1))
@@ -104,14 +106,15 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
         k = int(np.argmax(total[first + width] - total[first]))
         windows = len(ratio) / width
         gain = 0.5 * width * (level - 1.0 - np.log(level)) if level > 1.0 else 0.0
-        tail = float(gammaincc(width / 2.0, level * width / 2.0))
-        of_width = -np.expm1(_EFFECTIVE * windows * np.log1p(-min(tail, 1.0 - 1e-12)))
-        least, log_none = min(least, float(of_width)), log_none + 1.0
+        tail = min(max(float(gammaincc(width / 2.0, level * width / 2.0)), 1e-300), 1.0 - 1e-12)
+        independent = min(_INDEPENDENT[0] - _INDEPENDENT[1] * np.log(tail), 4.0)
+        of_width = -np.expm1(independent * windows * np.log1p(-tail))
+        least, widths = min(least, float(of_width)), widths + 1.0
         if gain - np.log(windows) > best[0]:
             best = (gain - np.log(windows), first[k] + width / 2.0 + 1.0, float(width), windows, gain)
         width *= 2
-    # Neighbouring widths see much the same.
-    p_value = -np.expm1(_WIDTHS * log_none * np.log1p(-min(least, 1.0 - 1e-12)))
+    # Every width is a search of its own, but that the widest ones see what narrower ones have seen.
+    p_value = -np.expm1(max(widths - _WIDE, 1.0) * np.log1p(-min(least, 1.0 - 1e-12)))
     return best[1], best[2], float(p_value), best[3], best[4]
 
 
