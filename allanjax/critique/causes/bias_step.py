@@ -14,6 +14,8 @@ from allanjax.critique.causes.additive import adding, additive, mean_and_std
 from allanjax.critique.pair import best_pair
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
+# A step that gains so much [nats] is there, whether there is another one or not.
+_SURE = 20.0
 # Places looked at around the best one; rounds in which two are moved and the noise chosen anew.
 _FINER, _ROUNDS = 64, 3
 
@@ -27,9 +29,9 @@ class BiasStep(Cause):
     def detect(self, view: View) -> Candidate | None:
         bank, places = step_bank(view.n)
         found = self._one(view, bank, places, 0.0)
-        if found is None or found.gain < self.margin:
+        if found is None or found.gain < _SURE:
             both = self._two(view, bank, places)
-            if both is not None and (found is None or both.gain > found.gain):
+            if both is not None and (found is None or both.gain > max(found.gain, 0.0) + self.margin):
                 return both
         if found is None:
             return None

@@ -1,0 +1,172 @@
+"""How single causes judge: pairs of steps, noise that is louder for a while, spikes, bumps, sets of terms."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+import allanjax as aj
+from allanjax.critique import critique
+from allanjax.critique.bank import Bank, step_coefficients
+from allanjax.critique.causes.outliers import _scores
+from allanjax.critique.causes.resonance import _conspicuous
+from allanjax.critique.causes.variance_change import VarianceChange
+from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
+from allanjax.critique.pair import best_pair
+from allanjax.critique.view import EVERYTHING, View
+from allanjax.evidence import evidences
+from allanjax.recording import Axis
+
+AXIS = Axis("gyro_x", "gyro", "rad/s")
+RATE = 50.0
+
+
+def view_of(x, allowed=EVERYTHING):
+    n = len(x)
+    return View(AXIS, 1.0, RATE, x, x, None, {}, allowed, family_of(n, RATE), np.zeros(n, bool))
+
+
+def quantized(n, rng, white=0.3):
+    """Increments of a rounded angle, of unit step, over white noise."""
+    return np.diff(rng.uniform(-0.5, 0.5, n + 1)) + white * rng.standard_normal(n)
+
+
+# --- Two steps ----------------------------------------------------------------------------------------------
+
+
+def test_two_shapes_are_the_best_of_all_pairs():
+    """Against least squares in time, an offset fitted too, for each of all pairs of places."""
+    n, rng = 240, np.random.default_rng(1)
+    k = np.arange(n)
+    x = rng.standard_normal(n) + 2.5 * (k >= 90) - 2.2 * (k >= 150)
+    places = np.arange(4.0, n - 3.0, 4.0)
+    power = {"angle_random_walk": 1.0 / RATE}
+    noise = Noise(power, float("nan"), False, 0.0, family_of(n, RATE).expected(power, -1))
+    pair = best_pair(Bank(step_coefficients(places, n, n - 1)), view_of(x), noise)
+
+    def fitted(i, j):
+        D = np.column_stack([np.ones(n), k >= places[i], k >= places[j]]).astype(float)
+        beta, (rest,), *_ = np.linalg.lstsq(D, x, rcond=None)
+        return 0.5 * (np.sum((x - x.mean()) ** 2) - rest), beta[1:]
+
+    every = {ij: fitted(*ij)[0] for ij in itertools.combinations(range(len(places)), 2)}
+    assert tuple(sorted(pair.members)) == max(every, key=every.get)
+    assert pair.amplitude == pytest.approx(fitted(*pair.members)[1], rel=1e-9)
+    gains = np.array(list(every.values()))
+    price = gains.max() - np.logaddexp.reduce(gains) + np.log(len(gains))
+    # One place after the other, the pairs' mean is known to a factor of e.
+    assert pair.price == pytest.approx(price, abs=1.0)
+
+
+def test_two_steps_that_undo_each_other_are_both_found():
+    """Neither is conspicuous alone: there and back in a twentieth of the record."""
+    n, rng = 30_000, np.random.default_rng(2)
+    k = np.arange(n)
+    there, back = 0.46, 0.51
+    x = rng.standard_normal(n) + 0.35 * ((k >= there * n) & (k < back * n))
+    (axis,) = critique(aj.Recording.from_array(x, RATE, names=["gyro_x"], gyro_unit="rad/s"))
+    assert [f.cause for f in axis.findings] == ["bias_step", "bias_step"]
+    found = sorted(axis.findings, key=lambda f: f.parameters["time"].value)
+    for finding, time, amplitude in zip(found, (there, back), (0.35, -0.35), strict=True):
+        for name, truth in (("time", time * n / RATE), ("amplitude", amplitude)):
+            q = finding.parameters[name]
+            assert abs(q.value - truth) < 4.0 * q.std, name
+        assert finding.gain > 0.0
+    assert all(term.deterministic for term in axis.model.without(["angle_random_walk"]).terms)
+
+
+# --- Noise that is louder for a while -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("white", 3), ("all", 4)])
+def test_which_noise_is_louder_and_by_how_much(kind, seed):
+    """White noise under five times as much quantization noise; or all of it grows."""
+    n, rng = 60_000, np.random.default_rng(seed)
+    k = np.arange(n)
+    inside = (k >= 20_000) & (k < 35_000)
+    ratio = 1.3 if kind == "white" else 1.06
+    if kind == "white":
+        x = quantized(n, rng, 0.0) + 0.2 * np.where(inside, ratio, 1.0) * rng.standard_normal(n)
+    else:
+        x = np.where(inside, ratio, 1.0) * quantized(n, rng, 0.2)
+    candidate = VarianceChange().detect(view_of(x))
+    assert candidate.parameters["noise"].value == (kind,)
+    assert candidate.held_out() > 0.0
+    for name, truth in (("start", 20_000 / RATE), ("end", 35_000 / RATE), ("ratio", ratio)):
+        q = candidate.parameters[name]
+        assert abs(q.value - truth) < 4.0 * q.std, name
+    # Taken out, nothing of it is left.
+    assert VarianceChange().p_value(candidate.after) > 0.01
+
+
+def test_a_change_that_lasts_ends_with_the_record():
+    n, rng = 40_000, np.random.default_rng(5)
+    x = np.where(np.arange(n) >= 25_000, 1.08, 1.0) * rng.standard_normal(n)
+    found = VarianceChange().detect(view_of(x)).parameters
+    assert found["end"].value == n / RATE
+    assert abs(found["start"].value - 25_000 / RATE) < 4.0 * found["start"].std
+    assert found["ratio"].value > 1.0
+
+
+# --- Spikes -------------------------------------------------------------------------------------------------
+
+
+def test_the_ends_of_a_quantized_record_are_no_outliers():
+    """Their scores, in 300 records: as often beyond 3.3 σ as in a normal law (0.58 expected of two ends)."""
+    rng, far, uncorrected = np.random.default_rng(6), 0, 0
+    for _ in range(300):
+        view = view_of(quantized(512, rng, 0.1))
+        plain = view.spikes[0] / view.spikes[1]
+        ends = [0, -1]
+        far += int(np.sum(abs(_scores(view, view.spikes[1])[ends]) > 3.3))
+        uncorrected += int(np.sum(abs(plain[ends]) > 3.3))
+    assert far <= 4
+    # Else the test would show nothing.
+    assert uncorrected > 15
+
+
+def test_neighbours_of_an_outlier_are_found_with_it():
+    rng = np.random.default_rng(7)
+    x = rng.standard_normal(20_000)
+    x[[5000, 5001, 12_000]] += [60.0, 35.0, -20.0]
+    (axis,) = critique(aj.Recording.from_array(x, RATE, names=["gyro_x"], gyro_unit="rad/s"))
+    assert [f.cause for f in axis.findings] == ["outliers"]
+    assert axis.findings[0].parameters["times"].value == pytest.approx([100.0, 100.02, 240.0])
+
+
+# --- Bumps --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [3000, 60_000])
+def test_the_most_conspicuous_bump_has_a_uniform_p_value(n):
+    """300 records of independent coefficients; a share below 5 % of 0.05 ± 3 standard errors."""
+    rng = np.random.default_rng(8)
+    p = [_conspicuous(rng.standard_normal(n) ** 2)[2] for _ in range(300)]
+    assert kstest(p, "uniform").pvalue > 1e-3
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=3.0 * np.sqrt(0.05 * 0.95 / 300))
+
+
+# --- Sets of terms ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("allowed", [EVERYTHING, ("quantization", "angle_random_walk", "rate_random_walk")])
+def test_the_chosen_set_is_the_best_of_all_sets(seed, allowed):
+    """Against the evidence of every set carried to its maximum."""
+    rng = np.random.default_rng(seed)
+    x = quantized(5000, rng) + np.cumsum(0.01 * rng.standard_normal(5000))
+    view = view_of(x, allowed)
+    family, weighing = view.family, view.weighing
+    grid = family.columns[len(FIXED) :]
+    share = np.ones((1, len(family.size)))
+    every = evidences(family.jobs, weighing.levels, family.columns[: len(FIXED)], grid, family.size, share)
+    possible = ~family.jobs.ramp if RAMP not in allowed else np.ones(len(family.jobs.ramp), bool)
+    for i, name in enumerate((*FIXED, MARKOV)):
+        possible &= ~family.jobs.terms[:, i] if name not in allowed else True
+    values = {}
+    for k in np.flatnonzero(possible):
+        key = (*family.jobs.terms[k], family.jobs.ramp[k])
+        values.setdefault(key, []).append(every.log_evidence[0][k])
+    best = max(np.logaddexp.reduce(v) - np.log(len(v)) for v in values.values())
+    assert view.noise.log_evidence == pytest.approx(best, abs=1e-3)
