@@ -50,7 +50,10 @@ class _Kind:
             if isinstance(share, float)
             else in_time(np.sqrt(share) * view.c / np.sqrt(view.variance()))
         )
-        squares = np.where(view.restored, np.mean(u**2), u**2)
+        squares = u**2
+        # Samples that were drawn anew have the right variance, but not the record's ends behind a filter.
+        known = np.flatnonzero(~view.restored)
+        squares[: known[0]] = squares[known[-1] + 1 :] = np.mean(squares[known[0] : known[-1] + 1])
         worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
         blocks = min(_BLOCKS, view.n // 16)
         edges = np.rint(np.arange(blocks + 1) * view.n / blocks)
