@@ -1,5 +1,6 @@
 """How single causes judge: pairs of steps, noise that is louder for a while, spikes, bumps, sets of terms."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -13,7 +14,7 @@ from allanjax.critique.causes.resonance import _conspicuous
 from allanjax.critique.causes.variance_change import VarianceChange
 from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critique.pair import best_pair
-from allanjax.critique.search import search
+from allanjax.critique.search import Step, _grouped, search
 from allanjax.critique.view import EVERYTHING, View
 from allanjax.evidence import evidences
 from allanjax.recording import Axis
@@ -137,6 +138,24 @@ def test_neighbours_of_an_outlier_are_found_with_it():
     assert found.p_value < 1e-6 < found.held_out()
     # Nothing is left of them.
     assert Outliers().detect(found.after) is None
+
+
+def test_outliers_that_come_to_light_one_after_the_other_are_one_finding():
+    rng = np.random.default_rng(9)
+    steps = []
+    for places in ([3000, 20_000], [10_000]):
+        x = rng.standard_normal(N)
+        x[places] += 20.0
+        view = view_of(x)
+        candidate = Outliers().detect(view)
+        steps.append(Step(candidate, candidate.held_out(), (), view))
+    between = Step(Outliers().detect(view), 1.0, (), view)
+    between = dataclasses.replace(between, candidate=dataclasses.replace(between.candidate, cause="warm_up"))
+    one, other = _grouped([steps[0], between, steps[1]])
+    assert other is between
+    assert one.candidate.parameters["times"].value == pytest.approx([60.0, 200.0, 400.0])
+    assert one.candidate.parameters["count"].value == 3
+    assert one.gain == steps[0].gain + steps[1].gain
 
 
 # --- Bumps --------------------------------------------------------------------------------------------------

@@ -139,34 +139,21 @@ def _chosen(candidates: Sequence[tuple[Cause, Candidate]], view: View, alpha: fl
 
 
 def _grouped(steps: Sequence[Step]) -> list[Step]:
-    """Harmonics of one fundamental together: their frequencies are multiples of it within their errors."""
-    lines = [s for s in steps if s.candidate.cause == "sinusoid"]
-    taken: set[int] = set()
-    grouped = []
-    for step in steps:
-        if id(step) in taken:
-            continue
-        if step in lines:
-            f = step.candidate.parameters["frequency"]
-            family = [
-                s for s in lines if id(s) not in taken and _harmonic(f, s.candidate.parameters["frequency"])
-            ]
-            lowest = min([step, *family], key=lambda s: _number(s.candidate.parameters["frequency"]))
-            members = [
-                s
-                for s in lines
-                if id(s) not in taken
-                and (
-                    s is lowest
-                    or _harmonic(
-                        lowest.candidate.parameters["frequency"], s.candidate.parameters["frequency"]
-                    )
-                )
-            ]
-            taken |= {id(s) for s in members}
-            grouped.append(_with_harmonics(lowest, [s for s in members if s is not lowest]))
+    """Harmonics of one fundamental together, and outliers that came to light one after the other."""
+    left, grouped = list(steps), []
+    while left:
+        first, others = left[0], []
+        if first.candidate.cause == "sinusoid":
+            family = [s for s in left if s is first or _harmonic(first, s)]
+            first = min(family, key=lambda s: _number(s.candidate.parameters["frequency"]))
+            others = [s for s in left if s is not first and _harmonic(first, s)]
+            grouped.append(_with_harmonics(first, others) if others else first)
+        elif first.candidate.cause == "outliers":
+            others = [s for s in left[1:] if s.candidate.cause == "outliers"]
+            grouped.append(_with_outliers(first, others) if others else first)
         else:
-            grouped.append(step)
+            grouped.append(first)
+        left = [s for s in left if s is not first and s not in others]
     return grouped
 
 
@@ -174,25 +161,41 @@ def _number(q: Quantity) -> float:
     return float(np.asarray(q.value))
 
 
-def _harmonic(one: Quantity, other: Quantity) -> bool:
-    """Whether the higher frequency is a small multiple of the lower one."""
-    low, high = sorted([one, other], key=_number)
+def _harmonic(one: Step, other: Step) -> bool:
+    """Whether these are lines, and the higher frequency is a small multiple of the lower one."""
+    if one is other or {one.candidate.cause, other.candidate.cause} != {"sinusoid"}:
+        return False
+    low, high = sorted((s.candidate.parameters["frequency"] for s in (one, other)), key=_number)
     order = np.rint(_number(high) / _number(low))
     error = 4.0 * np.hypot(high.std, order * low.std)
     return bool(2 <= order <= 20 and abs(_number(high) - order * _number(low)) < error)
 
 
 def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
-    if not others:
-        return step
     f = _number(step.candidate.parameters["frequency"])
     orders = tuple(float(np.rint(_number(s.candidate.parameters["frequency"]) / f)) for s in others)
     amplitudes = tuple(_number(s.candidate.parameters["amplitude"]) for s in others)
     own = step.candidate.parameters["amplitude"]
-    extra = {
-        "harmonics": Quantity(orders, 0.0, "1"),
-        "harmonic_amplitudes": Quantity(amplitudes, own.std, own.unit),
-    }
+    return _together(
+        step,
+        others,
+        {
+            "harmonics": Quantity(orders, 0.0, "1"),
+            "harmonic_amplitudes": Quantity(amplitudes, own.std, own.unit),
+        },
+    )
+
+
+def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
+    own = step.candidate.parameters
+    found = [np.atleast_1d(s.candidate.parameters["times"].value) for s in (step, *others)]
+    times = tuple(np.sort(np.concatenate(found).astype(float)).tolist())
+    count = dataclasses.replace(own["count"], value=float(len(times)))
+    return _together(step, others, {"count": count, "times": dataclasses.replace(own["times"], value=times)})
+
+
+def _together(step: Step, others: Sequence[Step], parameters: Mapping[str, Quantity]) -> Step:
+    """Several findings as one, with these parameters changed or added."""
 
     def extend(model: Model) -> Model:
         for s in (step, *others):
@@ -201,7 +204,7 @@ def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
 
     candidate = dataclasses.replace(
         step.candidate,
-        parameters={**step.candidate.parameters, **extra},
+        parameters={**step.candidate.parameters, **parameters},
         gain=step.candidate.gain + sum(s.candidate.gain for s in others),
         extend=extend,
     )
