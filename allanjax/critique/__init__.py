@@ -46,7 +46,8 @@ def critique(
         fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
             are causes too; if they were chosen, the choice is made anew with every finding.
         causes: what to look for; by default `allanjax.critique.causes.CAUSES`.
-        false_alarms: probability that a recording without any effect has a finding.
+        false_alarms: probability that a recording without any effect has a finding. Basic terms that a
+            given model lacks are judged by their evidence (`Cause.margin`) and need a p-value below 0.01.
         progress: is told what is being done.
 
     Raises:
