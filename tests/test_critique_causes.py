@@ -193,3 +193,19 @@ def test_the_chosen_set_is_the_best_of_all_sets(seed, allowed):
         values.setdefault(key, []).append(every.log_evidence[0][k])
     best = max(np.logaddexp.reduce(v) - np.log(len(v)) for v in values.values())
     assert view.noise.log_evidence == pytest.approx(best, abs=1e-3)
+
+
+# --- Ramps --------------------------------------------------------------------------------------------------
+
+
+def test_a_ramp_that_the_noise_has_is_no_part_of_the_residuals():
+    """Left in, it would make them louder at the record's ends: by half for this one."""
+    n, rng = N, np.random.default_rng(10)
+    white = rng.standard_normal(n)
+    view = view_of(white + 2.4 * np.linspace(-0.5, 0.5, n), ("angle_random_walk", RAMP))
+    assert view.noise.terms == ("angle_random_walk", RAMP)
+    ends = np.abs(np.linspace(-1.0, 1.0, n)) > 0.9
+    # Against the true white noise, whose two estimated parameters are known to n^(−1/2).
+    assert np.mean(view.e[ends] ** 2) == pytest.approx(np.mean(white[ends] ** 2), rel=0.02)
+    assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
+    assert VarianceChange().p_value(view) > 0.01

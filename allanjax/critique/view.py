@@ -137,17 +137,22 @@ class View:
             total += predictive(self.c, self.variance(noise), ~fold)
         return total
 
+    @property
+    def residual(self) -> Float[np.ndarray, " n-1"]:
+        """Cosine coefficients of x without the ramp that the noise has."""
+        return self.c - self.slope * self.family.ramp if self.noise.ramp else self.c
+
     @functools.cached_property
     def e(self) -> Float[np.ndarray, " n"]:
         """Whitened residuals in time order: independent and standard normal if the model is right."""
-        return in_time(self.c / np.sqrt(self.variance()))
+        return in_time(self.residual / np.sqrt(self.variance()))
 
     @functools.cached_property
     def spikes(self) -> tuple[Float[np.ndarray, " n"], float]:
         """What each sample is above its best prediction from all others [SI], and that one's error."""
         v = self.variance()
         precision = float(np.mean(1.0 / v))
-        return in_time(self.c / v) / precision, float(1.0 / np.sqrt(precision))
+        return in_time(self.residual / v) / precision, float(1.0 / np.sqrt(precision))
 
     def with_x(self, x: Float[np.ndarray, " n"]) -> View:
         """The view of other samples."""
@@ -165,9 +170,10 @@ class View:
         return dataclasses.replace(self, allowed=tuple(terms))
 
     def recoloured(self, e: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The samples whose whitened residuals are e."""
+        """The samples whose whitened residuals are e, with the ramp that x has."""
         c = dct(e, norm="ortho", workers=-1)
         c[1:] *= np.sqrt(self.variance())
+        c[1:] += self.c - self.residual
         c[0] = np.sqrt(self.n) * self.x.mean()
         return idct(c, norm="ortho", workers=-1)
 

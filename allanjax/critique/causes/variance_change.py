@@ -48,7 +48,7 @@ class _Kind:
         u = (
             view.e
             if isinstance(share, float)
-            else in_time(np.sqrt(share) * view.c / np.sqrt(view.variance()))
+            else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
         )
         squares = u**2
         # Samples that were drawn anew have the right variance, but not the record's ends behind a filter.
@@ -111,7 +111,7 @@ class VarianceChange(Cause):
         ratio = float(np.sqrt(1.0 + excess))
         # d ratio = d excess / (2 ratio); the ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
         std = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m)))) / (2.0 * ratio)
-        quieter = in_time(view.c / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
+        quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
         after = view.with_x(view.recoloured(np.where(inside, quieter, view.e)))
         return Candidate(
             self.name,
