@@ -4,6 +4,9 @@ The critic is handed the samples, what was recorded beside them, and units. Seed
 `benchmarks/critic.py` does the same for many records.
 """
 
+import dataclasses
+import importlib
+
 import numpy as np
 import pytest
 from hidden_effects import draw
@@ -51,6 +54,26 @@ def test_a_hidden_effect_is_named_and_measured(cause):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_clean_record_has_no_finding(seed):
     assert critique(recording_of(draw(seed, None, **SMALL))).findings == ()
+
+
+def test_a_record_that_no_fit_converges_on_is_criticized_all_the_same(monkeypatch):
+    """An effect may be the reason; where the terms are chosen the critic does not need the fit."""
+    critic = importlib.import_module("allanjax.critique.critic")
+    recording = recording_of(draw(0, "sinusoid", 4.0, **SMALL))
+
+    def failing(recording, **options):
+        fit = aj.fit(recording, **options)
+        failed = [dataclasses.replace(r, converged=False, reason="no luck") for r in fit.results]
+        return dataclasses.replace(fit, results=tuple(failed))
+
+    monkeypatch.setattr(critic, "fit_recording", failing)
+    (axis,) = found = critique(recording)
+    assert [f.cause for f in axis.findings] == ["sinusoid"]
+    assert "angle_random_walk" in axis.baseline.term_labels
+    assert any("no luck" in note for note in found.notes)
+    # A fit that was given is meant.
+    with pytest.raises(aj.FitError, match="no luck"):
+        critique(recording, failing(recording))
 
 
 class Hump(Cause):

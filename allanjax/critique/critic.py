@@ -21,7 +21,7 @@ from allanjax.critique.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critique.search import Search, Step, extended, search, view_of
+from allanjax.critique.search import Search, Step, basic_model, extended, search, view_of
 from allanjax.critique.view import Cause, Quantity, View
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.fit import fit as fit_recording
@@ -56,6 +56,7 @@ def criticize(
         raise FitError(
             f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
         )
+    given = fit is not None
     if fit is None:
         tell("fitting the noise model")
         fit = fit_recording(recording)
@@ -67,7 +68,7 @@ def criticize(
             f"the fit is of {', '.join(fit.axes)}, the recording has {', '.join(recording.names)}"
         )
     for result in fit:
-        if not result.converged:
+        if given and not result.converged:
             raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
     # One share for each kind of cause and axis, and one for what axes have in common.
     kinds = len({type(cause) for cause in causes}) + 1
@@ -123,7 +124,8 @@ def criticize(
             after,
             s.tests,
             stages[k],
-            fit.results[k].model,
+            # The search needs no fit where the terms are chosen, and an effect may be why there is none.
+            fit.results[k].model if fit.results[k].converged else basic_model(s.start),
             extended(s),
         )
 
@@ -135,7 +137,15 @@ def criticize(
         fit,
         axes,
         shared,
-        (*fit.notes, *(note for s in searches for note in s.undecided)),
+        (
+            *fit.notes,
+            *(
+                f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence"
+                for r in fit
+                if not r.converged
+            ),
+            *(note for s in searches for note in s.undecided),
+        ),
     )
 
 

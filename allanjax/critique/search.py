@@ -272,12 +272,15 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
     return y + x.mean()
 
 
+def basic_model(view: View) -> Model:
+    """The basic terms of a view, with their values."""
+    model = view.noise.model()
+    return model + DriftRamp(abs(view.slope)) if view.noise.ramp else model
+
+
 def extended(search: Search) -> Model:
     """The model of an axis with all findings in it."""
-    noise = search.end.noise
-    model = noise.model()
-    if noise.ramp:
-        model = model + DriftRamp(abs(search.end.slope))
+    model = basic_model(search.end)
     for step in search.steps:
         model = step.candidate.extend(model)
     return model
