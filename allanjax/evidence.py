@@ -25,7 +25,7 @@ from allanjax.linalg import inverse, whiten
 
 _DECADES = np.log1p(1e4)
 #: Steps of scoring to the maximum; after the few of `ROUGH` sets that matter can be told from others.
-STEPS, ROUGH = 20, 6
+STEPS, ROUGH = 20, 3
 _SWEEPS = 40
 _QUADRATURE = 96
 # Sets looked at together.

@@ -44,7 +44,7 @@ def test_two_shapes_are_the_best_of_all_pairs():
     x = rng.standard_normal(n) + 2.5 * (k >= 90) - 2.2 * (k >= 150)
     places = np.arange(4.0, n - 3.0, 4.0)
     power = {"angle_random_walk": 1.0 / RATE}
-    noise = Noise(power, float("nan"), False, 0.0, family_of(n, RATE).expected(power, -1))
+    noise = Noise(power, float("nan"), False, 0.0, family_of(n, RATE), -1)
     pair = best_pair(Bank(step_coefficients(places, n, n - 1)), view_of(x), noise)
 
     def fitted(i, j):

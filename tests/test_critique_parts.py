@@ -84,7 +84,7 @@ def test_the_bank_is_generalized_least_squares(ramp):
     rng = np.random.default_rng(3)
     x = simulated(N, 1, rng)[0] + 0.05 * np.arange(N)
     places = np.array([10, 50, 64, 100])
-    noise = Noise(POWERS, float("nan"), ramp, 0.0, family_of(N, RATE).expected(POWERS, -1))
+    noise = Noise(POWERS, float("nan"), ramp, 0.0, family_of(N, RATE), -1)
     scan = Bank(step_coefficients(places, N, N - 1)).scan(view_of(x), noise)
     inverse = np.linalg.inv(dense(N) + 1e3 * np.ones((N, N)))
     nuisance = [np.ones(N), np.arange(N) / N][: 1 + ramp]

@@ -14,6 +14,7 @@ import functools
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import idct
+from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
@@ -77,14 +78,15 @@ class Bank:
         if noise.ramp:
             ramp = view.family.ramp[:J] / root
             ramp = ramp / np.linalg.norm(ramp)
-            bank = bank - np.outer(bank @ ramp, ramp)
+            # In place: another array of this size would cost more than the sums.
+            bank = dger(-1.0, ramp, bank @ ramp, a=bank.T, overwrite_a=True).T
             e = e - (e @ ramp) * ramp
         return bank, e
 
     def scan(self, view: View, noise: Noise) -> Scan:
         """Every shape's matched filter."""
         bank, e = self.whitened(view, noise)
-        norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
+        norms = lengths(bank)
         projected = bank @ e
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
@@ -111,10 +113,15 @@ class Bank:
         if snr is None:
             snr = float(np.max(abs(self.scan(view, noise).snr)))
         bank, _ = self.whitened(view, noise)
-        gamma = bank / np.maximum(np.linalg.norm(bank, axis=1, keepdims=True), 1e-300)
         # Seven digits are plenty for draws, and half the work.
-        draws = np.random.default_rng(0).standard_normal((gamma.shape[1], _DRAWS), np.float32)
-        return extrapolated(abs(gamma.astype(np.float32) @ draws).max(axis=0).astype(float), abs(snr))
+        draws = np.random.default_rng(0).standard_normal((bank.shape[1], _DRAWS), np.float32)
+        outputs = bank.astype(np.float32) @ draws
+        return extrapolated(np.max(abs(outputs) / lengths(bank)[:, None], axis=0), abs(snr))
+
+
+def lengths(bank: Float[np.ndarray, "shapes slow"]) -> Float[np.ndarray, " shapes"]:
+    """Of each whitened shape."""
+    return np.sqrt(np.maximum(np.einsum("ij,ij->i", bank, bank), 1e-300))
 
 
 def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:

@@ -48,14 +48,21 @@ class Noise:
         shape: correlation time [s] or exponent of the term that has one, nan if there is none.
         ramp: whether a ramp was projected out.
         log_evidence: of the record under this set [nats], up to a constant common to all sets.
-        variance: expected squared cosine coefficients c_1 … c_{n−1} [rate²].
+        family: of which it is a set.
+        index: place of the shape in its grid.
     """
 
     power: dict[str, float]
     shape: float
     ramp: bool
     log_evidence: float
-    variance: Float[np.ndarray, " n-1"]
+    family: NoiseFamily
+    index: int
+
+    @functools.cached_property
+    def variance(self) -> Float[np.ndarray, " n-1"]:
+        """Expected squared cosine coefficients c_1 … c_{n−1} [rate²]."""
+        return self.family.expected(self.power, self.index)
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -114,15 +121,22 @@ class NoiseFamily:
 
         With a `fold` only its coefficients are looked at.
         """
-        weight, constant = 1.0 if fold is None else fold.astype(float), 0.0
+        return self.behind(factor, fold).weigh(c)
+
+    def behind(
+        self, factor: Float[np.ndarray, " n-1"] | None = None, fold: Bool[np.ndarray, " n-1"] | None = None
+    ) -> Behind:
+        """To weigh all sets for any record whose spectrum is theirs times `factor`."""
+        weight, constant, size = None if fold is None else fold.astype(float), 0.0, self.size
+        if weight is not None:
+            size = self.bins.sums(weight)[self.keep]
         if factor is not None:
-            constant = -0.5 * float(np.sum(weight * np.log(factor)))
-            weight = weight / factor
-        ramp = weight * self.ramp
-        products = weight * c**2, ramp * c, ramp * self.ramp
-        sums = (self.bins.sums(z)[self.keep][None] for z in products)
-        size = self.size if fold is None else self.bins.sums(fold.astype(float))[self.keep]
-        return Weighing(self, Levels(*sums), size, constant)
+            log = np.log(factor)
+            constant = -0.5 * float(log.sum() if fold is None else log.sum(where=fold))
+            weight = 1.0 / factor if weight is None else weight / factor
+        ramp = self.ramp if weight is None else weight * self.ramp
+        gram = self.bins.sums(ramp * self.ramp)[self.keep]
+        return Behind(self, weight, ramp, gram, size, constant)
 
     def slope(
         self,
@@ -171,6 +185,27 @@ class NoiseFamily:
         single = int(np.sum(np.cumprod(self.size == 1.0)))
         variance[:single] = low[:single]
         return variance
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Behind:
+    """What weighing records needs that does not depend on them: a factor of the spectrum, a fold."""
+
+    family: NoiseFamily
+    weight: Float[np.ndarray, " n-1"] | None
+    ramp: Float[np.ndarray, " n-1"]
+    gram: Float[np.ndarray, " m"]
+    size: Float[np.ndarray, " m"]
+    constant: float
+
+    def weigh(self, c: Float[np.ndarray, " n-1"]) -> Weighing:
+        """The statistics of the record with these coefficients."""
+        squares = c * c
+        if self.weight is not None:
+            squares *= self.weight
+        found = (self.family.bins.sums(z)[self.family.keep] for z in (squares, self.ramp * c))
+        levels = Levels(*(z[None] for z in (*found, self.gram)))
+        return Weighing(self.family, levels, self.size, self.constant)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -228,8 +263,8 @@ class Weighing:
         if grid in power:
             values_of = _EXPONENTS if grid == POWER_LAW else self.family.times
             shape = float(values_of[jobs.column[k]])
-        variance = self.family.expected(power, int(jobs.column[k]))
-        return Noise(power, shape, bool(jobs.ramp[k]), float(total[k]) + self.constant, variance)
+        log_evidence = float(total[k]) + self.constant
+        return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
 
     def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
         jobs = self.family.jobs

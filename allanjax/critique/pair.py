@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.critique.bank import Bank
+from allanjax.critique.bank import Bank, lengths
 from allanjax.critique.noise import Noise
 from allanjax.critique.view import View
 
@@ -50,12 +50,12 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
     if near is None:
         best = int(np.argmax(coarse))
         near = int(some[i[best]]), int(some[j[best]])
-    first, _ = _beside(shapes, e, near[1])
-    second, price = _beside(shapes, e, first)
-    price += _beside(shapes, e, second)[1] - np.log(2.0)
-    chosen = shapes[[first, second]]
-    gram, p = chosen @ chosen.T, chosen @ e
-    covariance = np.linalg.pinv(gram)
+    own, p = lengths(shapes) ** 2, shapes @ e
+    first, _ = _beside(shapes, own, p, near[1])
+    second, price = _beside(shapes, own, p, first)
+    price += _beside(shapes, own, p, second)[1] - np.log(2.0)
+    chosen, p = shapes[[first, second]], p[[first, second]]
+    covariance = np.linalg.pinv(chosen @ chosen.T)
     amplitude = covariance @ p
     # Where both are located more sharply than the coarse pairs are apart, one after the other tells better.
     among = 0.5 * float(p @ amplitude) - float(np.logaddexp.reduce(coarse)) + np.log(len(coarse))
@@ -77,12 +77,17 @@ def _gains(
 
 
 def _beside(
-    shapes: Float[np.ndarray, "shapes slow"], e: Float[np.ndarray, " slow"], other: int
+    shapes: Float[np.ndarray, "shapes slow"],
+    own: Float[np.ndarray, " shapes"],
+    p: Float[np.ndarray, " shapes"],
+    other: int,
 ) -> tuple[int, float]:
-    """The shape that explains most where another one may be of any size, and what not knowing it costs."""
-    unit = shapes[other] / np.linalg.norm(shapes[other])
-    left = shapes - np.outer(shapes @ unit, unit)
-    norms = np.linalg.norm(left, axis=1)
-    clear = norms > _CLEAR * norms.max()
-    half = 0.5 * np.where(clear, left @ e / np.maximum(norms, 1e-300), 0.0) ** 2
+    """The shape that explains most where another one may be of any size, and what not knowing it costs.
+
+    `own` are the shapes' squares, `p` their products with the record.
+    """
+    common = shapes @ shapes[other] / own[other]
+    left = np.maximum(own - common**2 * own[other], 0.0)
+    clear = left > _CLEAR**2 * left.max()
+    half = np.where(clear, 0.5 * (p - common * p[other]) ** 2 / np.where(clear, left, 1.0), 0.0)
     return int(np.argmax(half)), float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))

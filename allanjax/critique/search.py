@@ -21,6 +21,9 @@ from allanjax.terms import DriftRamp
 _ODDS = 1000.0
 _MOST = 8
 _CERTAIN = 1e-6
+# What gains as much [nats] as this, and so many times what another cause last had to offer, is before it
+# whatever has become of that.
+_AHEAD, _TIMES = 30.0, 4.0
 _TOO_MANY = 0.5
 
 
@@ -75,7 +78,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     for cause in (c for c in causes if c.of_samples):
         candidate = cause.detect(view)
         if candidate is not None and candidate.p_value < alpha and (gain := candidate.held_out()) > 0.0:
-            steps.append(Step(candidate, gain, (), view))
+            steps.append(_step(candidate, gain, (), view))
             view = candidate.after
     restored = bool(steps)
     # Of a record that was mostly filled in nothing else is said.
@@ -83,13 +86,16 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
     active = others
     undecided: tuple[str, ...] = ()
+    # What each cause gained when it was last asked.
+    offered = dict.fromkeys(others, np.inf)
     while len(steps) < _MOST:
-        candidates = []
-        for cause in active:
-            progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
-            if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
-                candidates.append((cause, candidate))
+        candidates, left = _candidates(view, active, offered, progress)
         step = _chosen(candidates, view, alpha)
+        if step is None and left:
+            offered.update(dict.fromkeys(left, np.inf))
+            more, left = _candidates(view, left, offered, progress)
+            candidates += more
+            step = _chosen(candidates, view, alpha)
         if step is None:
             if active is others:
                 texts = (_undecided(candidate, view) for _, candidate in candidates)
@@ -99,13 +105,35 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             continue
         for part in step.candidate.parts or (step.candidate,):
             gain = part.held_out() if step.candidate.parts else step.gain
-            after = dataclasses.replace(part.after, found=(*view.found, part.cause))
-            part = dataclasses.replace(part, after=after)
-            steps.append(Step(part, gain, step.rivals, view))
-            view = after
+            steps.append(_step(part, gain, step.rivals, view))
+            view = part.after.having(part.cause)
         # What had nothing to say is asked again when the others have finished.
-        active = [cause for cause, _ in candidates]
-    return Search(start, tuple(_grouped(steps)), view, tests, undecided, restored)
+        active = [*(cause for cause, _ in candidates), *left]
+    return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, undecided, restored)
+
+
+def _step(candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
+    """A step that keeps no more than is needed of it."""
+    candidate = dataclasses.replace(candidate, after=candidate.after.light(), held_out=lambda: gain)
+    return Step(candidate, gain, tuple(rivals), view.light())
+
+
+def _candidates(
+    view: View, causes: Sequence[Cause], offered: dict[Cause, float], progress: Callable[[str], None]
+) -> tuple[list[tuple[Cause, Candidate]], list[Cause]]:
+    """What the causes offer in this view; and those left that were far behind when they were last asked."""
+    left = sorted(causes, key=lambda cause: -offered[cause])
+    candidates: list[tuple[Cause, Candidate]] = []
+    most = 0.0
+    while left and most < max(_AHEAD, _TIMES * offered[left[0]]):
+        cause = left.pop(0)
+        progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
+        candidate = cause.detect(view)
+        offered[cause] = 0.0 if candidate is None else max(float(candidate.gain), 0.0)
+        if candidate is not None and offered[cause] > 0.0:
+            candidates.append((cause, candidate))
+            most = max(most, offered[cause])
+    return candidates, left
 
 
 def _undecided(candidate: Candidate, view: View) -> str:

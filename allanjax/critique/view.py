@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 from abc import ABC, abstractmethod
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
-from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, Weighing, centred
+from allanjax.critique.noise import FIXED, MARKOV, RAMP, Behind, Noise, NoiseFamily, Weighing, centred
 from allanjax.model import Model
 from allanjax.recording import Axis
 
@@ -86,7 +87,11 @@ class View:
     @functools.cached_property
     def weighing(self) -> Weighing:
         """Of the sets of basic terms, for x."""
-        return self.family.of(self.c, self.factor)
+        return self._behind.weigh(self.c)
+
+    @functools.cached_property
+    def _behind(self) -> Behind:
+        return self.family.behind(self.factor)
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -156,13 +161,27 @@ class View:
 
     def with_x(self, x: Float[np.ndarray, " n"]) -> View:
         """The view of other samples."""
-        return dataclasses.replace(self, x=x)
+        view = dataclasses.replace(self, x=x)
+        vars(view)["_behind"] = self._behind
+        return view
 
     def behind(self, factor: Float[np.ndarray, " n-1"]) -> View:
         """The view of a spectrum with a further factor."""
         view = dataclasses.replace(self, factor=self.combined(factor))
         # The coefficients are what they were: a transform saved.
         vars(view)["c"] = self.c
+        return view
+
+    def having(self, cause: str) -> View:
+        """The same view, for which a cause has been found."""
+        view = copy.copy(self)
+        vars(view)["found"] = (*self.found, cause)
+        return view
+
+    def light(self) -> View:
+        """The same view without what it has at hand but could compute anew; the noise stays."""
+        view = dataclasses.replace(self)
+        vars(view)["noise"] = dataclasses.replace(self.noise)
         return view
 
     def allowing(self, terms: Collection[str]) -> View:

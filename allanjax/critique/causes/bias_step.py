@@ -30,8 +30,9 @@ class BiasStep(Cause):
         bank, places = step_bank(view.n)
         found = self._one(view, bank, places, 0.0)
         if found is None or found.gain < _SURE:
-            both = self._two(view, bank, places)
-            if both is not None and (found is None or both.gain > max(found.gain, 0.0) + self.margin):
+            least = 0.0 if found is None else max(found.gain, 0.0) + self.margin
+            both = self._two(view, bank, places, least)
+            if both is not None:
                 return both
         if found is None:
             return None
@@ -63,9 +64,12 @@ class BiasStep(Cause):
             lambda k, a: _term(view, places[k], a),
         )
 
-    def _two(self, view: View, bank: Bank, places: np.ndarray) -> Candidate | None:
-        """Two steps that are nothing without each other: there and back, or one on top of the other."""
-        gain = 0.0
+    def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
+        """Two steps that are nothing without each other: there and back, or one on top of the other.
+
+        None if they gain no more than the `least`.
+        """
+        gain = least
         for noise in view.noises:
             moved = best_pair(bank, view, noise)
             for _ in range(_ROUNDS):
@@ -81,7 +85,7 @@ class BiasStep(Cause):
             gained -= sum(amplitude_price(float(snr)) for snr in pair.snr)
             if gained > gain:
                 gain, best = gained, (pair, both, after)
-        if gain == 0.0:
+        if gain == least:
             return None
         pair, both, after = best
         first = self._beside(view, bank, places, pair.members[0], both, after)

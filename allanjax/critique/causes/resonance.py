@@ -78,7 +78,7 @@ class Resonance(Cause):
             float(gain),
             p_value,
             after,
-            lambda: _held_out(view, theta, width),
+            lambda: _held_out(view, after, theta, width),
             (max(f0 - 2.0 * half, 0.0), min(f0 + 2.0 * half, view.rate / 2.0)),
             "frequency",
             lambda model: model + terms.Resonance(float(amplitude), float(f0), float(Q)),
@@ -220,17 +220,16 @@ def _maximum(
     return theta, jax.hessian(loss)(theta)
 
 
-def _held_out(view: View, theta: Float[np.ndarray, " 3"], width: float) -> float:
-    """Gain on every other coefficient by the bump fitted to the others, both ways."""
+def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: float) -> float:
+    """Gain on every other coefficient by the bump fitted to the others, both ways.
+
+    It is sought from where all of them have it, and in the noise that the others show behind that one.
+    """
     gain = -view.foretold
     for fold in coefficient_folds(view.n):
-        noise = view.family.of(view.c, view.factor, fold).best(view.allowed)
-        v = view.variance(noise)
-        for _ in range(2):
-            found, _ = _fitted(view.c, v, theta[:2], width, view.rate, fold)
-            factor = 1.0 + _density(found, view) / v
-            whole = view.combined(factor)
-            noise = view.family.of(view.c, whole, fold).best(view.allowed)
-            v = view.variance(noise)
-        gain += predictive(view.c, v * factor, ~fold)
+        v = view.variance(view.family.of(view.c, after.factor, fold).best(view.allowed))
+        found, _ = _fitted(view.c, v, theta[:2], width, view.rate, fold)
+        factor = 1.0 + _density(found, view) / v
+        noise = view.family.of(view.c, view.combined(factor), fold).best(view.allowed)
+        gain += predictive(view.c, view.variance(noise) * factor, ~fold)
     return gain

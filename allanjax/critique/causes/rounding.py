@@ -26,6 +26,9 @@ class Rounding(Cause):
         q = lattice(view.raw)
         if q is None or not np.array_equal(view.x, view.raw):
             return None
+        # No noise has less than half of its differences' variance around its local mean.
+        if q < HARMLESS * 0.5 * float(np.std(np.diff(view.x))):
+            return None
         x, sigma = imputed(view.x, view.x - q / 2.0, view.x + q / 2.0, len(view.x))
         if q < HARMLESS * sigma:
             return None
