@@ -144,7 +144,7 @@ def criticize(
                 for r in fit
                 if not r.converged
             ),
-            *(note for s in searches for note in s.undecided),
+            *(note for s in searches for note in s.notes),
         ),
     )
 

@@ -21,8 +21,8 @@ from allanjax.terms import DriftRamp
 _ODDS = 1000.0
 _MOST = 8
 _CERTAIN = 1e-6
-# What gains as much [nats] as this, and so many times what another cause last had to offer, is before it
-# whatever has become of that.
+# What gains so much [nats], and so many times what a cause of the other domain offered before something else
+# was found in the spectrum, is before it whatever has become of that.
 _AHEAD, _TIMES = 30.0, 4.0
 _TOO_MANY = 0.5
 
@@ -53,7 +53,7 @@ class Search:
         steps: the findings in their order.
         end: the axis with all findings taken out.
         tests: `Cause.p_value` of those causes that have one, in the axis as it came.
-        undecided: for people: causes that explain about as much as the noise does.
+        notes: for people: causes that explain about as much as noise does; that the search ended early.
         restored: whether a finding says that the samples are not what the sensor gave.
     """
 
@@ -61,7 +61,7 @@ class Search:
     steps: tuple[Step, ...]
     end: View
     tests: Mapping[str, float]
-    undecided: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     restored: bool = False
 
 
@@ -85,21 +85,20 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     others = [c for c in causes if not c.of_samples and np.mean(view.restored) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
     active = others
-    undecided: tuple[str, ...] = ()
-    # What each cause gained when it was last asked.
-    offered = dict.fromkeys(others, np.inf)
+    notes: tuple[str, ...] = ()
+    # What those that may not have to be asked again offered last.
+    offered: dict[Cause, float] = {}
     while len(steps) < _MOST:
         candidates, left = _candidates(view, active, offered, progress)
         step = _chosen(candidates, view, alpha)
         if step is None and left:
-            offered.update(dict.fromkeys(left, np.inf))
-            more, left = _candidates(view, left, offered, progress)
+            more, left = _candidates(view, left, {}, progress)
             candidates += more
             step = _chosen(candidates, view, alpha)
         if step is None:
             if active is others:
                 texts = (_undecided(candidate, view) for _, candidate in candidates)
-                undecided = tuple(text for text in texts if text)
+                notes = tuple(text for text in texts if text)
                 break
             active = others
             continue
@@ -107,9 +106,16 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             gain = part.held_out() if step.candidate.parts else step.gain
             steps.append(_step(part, gain, step.rivals, view))
             view = part.after.having(part.cause)
+        # What is in time may have hidden anything; what is in the spectrum hardly hides what is in time.
+        if step.candidate.domain == "time":
+            offered = {}
+        else:
+            offered |= {cause: c.gain for cause, c in candidates if c.domain == "time"}
+    else:
+        notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
         # What had nothing to say is asked again when the others have finished.
         active = [*(cause for cause, _ in candidates), *left]
-    return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, undecided, restored)
+    return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, notes, restored)
 
 
 def _step(candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
@@ -119,20 +125,18 @@ def _step(candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]]
 
 
 def _candidates(
-    view: View, causes: Sequence[Cause], offered: dict[Cause, float], progress: Callable[[str], None]
+    view: View, causes: Sequence[Cause], offered: Mapping[Cause, float], progress: Callable[[str], None]
 ) -> tuple[list[tuple[Cause, Candidate]], list[Cause]]:
-    """What the causes offer in this view; and those left that were far behind when they were last asked."""
-    left = sorted(causes, key=lambda cause: -offered[cause])
+    """What the causes offer in this view; and those left that had offered far less than the best one does."""
+    left = sorted(causes, key=lambda cause: -offered.get(cause, np.inf))
     candidates: list[tuple[Cause, Candidate]] = []
     most = 0.0
-    while left and most < max(_AHEAD, _TIMES * offered[left[0]]):
+    while left and most < max(_AHEAD, _TIMES * offered.get(left[0], np.inf)):
         cause = left.pop(0)
         progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
-        candidate = cause.detect(view)
-        offered[cause] = 0.0 if candidate is None else max(float(candidate.gain), 0.0)
-        if candidate is not None and offered[cause] > 0.0:
+        if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
             candidates.append((cause, candidate))
-            most = max(most, offered[cause])
+            most = max(most, float(candidate.gain))
     return candidates, left
 
 

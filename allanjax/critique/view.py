@@ -136,9 +136,13 @@ class View:
     @functools.cached_property
     def foretold(self) -> float:
         """Log-likelihood of half of the coefficients under the best basic noise of the others, both ways."""
+        return self.foretold_by(self.allowed)
+
+    def foretold_by(self, allowed: Collection[str]) -> float:
+        """The same with these basic terms to choose from."""
         total = 0.0
         for fold in coefficient_folds(self.n):
-            noise = self.family.of(self.c, self.factor, fold).best(self.allowed)
+            noise = self.family.of(self.c, self.factor, fold).best(allowed)
             total += predictive(self.c, self.variance(noise), ~fold)
         return total
 

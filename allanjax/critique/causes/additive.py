@@ -79,7 +79,9 @@ def additive(
             )
             searched = noise, snr
     if best is not None and best.gain > 0.0:
-        best = dataclasses.replace(best, p_value=bank.p_value(view, *searched))
+        # Noise alone has an evidence of e^gain against it with no more than this probability.
+        p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
+        best = dataclasses.replace(best, p_value=p_value)
     return best
 
 

@@ -95,7 +95,7 @@ class BiasStep(Cause):
             self.name,
             first.parameters,
             gain,
-            max(first.p_value, second.p_value),
+            min(max(first.p_value, second.p_value), float(np.exp(-gain))),
             after,
             lambda: min(first.held_out(), second.held_out()),
             (min(first.span[0], second.span[0]), view.duration),

@@ -44,10 +44,11 @@ class LowPass(Cause):
             return None
         noise = view.noise
         # A basic term that the model lacks and that explains as much is the better word.
-        basic = view.basic
+        basic, instead = view.basic, view.allowed
         if "angle_random_walk" not in basic.terms and basic.shape * view.rate < _SHORT:
             # The same spectrum by another name: as white noise that is filtered it says where it ends.
             basic = view.weighing.best([t for t in (*EVERYTHING, *view.allowed) if t != MARKOV])
+            instead = [t for t in view.allowed if t != MARKOV]
         screen = _Screen(view)
         gains = screen.gains
         if gains.max() < _WORTH:
@@ -68,7 +69,7 @@ class LowPass(Cause):
             gain,
             float(np.exp(-max(gain, 0.0))),
             after,
-            lambda: _held_out(view),
+            lambda: _held_out(view) - view.foretold_by(instead),
             (bandwidth, view.rate / 2.0),
             "frequency",
             lambda model: _filtered(model, bandwidth, min(filter_[0], 2)),
@@ -195,7 +196,8 @@ def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> flo
 
 
 def _held_out(view: View) -> float:
-    gain = -view.foretold
+    """Log-likelihood of half of the coefficients under the filter and the noise of the others, both ways."""
+    gain = 0.0
     for fold in coefficient_folds(view.n):
         filter_, bandwidth, *_ = _Screen(view, fold).best()
         factor = _visible(view, bandwidth, filter_, fold)
