@@ -13,7 +13,7 @@ from allanjax.critique.bank import Bank, extrapolated, step_coefficients
 from allanjax.critique.causes.common_mode import _p_value, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
-from allanjax.critique.causes.telegraph import _path, two_levels
+from allanjax.critique.causes.telegraph import _chain, two_levels
 from allanjax.critique.gain import drift_changes
 from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, family_of
 from allanjax.critique.search import Step
@@ -186,28 +186,58 @@ def test_the_step_of_a_lattice(step, bias):
 # --- Two levels ---------------------------------------------------------------------------------------------
 
 
-def test_the_cheapest_path_is_that_of_all_paths():
+def test_a_chain_of_two_states_is_summed_over_all_paths():
+    """Likelihood and probability of the second state, against the sum over 2⁹ paths; also where one block
+    rules a state out and others say nothing."""
     rng = np.random.default_rng(9)
-    for price in (0.3, 1.0, 3.0):
-        cost = rng.exponential(1.0, (9, 2))
-
-        def total(path, cost=cost, price=price):
-            return cost[np.arange(9), list(path)].sum() + price * np.count_nonzero(np.diff(path))
-
-        best = min(itertools.product((0, 1), repeat=9), key=total)
-        assert _path(cost, price).tolist() == list(best)
+    log_likelihood = -rng.exponential(2.0, (9, 2))
+    log_likelihood[3] = -800.0, 0.0
+    log_likelihood[6:8] = 0.0
+    dwells = np.array([0.7, 3.0, 40.0])
+    total, upper = _chain(log_likelihood, dwells)
+    paths = np.array(list(itertools.product((0, 1), repeat=9)))
+    for k, dwell in enumerate(dwells):
+        # A chain in continuous time has changed its state after one block with this probability.
+        changed = 0.5 * (1.0 - np.exp(-2.0 / dwell))
+        jumps = np.sum(np.diff(paths, axis=1) != 0, axis=1)
+        weight = 0.5 * changed**jumps * (1.0 - changed) ** (8 - jumps)
+        weight *= np.exp(log_likelihood[np.arange(9), paths].sum(axis=1))
+        assert total[k] == pytest.approx(np.log(weight.sum()), rel=1e-12)
+        np.testing.assert_allclose(upper[k], weight @ paths / weight.sum(), rtol=1e-10, atol=1e-300)
 
 
 def test_two_levels_are_found_in_noise():
     rng = np.random.default_rng(10)
     truth = np.searchsorted(np.array([300, 700, 800, 1500]), np.arange(2048), side="right") % 2
-    found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048))
-    assert found is not None
-    path, difference, sigma = found
-    assert np.mean(path == truth) > 0.995
-    assert difference == pytest.approx(1.5, abs=0.2)
-    assert sigma == pytest.approx(1.0, abs=0.1)
-    assert two_levels(rng.standard_normal(2048)) is None
+    found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048), 1.0)
+    assert np.mean((found.upper > 0.5) == truth) > 0.995
+    # Four jumps in 2048 blocks: the mean time between them is known to a factor of about 1 + 1/√4.
+    dwell, spread = found.dwell
+    assert abs(np.log(dwell / 410.0)) < 3.0 * spread / dwell
+    assert 0.2 < spread / dwell < 1.0
+
+
+def test_two_levels_of_some_blocks_bridge_the_others():
+    rng = np.random.default_rng(10)
+    truth = np.searchsorted(np.array([300, 700, 800, 1500]), np.arange(2048), side="right") % 2
+    known = rng.random(2048) < 0.8
+    means = np.where(known, 1.5 * truth + rng.standard_normal(2048), 1e3)
+    assert np.mean((two_levels(means, 1.0, known).upper > 0.5) == truth) > 0.99
+
+
+def test_the_likelihood_ratio_of_two_levels_is_a_fair_bet_in_noise():
+    """Summed over paths and dwell times, two levels that are fixed gain nothing on average: E[ratio] = 1.
+
+    Levels half a deviation apart, 400 records of 64 blocks: the ratio's mean is within 4 standard errors.
+    """
+    rng = np.random.default_rng(11)
+    dwells = np.geomspace(4.0, 32.0, 5)
+    ratios = []
+    for _ in range(400):
+        y = rng.standard_normal((64, 1))
+        total, _ = _chain(-0.5 * (y - np.array([0.0, 0.5])) ** 2, dwells)
+        ratios.append(np.exp(total + 0.5 * np.sum(y**2)).mean())
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * np.std(ratios) / np.sqrt(400))
 
 
 # --- Shared noise -------------------------------------------------------------------------------------------

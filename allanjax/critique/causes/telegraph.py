@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.stats import chi2
 
 from allanjax import terms
 from allanjax.critique.bank import Bank, folds
@@ -15,33 +17,40 @@ from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _BLOCKS = 2048
 _LEAST_JUMPS = 3
-_SWEEPS = 6
+# Blocks that levels to start from are smoothed over; rounds of adjusting them.
+_SMOOTH, _ROUNDS = (8, 32, 128), 10
+# Shares of the frequencies that blocks have between which their noise is looked at.
+_WHITE = (32, 4)
+# Dwell times that are compared: from so many blocks to a half of the record, flat in the logarithm.
+_SHORTEST, _DWELLS = 4.0, 12
 
 
 class Telegraph(Cause):
-    """Two levels, the path between them found by dynamic programming."""
+    """Two levels. How likely the record is is summed over all paths between them (a hidden Markov chain)."""
 
     name = "telegraph"
+    # The evidence is the test: noise alone gains as much less often than this.
+    level = 0.05
 
     def detect(self, view: View) -> Candidate | None:
         blocks = min(_BLOCKS, view.n // 8)
         length = view.n // blocks
         means = view.x[: blocks * length].reshape(blocks, length).mean(axis=1)
-        found = two_levels(means)
-        if found is None:
+        sigma = _noise(means)
+        if sigma == 0.0:
             return None
-        path, amplitude, sigma = found
+        found = two_levels(means, sigma)
+        path = (found.upper > 0.5).astype(float)
         jumps = int(np.sum(np.diff(path) != 0.0))
+        if jumps < _LEAST_JUMPS:
+            return None
         whole = np.concatenate([np.repeat(path, length), np.full(view.n - blocks * length, path[-1])])
-        dwell = view.duration / (jumps + 1.0)
-        # Each jump might have been anywhere within a dwell time; the data leave it some blocks.
-        left = max(1.0, 4.0 * (sigma / amplitude) ** 2)
-        price = jumps * np.log(max(blocks / (jumps + 1.0) / left, 1.0)) + np.log(blocks)
+        dwell, spread = (x * length / view.rate for x in found.dwell)
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
             return {
                 "amplitude": view.own(abs(a), std),
-                "dwell_time": Quantity(dwell, dwell / np.sqrt(jumps + 1.0), "s"),
+                "dwell_time": Quantity(dwell, spread, "s"),
                 "jumps": Quantity(float(jumps), 0.0, "1"),
             }
 
@@ -53,75 +62,143 @@ class Telegraph(Cause):
             lambda k: whole,
             parameters,
             lambda k: (0.0, view.duration),
-            float(price),
+            found.price(means, path),
             lambda k, a: terms.Telegraph(abs(a), dwell),
         )
         if candidate is None:
             return None
         p_value = float(np.exp(-max(candidate.gain, 0.0)))
-        held_out = lambda: _held_out(view, candidate.after, means)  # noqa: E731
+        held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
         return Candidate(**{**vars(candidate), "p_value": p_value, "held_out": held_out})
 
 
-def two_levels(
-    means: Float[np.ndarray, " blocks"], known: np.ndarray | None = None
-) -> tuple[Float[np.ndarray, " blocks"], float, float] | None:
-    """The path between two levels, 0 and 1, that fits best, their difference, and the blocks' noise.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Levels:
+    """Two levels and what blocks say about the path between them.
 
-    Blocks that are not `known` are bridged. None if there are too few jumps.
+    Attributes:
+        sigma: the blocks' noise.
+        upper: probability that a block is on the second level.
+        dwell: mean time between jumps [blocks], and its deviation.
+        log_likelihood: of all blocks, over all paths and dwell times, less than that of a known block at its
+            level by what is lost [nats].
+    """
+
+    sigma: float
+    upper: Float[np.ndarray, " blocks"]
+    dwell: tuple[float, float]
+    log_likelihood: float
+
+    def price(self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]) -> float:
+        """What not knowing the path costs [nats]: its likelihood, at its best levels, over that of all."""
+        upper = path > 0.5
+        left = np.where(upper, means - means[upper].mean(), means - means[~upper].mean())
+        return -0.5 * float(np.sum((left / self.sigma) ** 2)) - self.log_likelihood
+
+
+def _noise(means: Float[np.ndarray, " blocks"]) -> float:
+    """Deviation of the blocks by noise that is white from block to block.
+
+    Of frequencies above those of a telegraph, and below those of quantization noise.
+    """
+    first, last = (max(len(means) // part, 1) for part in _WHITE)
+    return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
+
+
+def two_levels(
+    means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
+) -> Levels:
+    """The most likely levels, adjusted to the probable path again and again (Baum & Welch).
+
+    Blocks that are not `known` are bridged.
+
+    Args:
+        means: of the blocks.
+        sigma: their noise.
+        known: which of them are looked at; all by default.
     """
     weight = np.ones(len(means)) if known is None else known.astype(float)
     y = means[weight > 0.0]
-    sigma = 1.4826 * float(np.median(abs(np.diff(y)))) / np.sqrt(2.0)
-    if sigma == 0.0:
-        return None
-    price = 3.0 * np.log(len(y))
-    # Levels to start from: those of the record smoothed more and more.
-    best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for width in (8, 32, 128):
-        smooth = np.convolve(y - y.mean(), np.ones(width) / width, "same") + y.mean()
-        levels = np.quantile(smooth, [0.2, 0.8])
-        for _ in range(_SWEEPS):
-            state = _path((means[:, None] - levels) ** 2 / sigma**2 * weight[:, None], price)
-            members = [means[(state == s) & (weight > 0.0)] for s in (0, 1)]
-            if min(len(m) for m in members) == 0:
-                break
-            levels = np.array([m.mean() for m in members])
-        else:
-            cost = float(np.sum(weight * (means - levels[state]) ** 2) / sigma**2)
-            cost += price * np.sum(np.diff(state) != 0)
-            if best is None or cost < best[0]:
-                best = cost, state, levels
-    if best is None or np.sum(np.diff(best[1]) != 0) < _LEAST_JUMPS:
-        return None
-    return best[1].astype(float), float(abs(best[2][1] - best[2][0])), sigma
+    dwells = np.geomspace(_SHORTEST, max(len(means) / 2.0, 2.0 * _SHORTEST), _DWELLS)
+
+    def likelihoods(values: Float[np.ndarray, 2]) -> Float[np.ndarray, "blocks 2"]:
+        return -0.5 * ((means[:, None] - values) / sigma) ** 2 * weight[:, None]
+
+    best, values = -np.inf, np.zeros(2)
+    for width in _SMOOTH:
+        smooth = np.convolve(y - y.mean(), np.ones(width) / width, "valid") + y.mean()
+        tried = np.quantile(smooth, [0.2, 0.8])
+        for _ in range(_ROUNDS):
+            total, upper = _chain(likelihoods(tried), dwells[_DWELLS // 2 :][:1])
+            share = np.stack([1.0 - upper[0], upper[0]]) * weight
+            tried = share @ means / np.maximum(share.sum(axis=1), 1e-9)
+        if total[0] > best:
+            best, values = float(total[0]), tried
+    total, upper = _chain(likelihoods(values), dwells)
+    probable = np.exp(total - np.logaddexp.reduce(total))
+    log = float(probable @ np.log(dwells))
+    spread = float(np.sqrt(probable @ (np.log(dwells) - log) ** 2))
+    dwell = float(np.exp(log))
+    return Levels(
+        sigma,
+        probable @ upper,
+        (dwell, dwell * spread),
+        float(np.logaddexp.reduce(total) - np.log(_DWELLS)),
+    )
 
 
-def _path(cost: Float[np.ndarray, "blocks 2"], price: float) -> np.ndarray:
-    """The cheapest sequence of two states (Viterbi)."""
-    came = np.zeros((len(cost), 2), int)
-    a, b = cost[0]
-    for k in range(1, len(cost)):
-        came[k] = a > b + price, not b > a + price
-        a, b = min(a, b + price) + cost[k, 0], min(b, a + price) + cost[k, 1]
-    state = np.empty(len(cost), int)
-    state[-1] = int(b < a)
-    for k in range(len(cost) - 1, 0, -1):
-        state[k - 1] = came[k, state[k]]
-    return state
+def _chain(
+    log_likelihood: Float[np.ndarray, "blocks 2"], dwells: Float[np.ndarray, " dwells"]
+) -> tuple[Float[np.ndarray, " dwells"], Float[np.ndarray, "dwells blocks"]]:
+    """Of a chain of two states that jumps with these mean dwell times [blocks].
+
+    Returns:
+        Its log-likelihood over all paths, and the probability of the second state in each block.
+    """
+    largest = log_likelihood.max(axis=1)
+    jump = -0.5 * np.expm1(-2.0 / dwells)
+    step = np.stack([1.0 - jump, jump, jump, 1.0 - jump], axis=-1).reshape(-1, 1, 2, 2)
+    links = step * np.exp(log_likelihood - largest[:, None])[:, None, :]
+    forward, scale = _products(links)
+    # Backwards, a link's likelihood is on the other side of its step.
+    backward, _ = _products(np.swapaxes(links, -1, -2)[:, ::-1])
+    ahead = 0.5 * forward.sum(axis=-2)
+    behind = np.ones_like(ahead)
+    behind[:, :-1] = backward[:, ::-1].sum(axis=-2)[:, 1:]
+    both = ahead * behind
+    total = np.log(ahead[:, -1].sum(axis=-1)) + scale[:, -1] + largest.sum()
+    return total, both[..., 1] / both.sum(axis=-1)
 
 
-def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"]) -> float:
-    """Gain on some blocks by the path that the others show."""
+def _products(
+    links: Float[np.ndarray, "dwells blocks 2 2"],
+) -> tuple[Float[np.ndarray, "dwells blocks 2 2"], Float[np.ndarray, "dwells blocks"]]:
+    """Products of the first one, two, three, … matrices, and the logarithms of what they were divided by.
+
+    By doubling: those of two, four, eight, … in a row.
+    """
+    found = links.copy()
+    scale = np.zeros(links.shape[:2])
+    reach = 1
+    while reach < links.shape[1]:
+        found[:, reach:] = found[:, :-reach] @ found[:, reach:]
+        scale[:, reach:] = scale[:, :-reach] + scale[:, reach:]
+        size = found.max(axis=(-2, -1))
+        found /= size[..., None, None]
+        scale += np.log(size)
+        reach *= 2
+    return found, scale
+
+
+def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
+    """Gain on some blocks by the levels that the others are on."""
     gain, length = 0.0, view.n // len(means)
     c = centred(means)
     root = np.sqrt(after.variance()[: len(c)] / length)
     for rest in folds(len(means), 2):
         fold = ~rest
-        found = two_levels(means, fold)
-        if found is None:
-            continue
-        h, e = (in_time(z / root) for z in (centred(found[0]), c))
+        found = two_levels(means, sigma, fold)
+        h, e = (in_time(z / root) for z in (centred(found.upper), c))
         a = float(h[fold] @ e[fold] / (h[fold] @ h[fold]))
         gain += a * float(h[rest] @ e[rest]) - 0.5 * a**2 * float(h[rest] @ h[rest])
     return gain
