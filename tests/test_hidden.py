@@ -9,8 +9,8 @@ import importlib
 
 import numpy as np
 import pytest
-from hidden_effects import draw
-from hidden_verdict import compared, others, recording_of, right
+from hidden_effects import TERMS, draw
+from hidden_verdict import compared, model_without, others, recording_of, right
 
 import allanjax as aj
 from allanjax.critique import Candidate, Cause, View, critique
@@ -26,6 +26,7 @@ SHOWN = (
     "low_pass",
     "power_law",
     "bias_step",
+    "telegraph",
     "warm_up",
     "temperature",
     "outliers",
@@ -38,10 +39,8 @@ SHOWN = (
 )
 
 
-@pytest.mark.parametrize("cause", SHOWN)
-def test_a_hidden_effect_is_named_and_measured(cause):
-    hidden = draw(0, cause, 4.0, **SMALL)
-    found = critique(recording_of(hidden))
+def check(hidden, found):
+    """Named, measured, and alone."""
     (effect,) = hidden.effects
     finding = right(found, effect)
     assert finding is not None, [f.cause for f in found.findings]
@@ -49,6 +48,29 @@ def test_a_hidden_effect_is_named_and_measured(cause):
     assert finding.gain > 0.0
     for name, parameter in compared(finding, effect, SMALL["duration"]).items():
         assert parameter.within_3_sigma or parameter.is_near, (name, parameter)
+
+
+@pytest.mark.parametrize("cause", SHOWN)
+def test_a_hidden_effect_is_named_and_measured(cause):
+    hidden = draw(0, cause, 4.0, **SMALL)
+    check(hidden, critique(recording_of(hidden)))
+
+
+@pytest.mark.parametrize("cause", TERMS)
+def test_a_basic_term_that_the_fit_lacks_is_named_and_measured(cause):
+    hidden = draw(0, cause, 4.0, **SMALL)
+    recording = recording_of(hidden)
+    check(hidden, critique(recording, aj.fit(recording, model_without(hidden))))
+
+
+@pytest.mark.parametrize(
+    "causes", [("sinusoid", "disturbance"), ("bias_step", "outliers"), ("resonance", "temperature")]
+)
+def test_two_effects_in_one_record_are_named(causes):
+    hidden = draw(0, causes, 4.0, **SMALL)
+    found = critique(recording_of(hidden))
+    assert [effect.cause for effect in hidden.effects if right(found, effect) is None] == []
+    assert others(found, hidden.effects) == []
 
 
 @pytest.mark.parametrize("seed", range(4))
