@@ -21,8 +21,8 @@ from allanjax.terms import DriftRamp
 _ODDS = 1000.0
 _MOST = 8
 _CERTAIN = 1e-6
-# What gains so much [nats], and so many times what a cause of the other domain offered before something else
-# was found in the spectrum, is before it whatever has become of that.
+# What gains so much [nats], and so many times what a cause offered before the last finding in the spectrum,
+# is before it whatever has become of that.
 _AHEAD, _TIMES = 30.0, 4.0
 _TOO_MANY = 0.5
 
@@ -84,24 +84,20 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     # Of a record that was mostly filled in nothing else is said.
     others = [c for c in causes if not c.of_samples and np.mean(view.restored) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
-    active = others
     notes: tuple[str, ...] = ()
     # What those that may not have to be asked again offered last.
     offered: dict[Cause, float] = {}
     while len(steps) < _MOST:
-        candidates, left = _candidates(view, active, offered, progress)
+        candidates, left = _candidates(view, others, offered, progress)
         step = _chosen(candidates, view, alpha)
         if step is None and left:
             more, left = _candidates(view, left, {}, progress)
             candidates += more
             step = _chosen(candidates, view, alpha)
         if step is None:
-            if active is others:
-                texts = (_undecided(candidate, view) for _, candidate in candidates)
-                notes = tuple(text for text in texts if text)
-                break
-            active = others
-            continue
+            texts = (_undecided(candidate, view) for _, candidate in candidates)
+            notes = tuple(text for text in texts if text)
+            break
         for part in step.candidate.parts or (step.candidate,):
             gain = part.held_out() if step.candidate.parts else step.gain
             steps.append(_step(part, gain, step.rivals, view))
@@ -110,11 +106,12 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         if step.candidate.domain == "time":
             offered = {}
         else:
-            offered |= {cause: c.gain for cause, c in candidates if c.domain == "time"}
+            found = dict(candidates)
+            nothing = {cause: 0.0 for cause in others if cause not in left and cause not in found}
+            in_time = {cause: float(c.gain) for cause, c in candidates if c.domain == "time"}
+            offered = {cause: offered[cause] for cause in left} | nothing | in_time
     else:
         notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
-        # What had nothing to say is asked again when the others have finished.
-        active = [*(cause for cause, _ in candidates), *left]
     return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, notes, restored)
 
 
