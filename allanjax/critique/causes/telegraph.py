@@ -67,9 +67,11 @@ class Telegraph(Cause):
         )
         if candidate is None:
             return None
-        p_value = float(np.exp(-max(candidate.gain, 0.0)))
+        # Any basic term that the model lacks and that explains as much is the better word for it.
+        gain = candidate.gain + view.noise.log_evidence - view.basic.log_evidence
+        p_value = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
-        return Candidate(**{**vars(candidate), "p_value": p_value, "held_out": held_out})
+        return dataclasses.replace(candidate, gain=gain, p_value=p_value, held_out=held_out)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
