@@ -30,7 +30,7 @@ class Telegraph(Cause):
 
     name = "telegraph"
     # The evidence is the test: noise alone gains as much less often than this.
-    level = 0.05
+    level = 0.01
 
     def detect(self, view: View) -> Candidate | None:
         blocks = min(_BLOCKS, view.n // 8)
