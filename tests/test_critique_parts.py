@@ -10,7 +10,7 @@ from scipy.linalg import toeplitz
 from scipy.stats import kstest, norm
 
 from allanjax.critique.bank import Bank, extrapolated, step_coefficients
-from allanjax.critique.causes.common_mode import _p_value, common_mode
+from allanjax.critique.causes.common_mode import _Link, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.causes.telegraph import _chain, two_levels
@@ -247,21 +247,48 @@ def test_the_p_value_of_a_correlation():
     rng = np.random.default_rng(11)
     k = 64
     a, b = rng.standard_normal((2, 20_000, k))
-    r = np.sum(a * b, axis=1) / np.sqrt(np.sum(a**2, axis=1) * np.sum(b**2, axis=1))
-    assert kstest([_p_value(x, k) for x in r], "uniform").pvalue > 1e-3
+    share = np.ones(k)
+    a, b = (x / np.sqrt(np.mean(x**2, axis=1, keepdims=True)) for x in (a, b))
+    p = [_Link("all", *pair, share).p_value for pair in zip(a, b, strict=True)]
+    assert kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_shared_noise_is_found_as_often_as_said_where_there_is_none():
     rng = np.random.default_rng(12)
     names, alpha = ("x", "y", "z"), 0.1
-    alarms = [bool(common_mode(names, rng.standard_normal((3, 1023)), RATE, alpha)) for _ in range(400)]
+    white = [np.linspace(0.2, 1.0, 1023)] * 3
+    alarms = [
+        bool(common_mode(names, rng.standard_normal((3, 1023)), white, RATE, alpha)) for _ in range(400)
+    ]
     # Nested bands are not independent, and what is found must hold on held-out data too.
     assert np.mean(alarms) < alpha + 3.0 * np.sqrt(alpha / 400)
     shared = rng.standard_normal(1023)
     z = 0.5 * rng.standard_normal((3, 1023)) + [[1.0], [0.0], [-1.0]] * shared
-    (finding,) = common_mode(names, z, RATE, 1e-3)
+    (finding,) = common_mode(names, z, [None] * 3, RATE, 1e-3)
     assert finding.axes == ("x", "z")
     assert finding.parameters["correlation"].value == pytest.approx(0.8, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("r", "signs"), [(0.25, (1.0, 1.0)), (0.2, (-1.0, 1.0, 1.0)), (0.5, (1.0, 1.0, 1.0))]
+)
+def test_shared_white_noise_beside_noise_that_is_not_shared(r, signs):
+    """The correlation is the white noise's, whatever else the axes have; it scatters by its deviation."""
+    rng = np.random.default_rng(13)
+    k, trials = 8191, 100
+    white = 1.0 / (1.0 + np.linspace(0.0, 3.0, k) ** 2)
+    errors = []
+    for _ in range(trials):
+        common = rng.standard_normal(k) * np.array(signs)[:, None]
+        own = rng.standard_normal((2, len(signs), k))
+        z = np.sqrt(white) * (np.sqrt(r) * common + np.sqrt(1.0 - r) * own[0]) + np.sqrt(1.0 - white) * own[1]
+        (finding,) = common_mode([f"{i}" for i in range(len(signs))], z, [white] * len(signs), RATE, 1e-3)
+        assert finding.parameters["noise"].value == ("white",)
+        found = finding.parameters["correlation"]
+        errors.append((found.value - r) / found.std)
+    # Four standard errors of a mean and of a standard deviation of 100 values.
+    assert abs(np.mean(errors)) < 4.0 / np.sqrt(trials)
+    assert np.std(errors) == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * trials))
 
 
 # --- Drift --------------------------------------------------------------------------------------------------

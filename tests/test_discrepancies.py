@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.fft import idct
+from scipy.optimize import minimize
 from scipy.stats import kstest
 
 import allanjax as aj
@@ -63,18 +64,43 @@ def test_levels_known_no_better_than_their_posterior_widen_the_law(variance):
     rng = np.random.default_rng(2)
     family = family_of(N, RATE)
     w = record(np.ones(N), variance, POWERS)
+    sizes = 2 ** np.arange(11)
+    law = allan_law(w, sizes)
     root = np.linalg.cholesky(w.level_covariance)
-    p = []
-    for _ in range(250):
+    draws = []
+    for _ in range(400):
         factors = np.maximum(1.0 + root @ rng.standard_normal(2), 0.05)
         powers = {name: factor * POWERS[name] for name, factor in zip(POWERS, factors, strict=True)}
         x = drawn(family.expected(powers, float("nan")), rng)
-        found = discrepancies(record(x, variance, POWERS), x)
+        draws.append(allan_law(record(x, variance, POWERS), sizes).measured / law.mean)
+    # A variance of 400 draws has a relative error of √(2/400), more where the law has longer tails.
+    assert np.var(draws, axis=0) == pytest.approx(np.diag(law.covariance), rel=0.4)
+    # White noise of n samples: its level is known to √(2/n).
+    assert np.sqrt(w.level_covariance[0, 0]) == pytest.approx(np.sqrt(2.0 / N), rel=0.1)
+
+
+def test_p_values_are_uniform_where_levels_are_fitted_to_the_record():
+    """By maximum likelihood, by another optimizer than the package's; a random walk that the record shows."""
+    rng = np.random.default_rng(3)
+    family = family_of(N, RATE)
+    truth = POWERS | {"rate_random_walk": 3e-5}
+    shapes = np.stack([family.expected({name: power}, float("nan")) for name, power in truth.items()])
+
+    def deviance(log_factors, squares):
+        factors = np.exp(log_factors)
+        v = factors @ shapes
+        slope = ((1.0 - squares / v) / v) @ shapes.T
+        return float(np.sum(np.log(v) + squares / v)), factors * slope
+
+    p = []
+    for _ in range(250):
+        x = drawn(shapes.sum(axis=0), rng)
+        fitted = minimize(deviance, np.zeros(2), (centred(x) ** 2,), "BFGS", jac=True)
+        powers = dict(zip(truth, np.exp(fitted.x) * list(truth.values()), strict=True))
+        found = discrepancies(record(x, family.expected(powers, float("nan")), powers), x)
         p.append([d.p_value for d in found if d.statistic in ("allan_deviation", "drift")])
     for column in np.transpose(p):
         assert kstest(column, "uniform").pvalue > 1e-3
-    # White noise of n samples: its level is known to √(2/n).
-    assert np.sqrt(w.level_covariance[0, 0]) == pytest.approx(np.sqrt(2.0 / N), rel=0.1)
 
 
 def test_the_law_of_the_allan_variance_is_that_of_simulations(variance):

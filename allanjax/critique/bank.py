@@ -113,8 +113,10 @@ class Bank:
         if snr is None:
             snr = float(np.max(abs(self.scan(view, noise).snr)))
         bank, _ = self.whitened(view, noise)
-        # Seven digits are plenty for draws, and half the work.
-        draws = np.random.default_rng(0).standard_normal((bank.shape[1], _DRAWS), np.float32)
+        # Seven digits are plenty for draws, and half the work. Each record has draws of its own: with the
+        # same for all, their p-values would all be wrong alike.
+        rng = np.random.default_rng(view.c[:_FOLD_BLOCK].view(np.uint64))
+        draws = rng.standard_normal((bank.shape[1], _DRAWS), np.float32)
         outputs = bank.astype(np.float32) @ draws
         return extrapolated(np.max(abs(outputs) / lengths(bank)[:, None], axis=0), abs(snr))
 

@@ -29,6 +29,8 @@ _CHUNK = 1 << 16
 # Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
 _FAST = 40.0
 _TURN = 0.04
+# Relative precision of such sums: what levels leave of a variance is no less.
+_ROUNDING = 1e-3
 _PER_OCTAVE = 6
 _CURVE_PER_OCTAVE = 4
 
@@ -93,15 +95,24 @@ class Whitened:
         total = np.sum(rows, axis=0)
         return np.stack(rows) / np.maximum(total, 1e-300)
 
+    def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
+        """Of one noise term; None if there is no such term."""
+        names = list(self.stage.powers)
+        return self.shares[names.index(term)] if term in names else None
+
     @functools.cached_property
     def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
         """Of the relative errors of the terms' powers.
 
-        The inverse of the Fisher information F_kl = ½ Σ_j q_k q_l (q the shares), to which 1 is added: no
-        power is taken to be uncertain by more than itself.
+        The inverse of the Fisher information, to which 1 is added: no power is taken to be uncertain by more
+        than itself.
         """
-        q = self.shares
-        return np.linalg.inv(0.5 * q @ q.T + np.eye(len(q)))
+        return np.linalg.inv(self.level_information + np.eye(len(self.shares)))
+
+    @functools.cached_property
+    def level_information(self) -> Float[np.ndarray, "terms terms"]:
+        """Fisher information about the logarithms of the terms' powers: ½ Σ_j q_k q_l, q the shares."""
+        return 0.5 * self.shares @ self.shares.T
 
     def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
         """A record of the model at its levels [SI], without mean and ramp."""
@@ -118,27 +129,31 @@ class AllanLaw:
         measured: Allan variances [rate²].
         mean: of the simulations' variances.
         covariance: of these over their means, errors of the model's levels included.
+        fitted: of the measured variances over the mean, if the model is right: its levels follow the record.
     """
 
     time: Float[np.ndarray, " m"]
     measured: Float[np.ndarray, " m"]
     mean: Float[np.ndarray, " m"]
     covariance: Float[np.ndarray, "m m"]
+    fitted: Float[np.ndarray, "m m"]
 
-    @property
-    def dof(self) -> Float[np.ndarray, " m"]:
-        """Degrees of freedom of the χ² law that has this mean and this scatter."""
-        return 2.0 / np.diag(self.covariance)
-
-    @property
-    def correlation(self) -> Float[np.ndarray, "m m"]:
-        """Between cluster times."""
-        spread = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(spread, spread)
+    def at(self, some: slice) -> AllanLaw:
+        """At some of the cluster times."""
+        both = some, some
+        return AllanLaw(
+            self.time[some], self.measured[some], self.mean[some], self.covariance[both], self.fitted[both]
+        )
 
     def quantile(self, probability: float) -> Float[np.ndarray, " m"]:
         """Of the simulations' Allan variances."""
-        return self.mean * chi2.ppf(probability, self.dof) / self.dof
+        dof = degrees_of_freedom(self.covariance)
+        return self.mean * chi2.ppf(probability, dof) / dof
+
+
+def degrees_of_freedom(covariance: Float[np.ndarray, "m m"]) -> Float[np.ndarray, " m"]:
+    """Of the χ² laws that have the mean 1 and these variances."""
+    return 2.0 / np.diag(covariance)
 
 
 def allan_law(record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
@@ -190,9 +205,18 @@ class _Sums:
 
     def law(self, record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
         slope = self.slope / self.mean[:, None]
-        covariance = 2.0 * self.square / np.outer(self.mean, self.mean)
-        covariance += slope @ record.level_covariance @ slope.T
-        return AllanLaw(sizes / record.rate, self.measured / record.n, self.mean / record.n, covariance)
+        known = 2.0 * self.square / np.outer(self.mean, self.mean)
+        L = record.level_covariance
+        # The errors of the levels, L·score, go with the record: their covariance with it is slope·L, and
+        # that of the score is its Fisher information.
+        followed = 2.0 * L - L @ record.level_information @ L
+        return AllanLaw(
+            sizes / record.rate,
+            self.measured / record.n,
+            self.mean / record.n,
+            known + slope @ L @ slope.T,
+            known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known)),
+        )
 
 
 def _chunks(size: int) -> Iterator[slice]:

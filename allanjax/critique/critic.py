@@ -12,6 +12,7 @@ from allanjax.critique.causes.common_mode import common_mode
 from allanjax.critique.comparison import Whitened
 from allanjax.critique.discrepancies import discrepancies, mended
 from allanjax.critique.gain import coefficient_changes, drift_changes
+from allanjax.critique.noise import WHITE
 from allanjax.critique.result import (
     AxisCritique,
     Critique,
@@ -100,7 +101,11 @@ def criticize(
         ]
         for i in (0, -1)
     )
-    shared = tuple(common_mode(recording.names, [w.z for w in last], recording.rate, alpha))
+    shared = tuple(
+        common_mode(
+            recording.names, [w.z for w in last], [w.share(WHITE) for w in last], recording.rate, alpha
+        )
+    )
 
     def judged(k: int) -> AxisCritique:
         s = searches[k]

@@ -26,7 +26,9 @@ from allanjax.selection import basic_terms, jobs_of
 from allanjax.terms import Markov, NoiseTerm, PowerLaw
 
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
-MARKOV, POWER_LAW, RAMP = "markov", "power_law", "drift_ramp"
+WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
+#: White noise that is so much of all noise is not told from it.
+NEARLY_ALL = 0.9
 # Lengths of spectra are rounded up to multiples of this.
 _PADDED = 4096
 # Sets of which the most probable one is chosen with all digits.

@@ -2,8 +2,8 @@
 
 Each has a law on records of the model, and its p-value counts all the places (cluster times, frequencies,
 lags, windows, channels) that were looked at. Laws are those of coefficients c_j ~ N(0, v_j) with the model's
-v as given; the scatter of the Allan deviation and of the drift, where slow noise counts whose level hardly
-any data determine, includes the uncertainty of the levels.
+v as given; that of the Allan deviation and of the drift, where slow noise counts whose level hardly any data
+determine, knows that the levels were fitted to the same record.
 """
 
 from __future__ import annotations
@@ -18,7 +18,14 @@ from scipy.fft import dct, rfft
 from scipy.stats import chi2, kurtosistest, norm
 
 from allanjax.critique.bank import extrapolated
-from allanjax.critique.comparison import AllanLaw, Whitened, allan_laws, octave_bins, octave_sizes
+from allanjax.critique.comparison import (
+    AllanLaw,
+    Whitened,
+    allan_laws,
+    degrees_of_freedom,
+    octave_bins,
+    octave_sizes,
+)
 from allanjax.critique.result import Discrepancy
 from allanjax.units import unit_scale
 
@@ -117,8 +124,7 @@ def cluster_times(record: Whitened) -> list[Profile]:
     stretches = np.unique(np.clip(np.rint(horizons * record.rate), 1, record.n // 2)).astype(int)
     (law,) = allan_laws([record], np.concatenate([octaves, stretches]))
     k = len(octaves)
-    allan = AllanLaw(law.time[:k], law.measured[:k], law.mean[:k], law.covariance[:k, :k])
-    drift = AllanLaw(law.time[k:], law.measured[k:], law.mean[k:], law.covariance[k:, k:])
+    allan, drift = law.at(slice(k)), law.at(slice(k, None))
     angle = ANGLE[record.axis.sensor]
     factors = np.sqrt(2.0) * drift.time / unit_scale(angle, record.axis.sensor)
     return [allan_deviation(record, allan), _of_law("drift", drift, factors, angle)]
@@ -129,8 +135,10 @@ def allan_deviation(record: Whitened, law: AllanLaw) -> Profile:
 
 
 def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile:
-    z = _chi2_score(law.dof * law.measured / law.mean, law.dof)
-    values, vectors = np.linalg.eigh(law.correlation)
+    dof = degrees_of_freedom(law.fitted)
+    z = _chi2_score(dof * law.measured / law.mean, dof)
+    spread = np.sqrt(np.diag(law.fitted))
+    values, vectors = np.linalg.eigh(law.fitted / np.outer(spread, spread))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = abs(root @ np.random.default_rng(0).standard_normal((len(z), _DRAWS))).max(axis=0)
     measured, simulated = (factor * np.sqrt(v) for v in (law.measured, law.quantile(0.5)))

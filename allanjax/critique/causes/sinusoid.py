@@ -14,8 +14,9 @@ from allanjax.deterministic import LINE_REACH, line_columns
 
 # Below so many periods a record, a line is not told from drift.
 _PERIODS = 6.0
-_PADDING = 2
-_PEAKS = 3
+# Between two frequencies that are looked at, half a Fourier bin apart, a line's power may be a fifth more: so
+# many of the highest peaks are looked at more closely.
+_PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
 _WORTH = 8.0
 _FOLD_BLOCKS = 256
 
@@ -26,20 +27,12 @@ class Sinusoid(Cause):
     name = "sinusoid"
 
     def p_value(self, view: View) -> float:
-        spectrum, spacing = _spectrum(view.e, view.rate)
-        first = int(np.ceil(_PERIODS / view.duration / spacing))
-        k = first + int(np.argmax(spectrum[first:]))
-        z = refined(view.c, view.variance(), k * spacing, view.rate)[-1]
-        return line_p_value(z, view.rate / 2.0 - first * spacing, view.duration)
+        return _line_p_value(_strongest(view)[-1], view)
 
     def detect(self, view: View) -> Candidate | None:
-        spectrum, spacing = _spectrum(view.e, view.rate)
-        first = int(np.ceil(_PERIODS / view.duration / spacing))
-        k = first + int(np.argmax(spectrum[first:]))
-        if spectrum[k] < _WORTH:
+        f, f_std, beta, std, z = _strongest(view)
+        if z < _WORTH:
             return None
-        v = view.variance()
-        f, f_std, beta, std, z = refined(view.c, v, k * spacing, view.rate)
         after = view.with_x(view.x - wave(f, beta, view.n, view.rate))
         v = after.variance()
         f, f_std, beta, std, z = refined(view.c, v, f, view.rate)
@@ -53,20 +46,38 @@ class Sinusoid(Cause):
 
         def held_out() -> float:
             root = np.sqrt(v)
-            return _held_out(in_time(view.c / root), view.rate, first * spacing)
+            return _held_out(in_time(view.c / root), view.rate, _PERIODS / view.duration)
 
         width = 40.0 / view.duration
         return Candidate(
             self.name,
             parameters,
             float(gain),
-            line_p_value(z, view.rate / 2.0 - first * spacing, view.duration),
+            _line_p_value(z, view),
             after,
             held_out,
             (f - width, f + width),
             "frequency",
             lambda model: model + terms.Sinusoid(amplitude, f),
         )
+
+
+def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
+    """What `refined` says about the strongest line."""
+    spectrum, spacing = _spectrum(view.e, view.rate)
+    first = int(np.ceil(_PERIODS / view.duration / spacing))
+    k = np.arange(first, len(spectrum) - 1)
+    highest = spectrum[k].max()
+    peak = (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] >= spectrum[k + 1])
+    k = k[peak & (spectrum[k] > _SCALLOP * highest) | (spectrum[k] == highest)]
+    v = view.variance()
+    starts = spacing * k[np.argsort(-spectrum[k])[:_PEAKS]]
+    found = [refined(view.c, v, float(start), view.rate) for start in starts]
+    return max(found, key=lambda line: line[-1])
+
+
+def _line_p_value(z: float, view: View) -> float:
+    return line_p_value(z, view.rate / 2.0 - _PERIODS / view.duration, view.duration)
 
 
 def line_p_value(z: float, band: float, duration: float) -> float:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import multivariate_normal, norm
 
 from allanjax.critique.bank import extrapolated, folds
-from allanjax.critique.noise import FIXED
+from allanjax.critique.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _BLOCKS = 256
@@ -19,10 +21,10 @@ _DRAWS = 1000
 _WORTH = 6.0
 _FINER = 32
 _FOLD_BLOCK = 16
-# White noise that is so much of all noise is not told from it.
-_WHITE, _NEARLY_ALL = "angle_random_walk", 0.9
 # What a place that need not be known saves [nats]; the least that can be left of a noise, less one.
 _PLACE, _LEAST = 5.0, -0.99
+# Normal variates beyond this are too rare for the bivariate law to be computed.
+_NORMAL = 5.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,10 +68,10 @@ class _Kind:
 
 def _kinds(view: View) -> list[_Kind]:
     kinds = [_Kind.of(view, "all", 1.0)]
-    power = view.noise.power.get(_WHITE)
+    power = view.noise.power.get(WHITE)
     if power is not None:
-        share = power * view.family.spectra[FIXED.index(_WHITE)] / view.noise.variance
-        if np.mean(share) < _NEARLY_ALL:
+        share = power * view.family.spectra[FIXED.index(WHITE)] / view.noise.variance
+        if np.mean(share) < NEARLY_ALL:
             kinds.append(_Kind.of(view, "white", share))
     return kinds
 
@@ -80,11 +82,9 @@ class VarianceChange(Cause):
     name = "variance_change"
 
     def p_value(self, view: View) -> float:
-        gains = [(kind.worth * interval_gains(kind.squares, kind.edges)).max() for kind in _kinds(view)]
-        return self._p(float(max(gains)), view, len(gains))
-
-    def _p(self, gain: float, view: View, kinds: int) -> float:
-        return 1.0 - (1.0 - scan_p_value(gain, min(_BLOCKS, view.n // 16))) ** kinds
+        kinds = _kinds(view)
+        gains = [(kind.worth * interval_gains(kind.squares, kind.edges)).max() for kind in kinds]
+        return _p_value(float(max(gains)), kinds)
 
     def detect(self, view: View) -> Candidate | None:
         kinds = _kinds(view)
@@ -122,12 +122,28 @@ class VarianceChange(Cause):
                 "noise": Quantity((kind.name,), 0.0, ""),
             },
             float(gain.max()) - search - 3.0,
-            self._p(float(gain.max()), view, len(kinds)),
+            _p_value(float(gain.max()), kinds),
             after,
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
             "time",
         )
+
+
+def _p_value(gain: float, kinds: Sequence[_Kind]) -> float:
+    """Probability of so large a gain by any of the kinds, where nothing changes.
+
+    Sums of the squares behind the two filters, 1 and √share, are correlated by √worth.
+    """
+    p = scan_p_value(gain, len(kinds[0].edges) - 1)
+    if len(kinds) == 1:
+        return p
+    u, r = float(np.sqrt(2.0 * gain)), float(np.sqrt(kinds[1].worth))
+    both = multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]])
+    # As a pair of normal variates exceeds u more often than one of them, so do the largest of many.
+    below = both.cdf([u, u], lower_limit=[-u, -u])
+    times = min((1.0 - below) / (2.0 * norm.sf(u)), 2.0) if u < _NORMAL else 2.0
+    return float(-np.expm1(times * np.log1p(-min(p, 1.0 - 1e-12))))
 
 
 def _at_ends(kind: _Kind, a: int, b: int) -> tuple[int, int]:
