@@ -10,12 +10,13 @@ from scipy.linalg import toeplitz
 from scipy.stats import kstest, norm
 
 from allanjax.critique.bank import Bank, extrapolated, step_coefficients
+from allanjax.critique.causes.bias_step import BiasStep
 from allanjax.critique.causes.common_mode import _Link, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.causes.telegraph import _chain, two_levels
 from allanjax.critique.gain import drift_changes
-from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, family_of
+from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critique.search import Step
 from allanjax.critique.view import EVERYTHING, Candidate, View
 from allanjax.recording import Axis
@@ -326,3 +327,32 @@ def test_views_keep_what_they_are_made_of():
     assert twice.factor == pytest.approx(0.25 * np.ones(N - 1))
     assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
     assert dataclasses.replace(view, found=("sinusoid",)).found == ("sinusoid",)
+
+
+# --- Gain ---------------------------------------------------------------------------------------------------
+
+
+def test_the_gain_is_what_other_records_of_the_sensor_gain():
+    """Of a step: noise and step as found in one record, against noise alone, on another of equal length."""
+    rng = np.random.default_rng(15)
+    step = 0.8 * (np.arange(2048) >= 800)
+    differences = []
+    for _ in range(30):
+        x, other = 1.6 * rng.standard_normal((2, len(step))) + step
+        view = view_of(x)
+        candidate = BiasStep().detect(view)
+        if candidate is None:
+            continue
+        after, c = candidate.after, centred(other)
+        gained = 0.0
+        for found, sign in ((after, 1.0), (view, -1.0)):
+            v, rest = found.variance(), c - centred(view.x - found.x)
+            ramp = found.family.ramp
+            rest = rest - (ramp / v @ rest) / (ramp / v @ ramp) * ramp if found.noise.ramp else rest
+            gained -= 0.5 * sign * float(np.sum(np.log(v) + rest**2 / v))
+        differences.append(candidate.held_out() - gained)
+    assert len(differences) >= 20
+    # Three standard errors, and a nat for the eighth of the record that an effect is foretold without.
+    error = np.std(differences) / np.sqrt(len(differences))
+    assert abs(np.mean(differences)) < 3.0 * error + 1.0
+    assert error < 1.5

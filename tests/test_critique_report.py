@@ -232,6 +232,7 @@ def test_lines_do_not_break_between_a_number_and_its_unit():
     [
         (1.0, 0.62, "38 % low at τ = 0.7 s"),
         (1.0, 1.5, "50 % high"),
+        (1.0, 2.6, "160 % high"),
         (1.0, 0.01, "100 times too low"),
         (1.0, 5.0, "5 times too high"),
         (0.0, 1.0, "wrong"),

@@ -90,23 +90,26 @@ class Bank:
         projected = bank @ e
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
-    def held_out(self, view: View, noise: Noise) -> float:
-        """Log-likelihood [nats] gained on parts of the record by the effect as found in the others.
+    def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
+        """Log-likelihood [nats] gained on held-out data by the effect that is not there `after`.
 
-        The whole bank is searched without the part that is predicted.
+        The whole bank is searched without the part of the record that is predicted, in this noise or that of
+        `after`.
         """
+        noise = noise or after.noise
         bank, e = self.whitened(view, noise)
         bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (bank, e))
         parts = folds(len(e), _FOLD_BLOCK)
         projected = np.stack([bank[:, part] @ e[part] for part in parts], axis=1)
         squares = np.stack([np.sum(bank[:, part] ** 2, axis=1) for part in parts], axis=1)
+        whole = projected.sum(axis=1) ** 2 / np.maximum(squares.sum(axis=1), 1e-300)
         gain = 0.0
         for k in range(len(parts)):
             p, s = (z.sum(axis=1) - z[:, k] for z in (projected, squares))
             best = int(np.argmax(p**2 / np.maximum(s, 1e-300)))
             a = p[best] / max(s[best], 1e-300)
             gain += float(a * projected[best, k] - 0.5 * a**2 * squares[best, k])
-        return gain
+        return view.gained(after, 0.5 * float(whole.max()), gain)
 
     def p_value(self, view: View, noise: Noise, snr: float | None = None) -> float:
         """Probability that noise alone has an output as large as this, or as the largest in this view."""

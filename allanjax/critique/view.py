@@ -143,8 +143,46 @@ class View:
         total = 0.0
         for fold in coefficient_folds(self.n):
             noise = self.family.of(self.c, self.factor, fold).best(allowed)
-            total += predictive(self.c, self.variance(noise), ~fold)
+            total += self.log_likelihood(noise, ~fold)
         return total
+
+    def log_likelihood(
+        self,
+        noise: Noise,
+        some: Bool[np.ndarray, " n-1"] | slice = slice(None),
+        factor: Float[np.ndarray, " n-1"] | None = None,
+    ) -> float:
+        """Of some of the coefficients, under noise behind a further factor.
+
+        A ramp of the noise is projected out: nearly all of it is in one coefficient, and the others do not
+        foretell that one.
+        """
+        v, c, ramp = self.variance(noise)[some], self.c[some], self.family.ramp[some]
+        if factor is not None:
+            v = v * factor[some]
+        if noise.ramp:
+            weight = ramp / v
+            c = c - float(weight @ c) / float(weight @ ramp) * ramp
+        return -0.5 * float(np.sum(np.log(v) + c**2 / v))
+
+    @property
+    def expected_likelihood(self) -> float:
+        """Of another such record under this noise: this one's, less a nat a parameter (Akaike 1973)."""
+        shaped = bool(np.isfinite(self.noise.shape))
+        return self.log_likelihood(self.noise) - len(self.noise.terms) - shaped
+
+    def gained(self, after: View, own: float, kept: float) -> float:
+        """Log-likelihood that data gain which an effect was not estimated from [nats].
+
+        What is explained by the noise with the effect in it and by the noise without it differs by the effect
+        and by the noise's own parameters: the effect counts by what it is worth on held-out data.
+
+        Args:
+            after: the view without the effect.
+            own: log-likelihood that the effect gains on the data it was fitted to, in the noise of `after`.
+            kept: the same on parts of the record, by the effect that the other parts show.
+        """
+        return after.expected_likelihood - self.expected_likelihood - (own - kept)
 
     @property
     def residual(self) -> Float[np.ndarray, " n-1"]:
@@ -224,15 +262,6 @@ class View:
     def own(self, value: float, std: float, per: str = "") -> Quantity:
         """An amplitude in the recording's own unit."""
         return Quantity(value / self.scale, std / self.scale, self.axis.unit + per)
-
-
-def predictive(
-    c: Float[np.ndarray, " n-1"],
-    v: Float[np.ndarray, " n-1"],
-    fold: Bool[np.ndarray, " n-1"],
-) -> float:
-    """Log-likelihood of the coefficients in a fold."""
-    return float(-0.5 * np.sum((np.log(v) + c**2 / v)[fold]))
 
 
 def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:

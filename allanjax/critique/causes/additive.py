@@ -72,7 +72,7 @@ def additive(
                 gain,
                 1.0,
                 after,
-                partial(bank.held_out, view, noise),
+                partial(bank.held_out, view, after),
                 span(k),
                 "time",
                 adding(term and term(k, float(scan.amplitude[k]))),

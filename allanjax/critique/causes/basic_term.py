@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool
 from scipy.stats import chi2
 
 from allanjax.critique.bank import SLOW, Bank
 from allanjax.critique.causes.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds, predictive
+from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov, NoiseTerm
 from allanjax.units import default_coefficient_unit, unit_scale
@@ -41,15 +40,17 @@ class BasicTerm(Cause):
         if gain <= 0.0 or (term != RAMP and term not in noise.power):
             return None
 
+        after = view.allowing(allowed)
+
         def held_out() -> float:
             if term == RAMP:
                 # Its shape is known, and nearly all of it is in one coefficient: parts of the time, then.
                 shape = Bank(view.family.ramp[None, :SLOW])
-                return shape.held_out(view, dataclasses.replace(noise, ramp=False))
+                return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
             total = -view.foretold
             for fold in coefficient_folds(view.n):
                 other = view.family.of(view.c, view.factor, fold).best(allowed, required=(term,))
-                total += predictive(_without_ramp(view, other, fold), view.variance(other), ~fold)
+                total += view.log_likelihood(other, ~fold)
             return total
 
         return Candidate(
@@ -57,7 +58,7 @@ class BasicTerm(Cause):
             self._parameters(view, noise, term),
             gain,
             _p_value(view, term),
-            view.allowing(allowed),
+            after,
             held_out,
             (0.0, view.duration),
             "time",
@@ -82,13 +83,6 @@ class BasicTerm(Cause):
         return found
 
 
-def _without_ramp(view: View, noise: Noise, fold: Bool[np.ndarray, " n-1"] | None = None) -> np.ndarray:
-    """The coefficients without the ramp of this noise, if it has one, as a fold shows it."""
-    if not noise.ramp:
-        return view.c
-    return view.c - view.family.slope(view.c, view.variance(noise), fold)[0] * view.family.ramp
-
-
 def _p_value(view: View, term: str) -> float:
     """Of the likelihood ratio of the view's noise with the term to that without, by Wilks's law.
 
@@ -96,11 +90,7 @@ def _p_value(view: View, term: str) -> float:
     """
     present = view.noise.terms
     noise = view.weighing.best([*present, term], required=[*present, term])
-    every = np.ones(view.n - 1, bool)
-    likelihoods = [
-        predictive(_without_ramp(view, x, None), view.variance(x), every) for x in (noise, view.noise)
-    ]
-    ratio = 2.0 * max(likelihoods[0] - likelihoods[1], 0.0)
+    ratio = 2.0 * max(view.log_likelihood(noise) - view.log_likelihood(view.noise), 0.0)
     if term == MARKOV:
         return float(chi2.sf(ratio, 2))
     return float(chi2.sf(ratio, 1)) * (1.0 if term == RAMP else 0.5)

@@ -117,7 +117,7 @@ class BiasStep(Cause):
             without.noise.log_evidence - alone.noise.log_evidence - scan.search_price,
             bank.p_value(alone, without.noise, float(scan.snr[k])),
             without,
-            partial(bank.held_out, alone, without.noise),
+            partial(bank.held_out, alone, without),
             (float(places[k] / view.rate), view.duration),
             "time",
             adding(_term(view, places[k], a)),

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from allanjax import terms
 from allanjax.critique.causes.spectral import FineLevels
 from allanjax.critique.noise import MARKOV, density
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, predictive
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.model import Model
 
 _WORTH = 6.0
@@ -203,5 +203,5 @@ def _held_out(view: View) -> float:
         factor = _visible(view, bandwidth, filter_, fold)
         whole = view.combined(factor)
         noise = view.family.of(view.c, whole, fold).best(view.allowed)
-        gain += predictive(view.c, noise.variance * whole, ~fold)
+        gain += view.log_likelihood(noise, ~fold, factor)
     return gain

@@ -6,7 +6,7 @@ import numpy as np
 
 from allanjax.critique.causes.spectral import FineLevels, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, Noise, density
-from allanjax.critique.view import MARGIN, Candidate, Cause, Quantity, View, coefficient_folds, predictive
+from allanjax.critique.view import MARGIN, Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.terms import PowerLaw as PowerLawTerm
 
 # The exponent lies this near to the best one of the grid.
@@ -36,7 +36,7 @@ class PowerLaw(Cause):
             total = -view.foretold
             for fold in coefficient_folds(view.n):
                 with_it = view.family.of(view.c, view.factor, fold).best(allowed, required=(POWER_LAW,))
-                total += predictive(view.c, view.variance(with_it), ~fold)
+                total += view.log_likelihood(with_it, ~fold)
             return total
 
         parameters = {

@@ -13,7 +13,7 @@ from scipy.special import gammaincc
 
 from allanjax import terms
 from allanjax.critique.causes.spectral import fine_bins, sums
-from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds, predictive
+from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.linalg import solve
 
 _NARROWEST = 8
@@ -231,5 +231,5 @@ def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: fl
         found, _ = _fitted(view.c, v, theta[:2], width, view.rate, fold)
         factor = 1.0 + _density(found, view) / v
         noise = view.family.of(view.c, view.combined(factor), fold).best(view.allowed)
-        gain += predictive(view.c, view.variance(noise) * factor, ~fold)
+        gain += view.log_likelihood(noise, ~fold, factor)
     return gain

@@ -46,7 +46,8 @@ class Sinusoid(Cause):
 
         def held_out() -> float:
             root = np.sqrt(v)
-            return _held_out(in_time(view.c / root), view.rate, _PERIODS / view.duration)
+            kept = _held_out(in_time(view.c / root), view.rate, _PERIODS / view.duration)
+            return view.gained(after, z, kept)
 
         width = 40.0 / view.duration
         return Candidate(

@@ -194,13 +194,18 @@ def _products(
 
 def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
     """Gain on some blocks by the levels that the others are on."""
-    gain, length = 0.0, view.n // len(means)
+    kept, length = 0.0, view.n // len(means)
     c = centred(means)
     root = np.sqrt(after.variance()[: len(c)] / length)
+
+    def path(known: Bool[np.ndarray, " blocks"] | None) -> Float[np.ndarray, " blocks"]:
+        return in_time(centred(two_levels(means, sigma, known).upper) / root)
+
+    e = in_time(c / root)
     for rest in folds(len(means), 2):
         fold = ~rest
-        found = two_levels(means, sigma, fold)
-        h, e = (in_time(z / root) for z in (centred(found.upper), c))
+        h = path(fold)
         a = float(h[fold] @ e[fold] / (h[fold] @ h[fold]))
-        gain += a * float(h[rest] @ e[rest]) - 0.5 * a**2 * float(h[rest] @ h[rest])
-    return gain
+        kept += a * float(h[rest] @ e[rest]) - 0.5 * a**2 * float(h[rest] @ h[rest])
+    h = path(None)
+    return view.gained(after, 0.5 * float(h @ e) ** 2 / float(h @ h), kept)
