@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from allanjax.critique.causes import CAUSES
 from allanjax.critique.causes.common_mode import common_mode
@@ -40,6 +41,7 @@ _SHORTEST = 1024
 _WORKERS = 2
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def criticize(
     recording: Recording,
     fit: Fit | None,
@@ -47,7 +49,11 @@ def criticize(
     false_alarms: float,
     progress: Callable[[str], None] | None,
 ) -> Critique:
-    """See `allanjax.critique.critique`."""
+    """See `allanjax.critique.critique`.
+
+    The axes are criticized beside each other: threads of BLAS, which wait for work by spinning, would only be
+    in their way.
+    """
     causes = CAUSES if causes is None else causes
     tell = progress or (lambda text: None)
     label = recording.name or "the recording"

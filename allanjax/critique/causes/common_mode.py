@@ -32,7 +32,7 @@ class _Link:
 
     Attributes:
         noise: "all" or "white".
-        a, b: the lowest whitened coefficients of both, of mean square 1.
+        a, b: the lowest whitened coefficients of both.
         share: of this noise in the expected products of the two, were it one and the same in both.
     """
 
@@ -43,10 +43,10 @@ class _Link:
 
     @classmethod
     def of(cls, axes: _Axes, one: int, other: int, noise: str, top: int) -> _Link:
-        a, b = (axes.z[k][:top] / np.sqrt(np.mean(axes.z[k][:top] ** 2)) for k in (one, other))
-        first, second = (np.ones(top) if noise == "all" else axes.white[k] for k in (one, other))
-        assert first is not None
-        assert second is not None
+        a, b = axes.z[one][:top], axes.z[other][:top]
+        first, second = axes.white[one], axes.white[other]
+        if noise == "all" or first is None or second is None:
+            return cls("all", a, b, np.ones(top))
         return cls(noise, a, b, np.sqrt(first[:top] * second[:top]))
 
     @property
@@ -66,8 +66,14 @@ class _Link:
     def among(self, some: Bool[np.ndarray, " k"] | slice) -> float:
         """The same by some of the coefficients: Σ share·ab / Σ share²."""
         share = self.share[some]
-        r = float(share @ (self.a[some] * self.b[some]) / (share @ share))
+        r = float(share @ (self.a[some] * self.b[some]) / (share @ share)) / np.prod(self.levels)
         return float(np.clip(r, -_STRONGEST, _STRONGEST))
+
+    @functools.cached_property
+    def levels(self) -> tuple[float, float]:
+        """Root mean squares of a and b."""
+        a, b = (float(np.sqrt(x @ x / self.top)) for x in (self.a, self.b))
+        return a, b
 
     @property
     def p_value(self) -> float:
@@ -88,7 +94,8 @@ class _Link:
         """Log-likelihood of one axis's coefficients given the other's, by a correlation from elsewhere."""
         gain = 0.0
         for part in folds(self.top, min(_FOLD_BLOCK, max(self.top // 64, 1))):
-            a, b, r = self.a[part], self.b[part], self.among(~part) * self.share[part]
+            a, b = (x[part] / level for x, level in zip((self.a, self.b), self.levels, strict=True))
+            r = self.among(~part) * self.share[part]
             gain += 0.5 * float(np.sum(b**2 - (b - r * a) ** 2 / (1.0 - r**2) - np.log1p(-(r**2))))
         return gain
 
