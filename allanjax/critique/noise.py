@@ -20,7 +20,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import ramp_column
-from allanjax.evidence import ROUGH, STEPS, Evidence, Job, Levels, evidences
+from allanjax.evidence import FURTHER, ROUGH, Evidence, Job, Levels, evidences
 from allanjax.model import Model
 from allanjax.selection import basic_terms, jobs_of
 from allanjax.terms import Markov, NoiseTerm, PowerLaw
@@ -32,7 +32,7 @@ NEARLY_ALL = 0.9
 # Lengths of spectra are rounded up to multiples of this.
 _PADDED = 4096
 # Sets of which the most probable one is chosen with all digits.
-_CONTENDERS = 128
+_CONTENDERS = 136
 #: Values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
 # Slopes that no basic term has; the grid keeps its distance from those that have one.
@@ -165,7 +165,7 @@ class NoiseFamily:
         if first is None:
             found = evidences(jobs, levels, known, grid, size, share, steps=ROUGH)
         else:
-            found = evidences(jobs, levels, known, grid, size, share, first[None], STEPS)
+            found = evidences(jobs, levels, known, grid, size, share, first[None], FURTHER)
         return Evidence(*(x[0] for x in found))
 
     @functools.lru_cache(maxsize=2 * GRID)  # noqa: B019 - families are few, and themselves cached

@@ -101,9 +101,10 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
     width, widths = _NARROWEST, 0.0
     least = 1.0
     while width <= (len(ratio) - _LOWEST) // 4:
-        first = np.arange(_LOWEST, len(ratio) - width + 1, max(width // 4, 1))
-        level = float(np.max(total[first + width] - total[first])) / width
-        k = int(np.argmax(total[first + width] - total[first]))
+        step = max(width // 4, 1)
+        excess = total[_LOWEST + width :: step] - total[_LOWEST : len(total) - width : step]
+        k = int(np.argmax(excess))
+        level = float(excess[k]) / width
         windows = len(ratio) / width
         gain = 0.5 * width * (level - 1.0 - np.log(level)) if level > 1.0 else 0.0
         tail = min(max(float(gammaincc(width / 2.0, level * width / 2.0)), 1e-300), 1.0 - 1e-12)
@@ -111,7 +112,13 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
         of_width = -np.expm1(independent * windows * np.log1p(-tail))
         least, widths = min(least, float(of_width)), widths + 1.0
         if gain - np.log(windows) > best[0]:
-            best = (gain - np.log(windows), first[k] + width / 2.0 + 1.0, float(width), windows, gain)
+            best = (
+                gain - np.log(windows),
+                _LOWEST + k * step + width / 2.0 + 1.0,
+                float(width),
+                windows,
+                gain,
+            )
         width *= 2
     # Every width is a search of its own, but that the widest ones see what narrower ones have seen.
     p_value = -np.expm1(max(widths - _WIDE, 1.0) * np.log1p(-min(least, 1.0 - 1e-12)))
@@ -131,11 +138,12 @@ def _fitted(
     spacing = rate / (2.0 * n)
     f0 = float(np.exp(start[0]))
     first = fine_bins(n, f0 / spacing, max(width, 2.0))
-    used = np.ones(n - 1) if fold is None else fold.astype(float)
-    size, squares, level = sums(used, first), sums(used * c**2 / v, first), sums(used * v, first)
+    # What is not in the fold counts for nothing.
+    some, count = (lambda x: x, np.ones(n - 1)) if fold is None else (lambda x: fold * x, fold.astype(float))
+    size, squares, level = (sums(x, first) for x in (count, some(c * c / v), some(v)))
     real = size > 0
     size, squares, level = size[real], squares[real], (level[real] / size[real])
-    frequency = (sums(used * np.arange(1, n), first)[real] / size) * spacing
+    frequency = (sums(some(np.arange(1.0, n)), first)[real] / size) * spacing
     # Compiled once for all bumps of records about as long.
     pad = -len(size) % _PADDED
     bins = _Bins(
