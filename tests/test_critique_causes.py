@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+from hidden_effects import draw
 from scipy.stats import kstest
 
 from allanjax.critique.bank import Bank, step_coefficients
@@ -59,6 +60,18 @@ def test_two_shapes_are_the_best_of_all_pairs():
     price = gains.max() - np.logaddexp.reduce(gains) + np.log(len(gains))
     # One place after the other, the pairs' mean is known to a factor of e.
     assert pair.price == pytest.approx(price, abs=1.0)
+
+
+def test_a_step_remains_where_a_second_one_does_not_hold():
+    """A second step gains just enough beside the one that there is, but not on held-out data."""
+    hidden = draw(16, "bias_step", 2.0, duration=600.0, rate=100.0)
+    x, n = hidden.values[:, 0], len(hidden.values)
+    view = View(AXIS, 1.0, 100.0, x, x, None, {}, EVERYTHING, family_of(n, 100.0), np.zeros(n, bool))
+    found = BiasStep().detect(view)
+    assert found is not None
+    assert found.held_out() > 0.0
+    time = found.parameters["time"]
+    assert abs(time.value - hidden.effects[0].parameters["time"]) < 3.0 * time.std
 
 
 def test_two_steps_that_undo_each_other_are_both_found():

@@ -14,7 +14,7 @@ from allanjax.critique.causes.bias_step import BiasStep
 from allanjax.critique.causes.common_mode import _Link, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
-from allanjax.critique.causes.telegraph import _chain, two_levels
+from allanjax.critique.causes.telegraph import Telegraph, _chain, _noise, two_levels
 from allanjax.critique.gain import drift_changes
 from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critique.search import Step
@@ -216,6 +216,21 @@ def test_two_levels_are_found_in_noise():
     dwell, spread = found.dwell
     assert abs(np.log(dwell / 410.0)) < 3.0 * spread / dwell
     assert 0.2 < spread / dwell < 1.0
+
+
+def test_a_telegraph_has_the_levels_that_it_jumps_between():
+    rng = np.random.default_rng(10)
+    truth = np.searchsorted(np.array([300, 700, 800, 1500]) * 8, np.arange(2048 * 8), side="right") % 2
+    x = 5.0 + 0.8 * truth + 3.0 * rng.standard_normal(len(truth))
+    assert _noise(x.reshape(-1, 8).mean(axis=1)) == pytest.approx(3.0 / np.sqrt(8.0), rel=0.1)
+    found = Telegraph().detect(view_of(x))
+    assert found is not None
+    amplitude = found.parameters["amplitude"]
+    assert abs(amplitude.value - 0.8) < 3.0 * amplitude.std
+    # White noise of 16,384 samples, of which 1,100 · 8 are on one level: 2 · 3/√n.
+    assert amplitude.std == pytest.approx(2.0 * 3.0 / np.sqrt(len(truth)), rel=0.1)
+    assert found.parameters["jumps"].value == 4.0
+    assert found.held_out() > 0.0
 
 
 def test_two_levels_of_some_blocks_bridge_the_others():

@@ -32,7 +32,8 @@ class BiasStep(Cause):
         if found is None or found.gain < _SURE:
             least = 0.0 if found is None else max(found.gain, 0.0) + self.margin
             both = self._two(view, bank, places, least)
-            if both is not None:
+            # Each of the two must hold on held-out data; else the one that was found stands.
+            if both is not None and (found is None or both.held_out() > 0.0):
                 return both
         if found is None:
             return None
