@@ -148,13 +148,14 @@ def common_mode(
 
 def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Finding:
     members = {pair: link for pair, (link, _) in linked.items() if set(pair) <= group}
-    least = _WEAKEST * max(abs(link.correlation) for link in members.values())
-    pairs = sorted(pair for pair, link in members.items() if abs(link.correlation) >= least)
+    strong = _strong(list(members.values()))
+    pairs = sorted(pair for pair, link in members.items() if link in strong)
     # One kind of noise for all of them: that which explains most.
     noises = ["all"] if any(axes.white[k] is None for pair in pairs for k in pair) else ["all", "white"]
     tops = {link.top for link in members.values()}
     together = [[_Link.of(axes, *pair, noise, top) for pair in pairs] for noise in noises for top in tops]
-    possible = [links for links in together if all(link.size >= _LEAST for link in links)]
+    # There, pairs that share hardly anything are another matter: what they share is elsewhere.
+    possible = [_strong(links) for links in together if all(link.size >= _LEAST for link in links)]
     evidence = np.array([sum(link.evidence for link in links) for links in possible])
     # The mean over the pairs, of which those with a minus sign share noise of opposite sign.
     means = np.array([np.mean([abs(link.correlation) for link in links]) for links in possible])
@@ -164,10 +165,7 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
     # What it is the correlation of is part of what is not known.
     spread = likelihood @ (means - mean) ** 2 / likelihood.sum()
     top, names = links[0].top, tuple(axes.names[k] for k in sorted(group))
-    signs = tuple(
-        f"{axes.names[a]}/{axes.names[b]}: {link.correlation:+.3g}"
-        for (a, b), link in zip(pairs, links, strict=True)
-    )
+    signs = tuple(f"{axes.names[a]}/{axes.names[b]}: {members[a, b].correlation:+.3g}" for a, b in pairs)
     return Finding(
         cause=NAME,
         axes=names,
@@ -184,6 +182,12 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
         span=(rate / (2.0 * len(axes.z[0]) + 2.0), top * rate / (2.0 * len(axes.z[0]) + 2.0)),
         domain="frequency",
     )
+
+
+def _strong(links: Sequence[_Link]) -> list[_Link]:
+    """Those of which the correlation is not much less than the largest one."""
+    least = _WEAKEST * max(abs(link.correlation) for link in links)
+    return [link for link in links if abs(link.correlation) >= least]
 
 
 def _error(r: float, links: Sequence[_Link]) -> float:
