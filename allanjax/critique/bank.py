@@ -158,6 +158,11 @@ def extrapolated(largest: Float[np.ndarray, " draws"], value: float) -> float:
     return float(-np.expm1(-np.exp(level + slope * anchor + growth + np.log(2.0) + log_ndtr(-value))))
 
 
+def any_of(p: float, count: float) -> float:
+    """Probability of a p-value as small as p in any of `count` independent tests (Šidák 1967)."""
+    return float(-np.expm1(count * np.log1p(-min(p, 1.0 - 1e-16))))
+
+
 @functools.lru_cache(maxsize=2)
 def step_bank(n: int) -> tuple[Bank, np.ndarray]:
     """Steps at `SLOW`/4 places, and these [samples]."""

@@ -43,23 +43,13 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
     2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
     taken together. An effect with a shape of its own drifts as its shape does.
     """
-    # What is after one finding is before the next; what is found in the spectrum leaves the samples alone.
+    # What is after one finding is before the next.
     predicted = functools.lru_cache(maxsize=None)(_predicted)
-    squares: dict[tuple[int, int], Float[np.ndarray, " m"]] = {}
-
-    def measured(view: View, rows: slice, m: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        key = id(view.x), rows.start
-        if key not in squares:
-            squares[key] = _mean_squares(view.x[rows], m)
-        return squares[key]
-
-    return [_drift_change(step, predicted, measured) for step in steps]
+    return [_drift_change(step, predicted) for step in steps]
 
 
 def _drift_change(
-    step: Step,
-    predicted: Callable[[View], Float[np.ndarray, "halves m"]],
-    measured_in: Callable[[View, slice, Int[np.ndarray, " m"]], Float[np.ndarray, " m"]],
+    step: Step, predicted: Callable[[View], Float[np.ndarray, "halves m"]]
 ) -> DriftChange | None:
     before, after = step.before, step.candidate.after
     T, m = _horizons(before)
@@ -67,8 +57,8 @@ def _drift_change(
         return None
     rows = []
     for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
-        effect = 0.0 if after.x is before.x else _mean_squares((before.x - after.x)[mine], m)
-        rows.append((measured_in(before, mine, m), old, new + effect))
+        effect = (before.x - after.x)[mine]
+        rows.append((_mean_squares(before.x[mine], m), old, new + _mean_squares(effect, m)))
     measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
     unit = ANGLE[before.axis.sensor]

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.fft import dct, rfft
 from scipy.stats import chi2, kurtosistest, norm
 
-from allanjax.critique.bank import extrapolated
+from allanjax.critique.bank import any_of, extrapolated
 from allanjax.critique.comparison import (
     AllanLaw,
     Whitened,
@@ -84,14 +84,9 @@ class Profile:
         return self.at(int(np.argmax(abs(self.score))))
 
 
-def _sidak(p: float, count: int) -> float:
-    """Probability of a p-value as small as p in any of `count` independent tests."""
-    return float(np.clip(-np.expm1(count * np.log1p(-min(p, 1.0 - 1e-16))), TINY, 1.0))
-
-
 def _independent(count: int) -> Callable[[float], float]:
     """p-value of the largest of so many independent standard normal magnitudes."""
-    return lambda score: _sidak(float(2.0 * norm.sf(score)), count)
+    return lambda score: any_of(float(2.0 * norm.sf(score)), count)
 
 
 def _chi2_score(value: Places, dof: Places) -> Places:
@@ -181,7 +176,7 @@ def line(record: Whitened) -> Profile:
         simulated,
         record.axis.unit,
         np.sqrt(2.0 * power),
-        lambda score: _sidak(float(np.exp(-0.5 * score**2)), count),
+        lambda score: any_of(float(np.exp(-0.5 * score**2)), count),
     )
 
 

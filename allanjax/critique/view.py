@@ -149,7 +149,7 @@ class View:
     def log_likelihood(
         self,
         noise: Noise,
-        some: Bool[np.ndarray, " n-1"] | slice = slice(None),
+        some: Bool[np.ndarray, " n-1"] | None = None,
         factor: Float[np.ndarray, " n-1"] | None = None,
     ) -> float:
         """Of some of the coefficients, under noise behind a further factor.
@@ -157,13 +157,10 @@ class View:
         A ramp of the noise is projected out: nearly all of it is in one coefficient, and the others do not
         foretell that one.
         """
-        v, c, ramp = self.variance(noise)[some], self.c[some], self.family.ramp[some]
-        if factor is not None:
-            v = v * factor[some]
-        if noise.ramp:
-            weight = ramp / v
-            c = c - float(weight @ c) / float(weight @ ramp) * ramp
-        return -0.5 * float(np.sum(np.log(v) + c**2 / v))
+        v = self.variance(noise) if factor is None else self.variance(noise) * factor
+        c = self.c - self.family.slope(self.c, v, some)[0] * self.family.ramp if noise.ramp else self.c
+        each = np.log(v) + c**2 / v
+        return -0.5 * float(np.sum(each if some is None else each[some]))
 
     @property
     def expected_likelihood(self) -> float:

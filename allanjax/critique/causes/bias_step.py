@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class BiasStep(Cause):
             without.noise.log_evidence - alone.noise.log_evidence - scan.search_price,
             bank.p_value(alone, without.noise, float(scan.snr[k])),
             without,
-            partial(bank.held_out, alone, without),
+            cache(partial(bank.held_out, alone, without)),
             (float(places[k] / view.rate), view.duration),
             "time",
             adding(_term(view, places[k], a)),

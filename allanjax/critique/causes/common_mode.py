@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import betainc
 
-from allanjax.critique.bank import folds
+from allanjax.critique.bank import any_of, folds
 from allanjax.critique.noise import NEARLY_ALL
 from allanjax.critique.result import Finding
 from allanjax.critique.view import Quantity
@@ -81,8 +81,7 @@ class _Link:
 
         That of k pairs of zero mean has r² ~ Beta(½, (k−1)/2).
         """
-        r = min(abs(self.correlation), 1.0)
-        return float(betainc((self.size - 1.0) / 2.0, 0.5, 1.0 - r**2))
+        return float(betainc((self.size - 1.0) / 2.0, 0.5, 1.0 - self.correlation**2))
 
     @property
     def evidence(self) -> float:
@@ -140,7 +139,7 @@ def common_mode(
         noises = ("all",) if axes.white[a] is None or axes.white[b] is None else ("all", "white")
         links = [_Link.of(axes, a, b, noise, top) for noise in noises for top in tops]
         link = min((link for link in links if link.size >= _LEAST), key=lambda link: link.p_value)
-        p = float(-np.expm1(len(pairs) * len(links) * np.log1p(-min(link.p_value, 1.0 - 1e-12))))
+        p = any_of(link.p_value, len(pairs) * len(links))
         if p < alpha and link.held_out > 0.0:
             linked[a, b] = link, p
     return [_finding(axes, group, linked, rate) for group in _groups(linked)]

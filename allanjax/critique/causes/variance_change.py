@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import multivariate_normal, norm
 
-from allanjax.critique.bank import extrapolated, folds
+from allanjax.critique.bank import any_of, extrapolated, folds
 from allanjax.critique.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
@@ -143,7 +143,7 @@ def _p_value(gain: float, kinds: Sequence[_Kind]) -> float:
     # As a pair of normal variates exceeds u more often than one of them, so do the largest of many.
     below = both.cdf([u, u], lower_limit=[-u, -u])
     times = min((1.0 - below) / (2.0 * norm.sf(u)), 2.0) if u < _NORMAL else 2.0
-    return float(-np.expm1(times * np.log1p(-min(p, 1.0 - 1e-12))))
+    return any_of(p, times)
 
 
 def _at_ends(kind: _Kind, a: int, b: int) -> tuple[int, int]:
