@@ -15,7 +15,8 @@ from allanjax.critique.causes.resonance import _conspicuous
 from allanjax.critique.causes.variance_change import VarianceChange
 from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critique.pair import best_pair
-from allanjax.critique.search import Step, _grouped, search
+from allanjax.critique.search import _grouped, search
+from allanjax.critique.step import Step
 from allanjax.critique.view import EVERYTHING, View
 from allanjax.evidence import evidences
 from allanjax.recording import Axis

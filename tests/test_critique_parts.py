@@ -17,7 +17,7 @@ from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.causes.telegraph import Telegraph, _chain, _noise, two_levels
 from allanjax.critique.gain import drift_changes
 from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
-from allanjax.critique.search import Step
+from allanjax.critique.step import Step
 from allanjax.critique.view import EVERYTHING, Candidate, View
 from allanjax.recording import Axis
 

@@ -28,6 +28,8 @@ _FOLD_BLOCK = 8
 PARTS = 8
 #: Effects that are slow: so many of the lowest coefficients have all of them that noise leaves.
 SLOW = 4096
+#: Of the finest bank there is, of strong steps.
+FINEST = 8 * SLOW
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,16 +73,20 @@ class Bank:
     shapes: Float[np.ndarray, "shapes slow"]
 
     def whitened(self, view: View, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-        """The shapes divided by the noise, and the record; what a ramp would take is projected out."""
+        """The shapes divided by the noise, and the record.
+
+        What a ramp would take, or the shapes beside which these are looked at, is projected out.
+        """
         J = self.shapes.shape[1]
         root = np.sqrt(view.variance(noise)[:J])
         bank, e = self.shapes / root, view.c[:J] / root
-        if noise.ramp:
-            ramp = view.family.ramp[:J] / root
-            ramp = ramp / np.linalg.norm(ramp)
-            # In place: another array of this size would cost more than the sums.
-            bank = dger(-1.0, ramp, bank @ ramp, a=bank.T, overwrite_a=True).T
-            e = e - (e @ ramp) * ramp
+        free = [view.family.ramp] if noise.ramp else []
+        if free or view.beside:
+            columns = np.stack([shape[:J] / root for shape in (*free, *view.beside)], axis=1)
+            for q in np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0].T:
+                # In place: another array of this size would cost more than the sums.
+                bank = dger(-1.0, q, bank @ q, a=bank.T, overwrite_a=True).T
+                e = e - (e @ q) * q
         return bank, e
 
     def scan(self, view: View, noise: Noise) -> Scan:

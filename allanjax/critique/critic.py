@@ -23,7 +23,8 @@ from allanjax.critique.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critique.search import Search, Step, basic_model, extended, search, view_of
+from allanjax.critique.search import Search, basic_model, extended, search, view_of
+from allanjax.critique.step import Step
 from allanjax.critique.view import Cause, Quantity, View
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.fit import fit as fit_recording

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from allanjax.critique.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critique.profiles import ANGLE
 from allanjax.critique.result import CoefficientChange, DriftChange
-from allanjax.critique.search import Step
+from allanjax.critique.step import Step
 from allanjax.critique.view import View
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov

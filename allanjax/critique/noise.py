@@ -236,6 +236,10 @@ class Weighing:
         required: Sequence[str] = (),
     ) -> Noise:
         """The most probable set of `allowed` terms that has the `required` ones."""
+        return self.likely(allowed, required, 1)[0]
+
+    def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
+        """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
         rough = self._with_power_law if POWER_LAW in allowed else self._basic
         jobs, grid = self.family.jobs, POWER_LAW if POWER_LAW in allowed else MARKOV
         possible = np.ones(len(jobs.ramp), bool)
@@ -258,14 +262,18 @@ class Weighing:
             rows = in_grid & (keys == key)
             mean = np.logaddexp.reduce(values[rows]) - np.log(rows.sum())
             total[rows] = np.where(values[rows] == values[rows].max(), mean, -np.inf)
-        k = int(np.argmax(total))
-        names = [*FIXED, grid]
-        power = {names[i]: float(powers[k, i]) for i in np.flatnonzero(jobs.terms[k]) if powers[k, i] > 0.0}
+        order = np.argsort(-total, kind="stable")[: min(most, np.sum(total > -np.inf))]
+        return [self._noise(int(k), powers[k], float(total[k]), grid) for k in order]
+
+    def _noise(self, k: int, powers: Float[np.ndarray, " terms"], log_evidence: float, grid: str) -> Noise:
+        """The set of that job."""
+        jobs, names = self.family.jobs, [*FIXED, grid]
+        power = {names[i]: float(powers[i]) for i in np.flatnonzero(jobs.terms[k]) if powers[i] > 0.0}
         shape = float("nan")
         if grid in power:
             values_of = _EXPONENTS if grid == POWER_LAW else self.family.times
             shape = float(values_of[jobs.column[k]])
-        log_evidence = float(total[k]) + self.constant
+        log_evidence += self.constant
         return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
 
     def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:

@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critique.noise import RAMP, family_of
+from allanjax.critique.refit import refitted
+from allanjax.critique.step import Step, strung
 from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, in_time
 from allanjax.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.model import Model
@@ -25,23 +27,6 @@ _CERTAIN = 1e-6
 # is before it whatever has become of that.
 _AHEAD, _TIMES = 30.0, 4.0
 _TOO_MANY = 0.5
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Step:
-    """One finding, as the search made it.
-
-    Attributes:
-        candidate: what was found.
-        gain: log-likelihood gained on held-out data [nats].
-        rivals: other causes and the odds against them.
-        before: the view that it was found in.
-    """
-
-    candidate: Candidate
-    gain: float
-    rivals: tuple[tuple[str, float], ...]
-    before: View
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,7 +63,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     for cause in (c for c in causes if c.of_samples):
         candidate = cause.detect(view)
         if candidate is not None and candidate.p_value < alpha and (gain := candidate.held_out()) > 0.0:
-            steps.append(_step(candidate, gain, (), view))
+            steps.append(Step.of(candidate, gain, (), view))
             view = candidate.after
     restored = bool(steps)
     # Of a record that was mostly filled in nothing else is said.
@@ -87,7 +72,10 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     notes: tuple[str, ...] = ()
     # What those that may not have to be asked again offered last.
     offered: dict[Cause, float] = {}
-    while len(steps) < _MOST:
+    # Those count too that are dropped again beside later ones.
+    rounds, anew = 0, False
+    while len(steps) < _MOST and rounds < 2 * _MOST:
+        rounds += 1
         candidates, left = _candidates(view, others, offered, progress)
         step = _chosen(candidates, view, alpha)
         if step is None and left:
@@ -100,10 +88,14 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             break
         for part in step.candidate.parts or (step.candidate,):
             gain = part.held_out() if step.candidate.parts else step.gain
-            steps.append(_step(part, gain, step.rivals, view))
+            steps.append(Step.of(part, gain, step.rivals, view))
             view = part.after.having(part.cause)
+        known = steps
+        steps, view = refitted(known, view, others)
+        changed = [s.candidate for s in steps] != [s.candidate for s in known]
+        anew |= changed
         # What is in time may have hidden anything; what is in the spectrum hardly hides what is in time.
-        if step.candidate.domain == "time":
+        if changed or step.candidate.domain == "time":
             offered = {}
         else:
             found = dict(candidates)
@@ -112,13 +104,9 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             offered = {cause: offered[cause] for cause in left} | nothing | in_time
     else:
         notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
+    if anew:
+        steps = strung(start, steps)
     return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, notes, restored)
-
-
-def _step(candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
-    """A step that keeps no more than is needed of it."""
-    candidate = dataclasses.replace(candidate, after=candidate.after.light(), held_out=lambda: gain)
-    return Step(candidate, gain, tuple(rivals), view.light())
 
 
 def _candidates(

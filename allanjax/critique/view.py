@@ -55,6 +55,7 @@ class View:
         family: to weigh other sets and other records with.
         restored: samples that were filled in, which tell nothing.
         found: causes found so far.
+        beside: coefficients of shapes that were taken out, of which the amplitudes are free.
     """
 
     axis: Axis
@@ -68,6 +69,7 @@ class View:
     family: NoiseFamily
     restored: Bool[np.ndarray, " n"]
     found: tuple[str, ...] = ()
+    beside: tuple[Float[np.ndarray, " slow"], ...] = ()
 
     @property
     def n(self) -> int:
@@ -314,6 +316,7 @@ class Candidate:
         held_out: log-likelihood gained on data that it was not estimated from [nats].
         span: where it is: start and end in time [s], or low and high frequency [Hz]; `domain` says which.
         extend: adds it to a model of noise terms.
+        shaped: whether it takes a known shape out of the lowest coefficients.
         parts: where only several together explain anything: each of them, in order, as a finding of its own.
     """
 
@@ -326,6 +329,7 @@ class Candidate:
     span: tuple[float, float]
     domain: str
     extend: Callable[[Model], Model] = lambda model: model
+    shaped: bool = False
     parts: tuple[Candidate, ...] = ()
 
 
@@ -343,6 +347,8 @@ class Cause(ABC):
     margin: ClassVar[float] = MARGIN
     #: Probability of a false finding that is accepted; None for a share of what the critique may have.
     level: ClassVar[float | None] = None
+    #: Whether it is fitted again when later findings change what it was fitted beside.
+    joint: ClassVar[bool] = False
 
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:

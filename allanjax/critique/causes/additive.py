@@ -17,6 +17,8 @@ from allanjax.terms import NoiseTerm
 # Below this signal-to-noise ratio nothing is looked at more closely.
 _WORTH = 3.5
 _ROUNDS = 3
+# Sets of noise terms that may be the right one, and how much less likely they may be [nats].
+_SETS, _LESS = 4, 3.0
 
 
 def additive(
@@ -36,7 +38,7 @@ def additive(
         cause: the candidate's name.
         bank: of shapes.
         shape: the shape of that index in full, for n samples.
-        parameters: from index, amplitude, its standard deviation and the relative likelihood of each shape.
+        parameters: from index, amplitude, its standard deviation and the likelihood of each shape, sum 1.
         span: from index.
         more: further price of the search [nats].
         term: the noise term of that index and amplitude [SI], if there is one.
@@ -61,14 +63,9 @@ def additive(
         gain = after.noise.log_evidence - view.noise.log_evidence
         gain -= scan.search_price + amplitude_price(snr) + more
         if best is None or gain > best.gain:
-            half = 0.5 * scan.snr**2
-            likelihood = np.exp(half - half.max())
-            weight = likelihood / likelihood.sum()
-            # The amplitude is known no better than the shape it belongs to.
-            std = np.sqrt(scan.std[k] ** 2 + weight @ (scan.amplitude - scan.amplitude[k]) ** 2)
             best = Candidate(
                 cause,
-                parameters(k, float(scan.amplitude[k]), float(std), likelihood),
+                {},
                 gain,
                 1.0,
                 after,
@@ -76,13 +73,39 @@ def additive(
                 span(k),
                 "time",
                 adding(term and term(k, float(scan.amplitude[k]))),
+                shaped=True,
             )
-            searched = noise, snr
-    if best is not None and best.gain > 0.0:
-        # Noise alone has an evidence of e^gain against it with no more than this probability.
-        p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
-        best = dataclasses.replace(best, p_value=p_value)
-    return best
+            searched, place = (noise, snr), (k, float(scan.amplitude[k]))
+    if best is None or not best.gain > 0.0:
+        return None
+    # Noise alone has an evidence of e^gain against it with no more than this probability.
+    p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
+    found = parameters(*place, *known(view, best.after, bank, *place))
+    return dataclasses.replace(best, p_value=p_value, parameters=found)
+
+
+def known(
+    view: View, after: View, bank: Bank, k: int, amplitude: float
+) -> tuple[float, Float[np.ndarray, " shapes"]]:
+    """Deviation of the amplitude and likelihood of the shapes, whatever the noise may be.
+
+    In noise that drifts a step is known by the samples next to it, in white noise by all: where the record
+    does not tell which noise it is, both count.
+    """
+    sets = after.weighing.likely(after.allowed, most=_SETS)
+    odds = np.exp([noise.log_evidence - sets[0].log_evidence for noise in sets])
+    odds = np.where(odds > np.exp(-_LESS), odds, 0.0) / odds[odds > np.exp(-_LESS)].sum()
+    variance, likelihood = 0.0, np.zeros(len(bank.shapes))
+    for noise, share in zip(sets, odds, strict=True):
+        if share > 0.0:
+            scan = bank.scan(view, noise)
+            half = 0.5 * scan.snr**2
+            weight = np.exp(half - half.max())
+            weight /= weight.sum()
+            # The amplitude is known no better than the shape it belongs to.
+            off = scan.std[k] ** 2 + weight @ (scan.amplitude - amplitude) ** 2
+            variance, likelihood = variance + share * off, likelihood + share * weight
+    return float(np.sqrt(variance)), likelihood
 
 
 def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:

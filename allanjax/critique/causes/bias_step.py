@@ -9,8 +9,8 @@ from functools import cache, partial
 import numpy as np
 
 from allanjax import terms
-from allanjax.critique.bank import Bank, amplitude_price, step_bank, step_coefficients
-from allanjax.critique.causes.additive import adding, additive, mean_and_std
+from allanjax.critique.bank import FINEST, Bank, amplitude_price, step_bank, step_coefficients
+from allanjax.critique.causes.additive import adding, additive, known, mean_and_std
 from allanjax.critique.pair import best_pair
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
@@ -25,6 +25,7 @@ class BiasStep(Cause):
 
     name = "bias_step"
     margin = 2.0
+    joint = True
 
     def detect(self, view: View) -> Candidate | None:
         bank, places = step_bank(view.n)
@@ -43,7 +44,7 @@ class BiasStep(Cause):
         spacing = places[1] - places[0]
         if spacing > 1.0 and time.std * view.rate < spacing:
             fine = np.unique(np.rint(k + np.linspace(-2.0, 2.0, _FINER) * spacing).clip(1, view.n - 1))
-            J = min(8 * bank.shapes.shape[1], view.n - 1)
+            J = min(FINEST, view.n - 1)
             finer = Bank(step_coefficients(fine, view.n, J))
             refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))))
             if refined is not None and refined.gain > found.gain:
@@ -110,11 +111,10 @@ class BiasStep(Cause):
         """The first of two steps as a finding in the record without the other; its gain: what it adds."""
         alone = view.with_x(view.x - steps[1])
         scan = bank.scan(alone, without.noise)
-        half = 0.5 * scan.snr**2
         a = float(scan.amplitude[k])
         return Candidate(
             self.name,
-            _parameters(view, places, a, float(scan.std[k]), np.exp(half - half.max())),
+            _parameters(view, places, a, *known(alone, without, bank, k, a)),
             without.noise.log_evidence - alone.noise.log_evidence - scan.search_price,
             bank.p_value(alone, without.noise, float(scan.snr[k])),
             without,
@@ -122,6 +122,7 @@ class BiasStep(Cause):
             (float(places[k] / view.rate), view.duration),
             "time",
             adding(_term(view, places[k], a)),
+            shaped=True,
         )
 
 

@@ -38,6 +38,7 @@ class LowPass(Cause):
     """
 
     name = "low_pass"
+    joint = True
 
     def detect(self, view: View) -> Candidate | None:
         if self.name in view.found:

@@ -36,6 +36,7 @@ class Resonance(Cause):
     """A bump of the spectrum."""
 
     name = "resonance"
+    joint = True
 
     def p_value(self, view: View) -> float:
         window = _conspicuous(view.c**2 / view.variance())

@@ -1,0 +1,104 @@
+"""What was found is fitted again when later findings have changed what it was fitted beside.
+
+A filter that was fitted with a bump still in the spectrum, a warm-up with a step still in the record: each is
+looked for again in the record without all the others, whose amplitudes are free if they have a shape.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critique.bank import FINEST, SLOW
+from allanjax.critique.noise import centred
+from allanjax.critique.step import Step
+from allanjax.critique.view import Cause, View
+
+# Times around, for those that lean on each other.
+_ROUNDS = 3
+# Frequencies at which the noise is looked at; what the logarithm of its level may change by, and any
+# parameter of the others in its standard deviations.
+_PLACES, _LEVEL, _DEVIATION = 64, 0.1, 0.3
+
+
+def refitted(steps: Sequence[Step], view: View, causes: Sequence[Cause]) -> tuple[list[Step], View]:
+    """The steps, each fitted beside the others if these have changed what it was fitted beside, and the end.
+
+    What gains nothing beside the others is dropped.
+
+    Args:
+        steps: all findings.
+        view: without them.
+        causes: of which those that are `joint` are fitted again.
+    """
+    again = {cause.name: cause for cause in causes if cause.joint}
+    found = [s if s.beside is not None else dataclasses.replace(s, beside=_levels(s, view)) for s in steps]
+    end, lost = view, set()
+    for _ in range(_ROUNDS):
+        stale = [k for k in range(len(found)) if found[k].candidate.cause in again and _stale(k, found, end)]
+        for k in stale:
+            cause = found[k].candidate.cause
+            without = found[k].change.put_back(end)
+            names = [*without.found]
+            names.remove(cause)
+            without = dataclasses.replace(without, found=tuple(names), beside=_shapes(found, k))
+            candidate = again[cause].detect(without)
+            gain = 0.0 if candidate is None or candidate.parts else min(candidate.gain, candidate.held_out())
+            if candidate is None or not gain > 0.0:
+                lost.add(k)
+                continue
+            lost.discard(k)
+            end = dataclasses.replace(candidate.after, beside=()).having(cause)
+            candidate = dataclasses.replace(candidate, after=end)
+            without = dataclasses.replace(without, beside=())
+            step = Step.of(candidate, candidate.held_out(), found[k].rivals, without)
+            found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
+        if not stale:
+            break
+    if end.noise.log_evidence < view.noise.log_evidence:
+        return list(steps), view
+    for k in sorted(lost, reverse=True):
+        end = found.pop(k).change.put_back(end)
+    return found, end
+
+
+def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
+    """Whether the noise or the others are not what the step was fitted beside."""
+    old, new = steps[k].beside, _beside(k, steps, end)
+    return old is None or len(old) != len(new) or bool(np.max(abs(new - old)) > 1.0)
+
+
+def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]:
+    """What a step is fitted beside, in units of what matters: the noise, and others with a shape."""
+    values = [
+        float(q.value) / (_DEVIATION * q.std)
+        for other in _others(k, steps)
+        for q in other.candidate.parameters.values()
+        if isinstance(q.value, float) and q.std > 0.0
+    ]
+    return np.concatenate([_levels(steps[k], end), values])
+
+
+def _levels(step: Step, view: View) -> Float[np.ndarray, " places"]:
+    """Of the noise where the finding is in the spectrum, or at low frequencies for one that is in time."""
+    low, high = 1.0, float(min(SLOW, view.n - 1))
+    if step.candidate.domain == "frequency":
+        low, high = (2.0 * view.n * f / view.rate for f in step.candidate.span)
+        low = min(max(low / 2.0, 1.0), view.n - 1.0)
+    places = np.unique(np.rint(np.geomspace(low, min(high, view.n - 1.0), _PLACES)).astype(int)) - 1
+    return np.log(view.variance()[places]) / _LEVEL
+
+
+def _others(k: int, steps: Sequence[Step]) -> list[Step]:
+    """Others with a shape, if this step has one."""
+    mine = steps[k].candidate.shaped
+    return [s for i, s in enumerate(steps) if mine and i != k and s.candidate.shaped]
+
+
+def _shapes(steps: Sequence[Step], k: int) -> tuple[Float[np.ndarray, " slow"], ...]:
+    """The lowest coefficients of what the others take out."""
+    paths = [other.change.path for other in _others(k, steps)]
+    return tuple(centred(path)[:FINEST] for path in paths if path is not None)
