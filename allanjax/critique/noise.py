@@ -33,6 +33,8 @@ NEARLY_ALL = 0.9
 _PADDED = 4096
 # Sets of which the most probable one is chosen with all digits.
 _CONTENDERS = 136
+#: Sets of noise terms of which one may be the right one, and how much less likely they may be [nats].
+SETS, _LESS = 4, 3.0
 #: Values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
 # Slopes that no basic term has; the grid keeps its distance from those that have one.
@@ -280,6 +282,13 @@ class Weighing:
         jobs = self.family.jobs
         members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
+
+
+def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:
+    """Probability of each of these sets of terms, the best one first; 0 if it is far less likely."""
+    less = np.array([sets[0].log_evidence - noise.log_evidence for noise in sets])
+    likely = np.where(less < _LESS, np.exp(-less), 0.0)
+    return likely / likely.sum()
 
 
 def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:

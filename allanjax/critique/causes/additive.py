@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critique.bank import Bank, amplitude_price
+from allanjax.critique.noise import SETS, odds
 from allanjax.critique.view import Candidate, Quantity, View
 from allanjax.model import Model
 from allanjax.terms import NoiseTerm
@@ -17,8 +18,6 @@ from allanjax.terms import NoiseTerm
 # Below this signal-to-noise ratio nothing is looked at more closely.
 _WORTH = 3.5
 _ROUNDS = 3
-# Sets of noise terms that may be the right one, and how much less likely they may be [nats].
-_SETS, _LESS = 4, 3.0
 
 
 def additive(
@@ -92,11 +91,9 @@ def known(
     In noise that drifts a step is known by the samples next to it, in white noise by all: where the record
     does not tell which noise it is, both count.
     """
-    sets = after.weighing.likely(after.allowed, most=_SETS)
-    odds = np.exp([noise.log_evidence - sets[0].log_evidence for noise in sets])
-    odds = np.where(odds > np.exp(-_LESS), odds, 0.0) / odds[odds > np.exp(-_LESS)].sum()
+    sets = after.weighing.likely(after.allowed, most=SETS)
     variance, likelihood = 0.0, np.zeros(len(bank.shapes))
-    for noise, share in zip(sets, odds, strict=True):
+    for noise, share in zip(sets, odds(sets), strict=True):
         if share > 0.0:
             scan = bank.scan(view, noise)
             half = 0.5 * scan.snr**2

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import chi2
 
 from allanjax.critique.bank import SLOW, Bank
 from allanjax.critique.causes.spectral import SHAPE, FineLevels, relative_errors
-from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
+from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, SETS, Noise, density, odds
 from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.selection import basic_terms
-from allanjax.terms import Markov, NoiseTerm
+from allanjax.terms import Markov
 from allanjax.units import default_coefficient_unit, unit_scale
 
 
@@ -56,7 +57,7 @@ class BasicTerm(Cause):
 
         return Candidate(
             term,
-            self._parameters(view, noise, term),
+            self._parameters(view, allowed, noise, term),
             gain,
             _p_value(view, term),
             after,
@@ -65,23 +66,33 @@ class BasicTerm(Cause):
             "time",
         )
 
-    def _parameters(self, view: View, noise: Noise, term: str) -> dict[str, Quantity]:
-        if term == RAMP:
-            value, std = view.family.slope(view.c, view.variance(noise))
-            unit = _unit(view, basic_terms()[RAMP])
-            scale = unit_scale(unit, view.axis.sensor)
-            return {"coefficient": Quantity(abs(value) / scale, std / scale, unit)}
+    def _parameters(self, view: View, allowed: Sequence[str], noise: Noise, term: str) -> dict[str, Quantity]:
+        """Of the best set of terms, known no better than the sets that may be the right one agree."""
+        sets = view.weighing.likely(allowed, (term,), most=SETS)
+        found = [_value(view, other, term) for other in sets]
+        value = _value(view, noise, term)[0]
+        share = odds(sets)
+        std = float(
+            np.sqrt(sum(w * (s**2 + (x - value) ** 2) for w, (x, s) in zip(share, found, strict=True)))
+        )
         declared = Markov() if term == MARKOV else basic_terms()[term]
-        unit = _unit(view, declared)
-        value = float(np.sqrt(noise.power[term]))
-        relative = relative_errors(view, noise)
-        name = declared.parameters()[0].name
+        parameter = declared.parameters()[0]
+        unit = default_coefficient_unit(view.axis.sensor, parameter.time_exponent)
         scale = unit_scale(unit, view.axis.sensor)
-        found = {name: Quantity(value / scale, 0.5 * relative[term] * value / scale, unit)}
+        parameters = {parameter.name: Quantity(value / scale, std / scale, unit)}
         if term == MARKOV:
             time = _correlation_time(view, noise)
-            found["correlation_time"] = Quantity(time, relative[SHAPE] * time, "s")
-        return found
+            parameters["correlation_time"] = Quantity(time, relative_errors(view, noise)[SHAPE] * time, "s")
+        return parameters
+
+
+def _value(view: View, noise: Noise, term: str) -> tuple[float, float]:
+    """The coefficient of a term [SI] in a set of terms, and its deviation."""
+    if term == RAMP:
+        value, std = view.family.slope(view.c, view.variance(noise))
+        return abs(value), std
+    value = float(np.sqrt(noise.power[term])) if term in noise.power else 0.0
+    return value, 0.5 * relative_errors(view, noise)[term] * value if value else 0.0
 
 
 def _p_value(view: View, term: str) -> float:
@@ -107,7 +118,3 @@ def _correlation_time(view: View, noise: Noise) -> float:
 
     middle, step = np.log(noise.shape), np.log(view.family.times[1] / view.family.times[0])
     return float(np.exp(levels.shape_of(likelihood, (middle - step, middle + step))[0]))
-
-
-def _unit(view: View, term: NoiseTerm) -> str:
-    return default_coefficient_unit(view.axis.sensor, term.parameters()[0].time_exponent)

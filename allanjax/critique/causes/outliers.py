@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
@@ -23,6 +23,8 @@ _APART, _LONGEST = 8, 48
 # Samples at each end of the record whose scatter is looked at; rounds in which neighbours come to light.
 _END, _ROUNDS = 16, 5
 _FOLD_BLOCK = 16
+# Scales that are weighed.
+_WEIGHED = 201
 
 
 class Outliers(Cause):
@@ -42,27 +44,31 @@ class Outliers(Cause):
         gain, share, scale = _mixture(z)
         if gain < _WORTH:
             return None
-        missing, after, loud = np.zeros(view.n, bool), view, _loud(z, share, scale)
+        threshold = _threshold(share, scale)
+        missing, scores, after = np.zeros(view.n, bool), np.zeros(view.n), view
+        seen = z
         # Beside a large one others are seen only when it is gone.
         for _ in range(_ROUNDS):
-            if not loud.any():
+            loud = np.flatnonzero(abs(seen) > threshold)
+            if len(loud) == 0:
                 break
-            peaks = _peaks(_scores(after, bulk), np.flatnonzero(loud))
+            peaks = _peaks(seen, loud)
             if peaks is None:
                 return None
-            missing[peaks] = True
+            missing[peaks], scores[peaks] = True, seen[peaks]
             after = view.filled(missing)
-            loud = _loud(_scores(after, bulk), share, scale)
+            seen = _scores(after, bulk)
         times = np.flatnonzero(missing)
         if len(times) == 0:
             return None
         gain -= _price(view.n)
         # Of all that there are, also of those too small to be seen.
-        spread = scale * bulk
+        spread, relative = _known(scores[missing], threshold)
+        spread *= bulk
         parameters = {
             "count": Quantity(float(len(times)), float(np.sqrt(len(times) * 0.05)), "1"),
             "times": Quantity(tuple(float(k / view.rate) for k in times), 1.0 / view.rate, "s"),
-            "scale": view.own(spread, spread / np.sqrt(2.0 * len(times))),
+            "scale": view.own(spread, relative * spread),
         }
         p_value = _p_value(float(np.max(abs(z))), view.n)
         return Candidate(
@@ -139,10 +145,25 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     return -float(found.fun), float(min(share, 0.5)), float(scale)
 
 
-def _loud(z: Float[np.ndarray, " n"], share: float, scale: float) -> Bool[np.ndarray, " n"]:
-    """Which samples have been drawn from the wider of the two laws."""
+def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float]:
+    """The scale of those that scores above a threshold belong to, and its relative deviation.
+
+    Of normal errors only those are found that are larger: the normal law is cut off there.
+    """
+    log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
+    width = np.sqrt(1.0 + np.exp(2.0 * log))
+    each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
+    weight = np.exp(each.sum(axis=0) - each.sum(axis=0).max())
+    weight /= weight.sum()
+    middle = float(weight @ log)
+    return float(np.exp(middle)), float(np.sqrt(weight @ (log - middle) ** 2))
+
+
+def _threshold(share: float, scale: float) -> float:
+    """Score from which on a sample has been drawn from the wider of the two laws."""
     s2 = scale**2
-    return np.log(share / (1.0 - share)) + 0.5 * z**2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2) > _ODDS
+    least = _ODDS - np.log(share / (1.0 - share)) + 0.5 * np.log1p(s2)
+    return float(np.sqrt(2.0 * max(least, 0.0) * (1.0 + s2) / s2))
 
 
 def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:

@@ -21,6 +21,8 @@ _DRAWS = 1000
 _WORTH = 6.0
 _FINER = 32
 _FOLD_BLOCK = 16
+# Samples at each end of the record that are not looked at.
+_ENDS = 16
 # What a place that need not be known saves [nats]; the least that can be left of a noise, less one.
 _PLACE, _LEAST = 5.0, -0.99
 # Normal variates beyond this are too rare for the bivariate law to be computed.
@@ -53,9 +55,11 @@ class _Kind:
             else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
         )
         squares = u**2
-        # Samples that were drawn anew have the right variance, but not the record's ends behind a filter.
+        # Samples that were drawn anew have the right variance, but not the record's ends behind a filter; and
+        # quantization noise at the ends is not that of the mirrored record.
         known = np.flatnonzero(~view.restored)
-        squares[: known[0]] = squares[known[-1] + 1 :] = np.mean(squares[known[0] : known[-1] + 1])
+        first, last = max(known[0], _ENDS), min(known[-1], view.n - 1 - _ENDS)
+        squares[:first] = squares[last + 1 :] = np.mean(squares[first : last + 1])
         worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
         blocks = min(_BLOCKS, view.n // 16)
         edges = np.rint(np.arange(blocks + 1) * view.n / blocks)
