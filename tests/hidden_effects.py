@@ -283,17 +283,27 @@ def repeated_samples(values, s):
 
 CHANGES = {f.__name__: f for f in (saturation, rounding, repeated_samples)}
 
-# What happens to the noise itself.
+# What happens to the noise itself; a filter passes what is added to it, too.
 
 
-def low_pass(noise, rate, rng):
-    """Through exponential smoothing or a Butterworth filter of second order; bandwidth: at −3 dB."""
+def low_pass(rate, rng):
+    """Exponential smoothing or a Butterworth filter of second order; bandwidth: at −3 dB."""
     bandwidth, order = rng.uniform(0.15, 0.7) * rate / 2.0, int(rng.integers(1, 3))
     memory = 2.0 - np.cos(2.0 * np.pi * bandwidth / rate)
     memory -= np.sqrt(memory**2 - 1.0)
     smoothing = [1.0 - memory], [1.0, -memory]
     filtering = smoothing if order == 1 else scipy.signal.butter(2, bandwidth, fs=rate)
-    return scipy.signal.lfilter(*filtering, noise), {"bandwidth": bandwidth, "order": order}
+    return filtering, {"bandwidth": bandwidth, "order": order}
+
+
+def passed(path, parameters, filtering, rate):
+    """A path behind the filter, as if it had been for long where it begins; a line's amplitude there."""
+    settled = scipy.signal.lfilter_zi(*filtering) * path[0]
+    path = scipy.signal.lfilter(*filtering, path, zi=settled)[0]
+    if "frequency" not in parameters:
+        return path, parameters
+    gain = abs(scipy.signal.freqz(*filtering, [parameters["frequency"]], fs=rate)[1][0])
+    return path, parameters | {"amplitude": gain * parameters["amplitude"]}
 
 
 def common_mode(white, s):
@@ -349,7 +359,8 @@ def draw(seed, cause, multiple=(1.5, 5.0), *, duration=None, rate=None, without=
         noise, *found["common_mode"] = common_mode(noise, scenes["common_mode"])
     noise += np.stack([coloured_noise(sensor, size, rate, rng) for _ in names], 1)
     if "low_pass" in causes:
-        noise[:, 0], parameters = low_pass(noise[:, 0], rate, rng)
+        filtering, parameters = low_pass(rate, rng)
+        noise[:, 0] = scipy.signal.lfilter(*filtering, noise[:, 0])
         found["low_pass"] = parameters, np.nan
     scale = np.concatenate([[1.0], rng.uniform(0.8, 1.25, n_axes - 1)])
     bias = np.concatenate([[sensor["bias"]], sensor["bias"] * rng.uniform(-1.0, 1.0, n_axes - 1)])
@@ -359,6 +370,9 @@ def draw(seed, cause, multiple=(1.5, 5.0), *, duration=None, rate=None, without=
     for c in (c for c in causes if c in ADDED):
         add, make = ADDED[c]
         path, *found[c] = add(c, make, scenes[c])
+        # Errors of single samples come after the sensor's filter.
+        if "low_pass" in causes and c != "outliers":
+            path, found[c][0] = passed(path, found[c][0], filtering, rate)
         values[:, 0] += path
     for c in (c for c in CHANGES if c in causes):
         values[:, 0], parameters = CHANGES[c](values[:, 0], scenes[c])

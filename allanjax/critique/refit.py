@@ -21,13 +21,15 @@ from allanjax.critique.view import Cause, View
 _ROUNDS = 3
 # Frequencies at which the noise is looked at; what the logarithm of its level may change by, and any
 # parameter of the others in its standard deviations.
-_PLACES, _LEVEL, _DEVIATION = 64, 0.1, 0.3
+_PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
+# Log-evidence [nats] of what is not dropped.
+_SURE = 20.0
 
 
 def refitted(steps: Sequence[Step], view: View, causes: Sequence[Cause]) -> tuple[list[Step], View]:
     """The steps, each fitted beside the others if these have changed what it was fitted beside, and the end.
 
-    What gains nothing beside the others is dropped.
+    What gains nothing beside the others is dropped, unless the record is not to be explained without it.
 
     Args:
         steps: all findings.
@@ -45,23 +47,27 @@ def refitted(steps: Sequence[Step], view: View, causes: Sequence[Cause]) -> tupl
             names = [*without.found]
             names.remove(cause)
             without = dataclasses.replace(without, found=tuple(names), beside=_shapes(found, k))
-            candidate = again[cause].detect(without)
-            gain = 0.0 if candidate is None or candidate.parts else min(candidate.gain, candidate.held_out())
-            if candidate is None or not gain > 0.0:
+            candidate = again[cause].again(without, found[k].candidate)
+            if candidate is None or candidate.parts or not candidate.gain > 0.0:
                 lost.add(k)
                 continue
             lost.discard(k)
+            # What overlaps in time shares what it gains; what is in the spectrum has been measured once.
+            gain = candidate.held_out() if candidate.shaped else found[k].gain
             end = dataclasses.replace(candidate.after, beside=()).having(cause)
             candidate = dataclasses.replace(candidate, after=end)
             without = dataclasses.replace(without, beside=())
-            step = Step.of(candidate, candidate.held_out(), found[k].rivals, without)
+            step = Step.of(candidate, gain, found[k].rivals, without)
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
         if not stale:
             break
     if end.noise.log_evidence < view.noise.log_evidence:
         return list(steps), view
     for k in sorted(lost, reverse=True):
-        end = found.pop(k).change.put_back(end)
+        without = found[k].change.put_back(end)
+        if end.noise.log_evidence - without.noise.log_evidence < _SURE:
+            found.pop(k)
+            end = without
     return found, end
 
 
@@ -83,13 +89,17 @@ def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]
 
 
 def _levels(step: Step, view: View) -> Float[np.ndarray, " places"]:
-    """Of the noise where the finding is in the spectrum, or at low frequencies for one that is in time."""
-    low, high = 1.0, float(min(SLOW, view.n - 1))
+    """Logarithms of the spectrum over the model's where the finding is; of low noise, if it has a shape."""
+    if step.candidate.shaped:
+        places = np.geomspace(1.0, min(SLOW, view.n - 1.0), _PLACES)
+        return np.log(view.variance()[np.unique(np.rint(places).astype(int)) - 1]) / _LEVEL
+    low, high = 1.0, view.n - 1.0
     if step.candidate.domain == "frequency":
         low, high = (2.0 * view.n * f / view.rate for f in step.candidate.span)
-        low = min(max(low / 2.0, 1.0), view.n - 1.0)
-    places = np.unique(np.rint(np.geomspace(low, min(high, view.n - 1.0), _PLACES)).astype(int)) - 1
-    return np.log(view.variance()[places]) / _LEVEL
+    places = np.geomspace(np.clip(low / 2.0, 1.0, view.n / 2.0), min(high, view.n - 1.0), _PLACES + 1)
+    edges = np.unique(np.rint(places).astype(int)) - 1
+    squares = (view.c**2 / view.variance())[: edges[-1]]
+    return np.log(np.add.reduceat(squares, edges[:-1]) / np.diff(edges)) / _LEVEL
 
 
 def _others(k: int, steps: Sequence[Step]) -> list[Step]:

@@ -92,10 +92,9 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             view = part.after.having(part.cause)
         known = steps
         steps, view = refitted(known, view, others)
-        changed = [s.candidate for s in steps] != [s.candidate for s in known]
-        anew |= changed
+        anew |= [s.candidate for s in steps] != [s.candidate for s in known]
         # What is in time may have hidden anything; what is in the spectrum hardly hides what is in time.
-        if changed or step.candidate.domain == "time":
+        if len(steps) < len(known) or step.candidate.domain == "time":
             offered = {}
         else:
             found = dict(candidates)

@@ -48,12 +48,14 @@ class Change:
     Attributes:
         path: what it takes out of the samples.
         factor: of the spectrum.
+        passes: the factor, if it is a filter's.
         added, removed: basic terms of the noise.
         restored: samples that tell nothing since.
     """
 
     path: Float[np.ndarray, " n"] | None
     factor: Float[np.ndarray, " n-1"] | None
+    passes: Float[np.ndarray, " n-1"] | None
     added: Collection[str]
     removed: Collection[str]
     restored: Bool[np.ndarray, " n"] | None
@@ -67,6 +69,7 @@ class Change:
         return cls(
             None if after.x is before.x else before.x - after.x,
             factor,
+            None if after.passes is before.passes else after.passes,
             [t for t in after.allowed if t not in before.allowed],
             [t for t in before.allowed if t not in after.allowed],
             None if after.restored is before.restored else after.restored & ~before.restored,
@@ -76,6 +79,7 @@ class Change:
         """The view without the finding."""
         after = view if self.path is None else view.with_x(view.x - self.path)
         after = after if self.factor is None else after.behind(self.factor)
+        after = after if self.passes is None else dataclasses.replace(after, passes=self.passes)
         after = _with_terms(after, self.added, self.removed)
         if self.restored is None:
             return after
@@ -85,6 +89,7 @@ class Change:
         """The view as it would be had the finding not been made."""
         before = view if self.path is None else view.with_x(view.x + self.path)
         before = before if self.factor is None else before.behind(1.0 / self.factor)
+        before = before if self.passes is None else dataclasses.replace(before, passes=None)
         before = _with_terms(before, self.removed, self.added)
         if self.restored is None:
             return before

@@ -55,6 +55,7 @@ class View:
         family: to weigh other sets and other records with.
         restored: samples that were filled in, which tell nothing.
         found: causes found so far.
+        passes: power response of a filter that was found before, which the factor has in it.
         beside: coefficients of shapes that were taken out, of which the amplitudes are free.
     """
 
@@ -69,6 +70,7 @@ class View:
     family: NoiseFamily
     restored: Bool[np.ndarray, " n"]
     found: tuple[str, ...] = ()
+    passes: Float[np.ndarray, " n-1"] | None = None
     beside: tuple[Float[np.ndarray, " slow"], ...] = ()
 
     @property
@@ -353,6 +355,10 @@ class Cause(ABC):
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:
         """The best candidate of this cause."""
+
+    def again(self, view: View, found: Candidate) -> Candidate | None:
+        """What was found, fitted again in a view where others are that were not there; None if it is lost."""
+        return self.detect(view)
 
     def p_value(self, view: View) -> float | None:
         """Probability of a statistic as large as the view's, if its noise is all there is.

@@ -55,7 +55,8 @@ class LowPass(Cause):
         if gains.max() < _WORTH:
             return None
         filter_, bandwidth, half_power, std = screen.best()
-        after = _without_ends(view.behind(_visible(view, bandwidth, filter_)))
+        visible = _visible(view, bandwidth, filter_)
+        after = dataclasses.replace(_without_ends(view.behind(visible)), passes=visible)
         gain = after.noise.log_evidence - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))

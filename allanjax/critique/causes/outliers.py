@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float
 from scipy.fft import dct, rfft
@@ -31,6 +33,7 @@ class Outliers(Cause):
     """A share of the samples has an error of its own, of much larger scale than the noise."""
 
     name = "outliers"
+    joint = True
 
     def p_value(self, view: View) -> float:
         return _p_value(float(np.max(abs(_scores(view, view.spikes[1])))), view.n)
@@ -81,6 +84,13 @@ class Outliers(Cause):
             (times[0] / view.rate, times[-1] / view.rate),
             "time",
         )
+
+    def again(self, view: View, found: Candidate) -> Candidate:
+        """The same samples, filled in with the noise as it is known now."""
+        missing = np.zeros(view.n, bool)
+        times = np.asarray(found.parameters["times"].value, float)
+        missing[np.rint(times * view.rate).astype(int)] = True
+        return dataclasses.replace(found, after=view.filled(missing))
 
 
 def _p_value(largest: float, n: int) -> float:

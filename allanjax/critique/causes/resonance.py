@@ -33,7 +33,7 @@ _PADDED = 512
 
 
 class Resonance(Cause):
-    """A bump of the spectrum."""
+    """A bump of the spectrum, which passes a filter that was found as all noise does."""
 
     name = "resonance"
     joint = True
@@ -52,7 +52,7 @@ class Resonance(Cause):
         after, theta = view, np.full(3, np.inf)
         for _ in range(_ROUNDS):
             v, before = view.variance(after.noise), theta
-            theta, covariance = _fitted(view.c, v, start, width, view.rate)
+            theta, covariance = _fitted(view, v, start, width)
             if not np.isfinite(covariance).all():
                 return None
             after = view.behind(1.0 + _density(theta, view) / v)
@@ -66,7 +66,10 @@ class Resonance(Cause):
         widths = np.log(len(view.c) / _NARROWEST)
         gain -= np.log(windows) + np.log(widths) + 2.0
         f0, Q, amplitude = np.exp(theta)
-        deviation = np.sqrt(np.diag(covariance)) * np.exp(theta)
+        if view.passes is not None:
+            # As it is recorded, behind the filter.
+            amplitude *= np.sqrt(np.interp(f0, view.family.frequency, view.passes))
+        deviation = np.sqrt(np.diag(covariance)) * [f0, Q, amplitude]
         parameters = {
             "frequency": Quantity(float(f0), float(deviation[0]), "Hz"),
             "quality_factor": Quantity(float(Q), float(deviation[1]), "1"),
@@ -88,7 +91,8 @@ class Resonance(Cause):
 
 def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " n-1"]:
     f0, Q, amplitude = (float(x) for x in np.exp(theta))
-    return view.family.spectrum(terms.Resonance(amplitude, f0, Q).sampled(view.rate))
+    density = view.family.spectrum(terms.Resonance(amplitude, f0, Q).sampled(view.rate))
+    return density if view.passes is None else density * view.passes
 
 
 def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float, float, float]:
@@ -127,21 +131,21 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
 
 
 def _fitted(
-    c: Float[np.ndarray, " n-1"],
+    view: View,
     v: Float[np.ndarray, " n-1"],
     start: Float[np.ndarray, " 2"],
     width: float,
-    rate: float,
     fold: np.ndarray | None = None,
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
     """Logarithms of frequency, quality factor and amplitude by maximum likelihood, and their covariance."""
-    n = len(c) + 1
+    n, rate = view.n, view.rate
+    before_filter = v if view.passes is None else v / view.passes
     spacing = rate / (2.0 * n)
     f0 = float(np.exp(start[0]))
     first = fine_bins(n, f0 / spacing, max(width, 2.0))
     # What is not in the fold counts for nothing.
     some, count = (lambda x: x, np.ones(n - 1)) if fold is None else (lambda x: fold * x, fold.astype(float))
-    size, squares, level = (sums(x, first) for x in (count, some(c * c / v), some(v)))
+    size, squares, level = (sums(x, first) for x in (count, some(view.c**2 / v), some(before_filter)))
     real = size > 0
     size, squares, level = size[real], squares[real], (level[real] / size[real])
     frequency = (sums(some(np.arange(1.0, n)), first)[real] / size) * spacing
@@ -237,7 +241,7 @@ def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: fl
     gain = -view.foretold
     for fold in coefficient_folds(view.n):
         v = view.variance(view.family.of(view.c, after.factor, fold).best(view.allowed))
-        found, _ = _fitted(view.c, v, theta[:2], width, view.rate, fold)
+        found, _ = _fitted(view, v, theta[:2], width, fold)
         factor = 1.0 + _density(found, view) / v
         noise = view.family.of(view.c, view.combined(factor), fold).best(view.allowed)
         gain += view.log_likelihood(noise, ~fold, factor)
