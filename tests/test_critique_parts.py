@@ -227,8 +227,9 @@ def test_a_telegraph_has_the_levels_that_it_jumps_between():
     assert found is not None
     amplitude = found.parameters["amplitude"]
     assert abs(amplitude.value - 0.8) < 3.0 * amplitude.std
-    # White noise of 16,384 samples, of which 1,100 · 8 are on one level: 2 · 3/√n.
-    assert amplitude.std == pytest.approx(2.0 * 3.0 / np.sqrt(len(truth)), rel=0.1)
+    # White noise of 16,384 samples, of which 1,100 · 8 are on one level: 2 · 3/√n; and a little more, since
+    # the record does not rule out that the noise drifts.
+    assert 0.98 < amplitude.std / (2.0 * 3.0 / np.sqrt(len(truth))) < 1.25
     assert found.parameters["jumps"].value == 4.0
     assert found.held_out() > 0.0
 

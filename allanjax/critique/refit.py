@@ -26,7 +26,9 @@ _PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
 _SURE = 20.0
 
 
-def refitted(steps: Sequence[Step], view: View, causes: Sequence[Cause]) -> tuple[list[Step], View]:
+def refitted(
+    steps: Sequence[Step], view: View, causes: Sequence[Cause], last: bool = False
+) -> tuple[list[Step], View]:
     """The steps, each fitted beside the others if these have changed what it was fitted beside, and the end.
 
     What gains nothing beside the others is dropped, unless the record is not to be explained without it.
@@ -34,13 +36,16 @@ def refitted(steps: Sequence[Step], view: View, causes: Sequence[Cause]) -> tupl
     Args:
         steps: all findings.
         view: without them.
-        causes: of which those that are `joint` are fitted again.
+        causes: those that are `joint` are fitted again.
+        last: whether nothing else is to be found; else nothing is done until one is to be fitted `at once`.
     """
     again = {cause.name: cause for cause in causes if cause.joint}
     found = [s if s.beside is not None else dataclasses.replace(s, beside=_levels(s, view)) for s in steps]
     end, lost = view, set()
     for _ in range(_ROUNDS):
         stale = [k for k in range(len(found)) if found[k].candidate.cause in again and _stale(k, found, end)]
+        if not (last or any(again[found[k].candidate.cause].joint == "at once" for k in stale)):
+            break
         for k in stale:
             cause = found[k].candidate.cause
             without = found[k].change.put_back(end)
@@ -59,8 +64,6 @@ def refitted(steps: Sequence[Step], view: View, causes: Sequence[Cause]) -> tupl
             without = dataclasses.replace(without, beside=())
             step = Step.of(candidate, gain, found[k].rivals, without)
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
-        if not stale:
-            break
     if end.noise.log_evidence < view.noise.log_evidence:
         return list(steps), view
     for k in sorted(lost, reverse=True):

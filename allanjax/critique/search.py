@@ -103,7 +103,9 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             offered = {cause: offered[cause] for cause in left} | nothing | in_time
     else:
         notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
-    if anew:
+    known = steps
+    steps, view = refitted(known, view, others, last=True)
+    if anew or [s.candidate for s in steps] != [s.candidate for s in known]:
         steps = strung(start, steps)
     return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, notes, restored)
 

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -349,8 +349,9 @@ class Cause(ABC):
     margin: ClassVar[float] = MARGIN
     #: Probability of a false finding that is accepted; None for a share of what the critique may have.
     level: ClassVar[float | None] = None
-    #: Whether it is fitted again when later findings change what it was fitted beside.
-    joint: ClassVar[bool] = False
+    #: Whether it is fitted again when later findings change what it was fitted beside: at once, since others
+    #: would be taken for what it lacks, or at last.
+    joint: ClassVar[Literal["", "at once", "at last"]] = ""
 
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:

@@ -26,7 +26,7 @@ class BasicTerm(Cause):
 
     margin = 2.5
     level = 0.01
-    joint = True
+    joint = "at once"
 
     def __init__(self, term: str) -> None:
         self.name = term

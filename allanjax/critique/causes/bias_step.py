@@ -25,7 +25,7 @@ class BiasStep(Cause):
 
     name = "bias_step"
     margin = 2.0
-    joint = True
+    joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         bank, places = step_bank(view.n)

@@ -38,7 +38,7 @@ class LowPass(Cause):
     """
 
     name = "low_pass"
-    joint = True
+    joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         if self.name in view.found:

@@ -33,7 +33,7 @@ class Outliers(Cause):
     """A share of the samples has an error of its own, of much larger scale than the noise."""
 
     name = "outliers"
-    joint = True
+    joint = "at last"
 
     def p_value(self, view: View) -> float:
         return _p_value(float(np.max(abs(_scores(view, view.spikes[1])))), view.n)

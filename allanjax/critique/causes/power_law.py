@@ -17,7 +17,7 @@ class PowerLaw(Cause):
     """Noise with a power law of any exponent, in the Markov process's place."""
 
     name = "power_law"
-    joint = True
+    joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         if POWER_LAW in view.allowed:

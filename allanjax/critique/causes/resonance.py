@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from scipy.special import gammaincc
 
 from allanjax import terms
 from allanjax.critique.causes.spectral import fine_bins, sums
+from allanjax.critique.noise import Noise
 from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.linalg import solve
 
@@ -36,7 +38,7 @@ class Resonance(Cause):
     """A bump of the spectrum, which passes a filter that was found as all noise does."""
 
     name = "resonance"
-    joint = True
+    joint = "at last"
 
     def p_value(self, view: View) -> float:
         window = _conspicuous(view.c**2 / view.variance())
@@ -44,19 +46,30 @@ class Resonance(Cause):
 
     def detect(self, view: View) -> Candidate | None:
         window = _conspicuous(view.c**2 / view.variance())
-        middle, width, p_value, windows, net = window
+        middle, width, *_ = window
+        spacing = view.rate / (2.0 * view.n)
+        start = [middle * spacing, np.clip(middle / max(width, 1.0), 1.0, max(middle / _LINE / 2.0, 1.0))]
+        return self._near(view, window, start, view.noise)
+
+    def again(self, view: View, found: Candidate) -> Candidate | None:
+        start = [float(np.asarray(found.parameters[x].value)) for x in ("frequency", "quality_factor")]
+        return self._near(view, _conspicuous(view.c**2 / view.variance()), start, found.after.noise)
+
+    def _near(
+        self, view: View, window: tuple[float, ...], about: Sequence[float], noise: Noise
+    ) -> Candidate | None:
+        """The bump of about this frequency and quality factor, in about this noise, if a window shows one."""
+        _, width, p_value, windows, net = window
         if net < _WORTH:
             return None
-        spacing = view.rate / (2.0 * view.n)
-        start = np.log([middle * spacing, np.clip(middle / width, 1.0, middle / _LINE / 2.0)])
-        after, theta = view, np.full(3, np.inf)
+        start, theta = np.log(about), np.full(3, np.inf)
         for _ in range(_ROUNDS):
-            v, before = view.variance(after.noise), theta
+            v, before = view.variance(noise), theta
             theta, covariance = _fitted(view, v, start, width)
             if not np.isfinite(covariance).all():
                 return None
             after = view.behind(1.0 + _density(theta, view) / v)
-            start = theta[:2]
+            start, noise = theta[:2], after.noise
             if np.all(abs(theta - before) < _SETTLED * np.sqrt(np.diag(covariance))):
                 break
         if np.exp(theta[1]) < _BUMP_Q:

@@ -24,7 +24,7 @@ class Temperature(Cause):
     name = "temperature"
     # Units do feel the temperature: even odds with the noise that would do as well.
     margin = 0.5
-    joint = True
+    joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         found = [self._of(view, name, channel) for name, channel in view.auxiliary.items()]

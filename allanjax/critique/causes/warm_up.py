@@ -22,7 +22,7 @@ class WarmUp(Cause):
     name = "warm_up"
     # Units do warm up: even odds with the noise that would do as well.
     margin = 0.5
-    joint = True
+    joint = "at once"
 
     def p_value(self, view: View) -> float:
         return _bank(view.n, view.rate)[1].p_value(view, view.noise)
