@@ -53,7 +53,7 @@ def refitted(
             names.remove(cause)
             without = dataclasses.replace(without, found=tuple(names), beside=_shapes(found, k))
             candidate = again[cause].again(without, found[k].candidate)
-            if candidate is None or candidate.parts or not candidate.gain > 0.0:
+            if candidate is None or not candidate.gain > 0.0:
                 lost.add(k)
                 continue
             lost.discard(k)
@@ -66,7 +66,8 @@ def refitted(
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
     if end.noise.log_evidence < view.noise.log_evidence:
         return list(steps), view
-    for k in sorted(lost, reverse=True):
+    # One at a time: what is left when it is gone may explain the others.
+    for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
         without = found[k].change.put_back(end)
         if end.noise.log_evidence - without.noise.log_evidence < _SURE:
             found.pop(k)

@@ -28,17 +28,21 @@ class BiasStep(Cause):
     joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
-        bank, places = step_bank(view.n)
-        found = self._one(view, bank, places, 0.0)
+        found = self.again(view)
         if found is None or found.gain < _SURE:
-            least = 0.0 if found is None else max(found.gain, 0.0) + self.margin
-            both = self._two(view, bank, places, least)
+            least = 0.0 if found is None else found.gain + self.margin
+            both = self._two(view, *step_bank(view.n), least)
             # Each of the two must hold on held-out data; else the one that was found stands.
             if both is not None and (found is None or both.held_out() > 0.0):
                 return both
+        return found
+
+    def again(self, view: View, found: Candidate | None = None) -> Candidate | None:
+        """One step, as finely located as it is strong."""
+        bank, places = step_bank(view.n)
+        found = self._one(view, bank, places, 0.0)
         if found is None:
             return None
-        # Strong steps are located more finely than the bank is.
         time = found.parameters["time"]
         k = float(np.asarray(time.value)) * view.rate
         spacing = places[1] - places[0]

@@ -1,0 +1,151 @@
+"""What is found is fitted beside what else is found, and known no better than the noise is."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from allanjax.critique.causes.bias_step import BiasStep
+from allanjax.critique.causes.low_pass import LowPass
+from allanjax.critique.causes.outliers import Outliers
+from allanjax.critique.causes.resonance import Resonance
+from allanjax.critique.causes.warm_up import WarmUp
+from allanjax.critique.noise import family_of
+from allanjax.critique.refit import refitted
+from allanjax.critique.search import search
+from allanjax.critique.step import Step, strung
+from allanjax.critique.view import EVERYTHING, View
+from allanjax.recording import Axis
+
+AXIS = Axis("gyro_x", "gyro", "rad/s")
+# One length for all: one compilation.
+N, RATE = 30_000, 50.0
+TIME = np.arange(N) / RATE
+
+
+def view_of(x):
+    return View(AXIS, 1.0, RATE, x, x, None, {}, EVERYTHING, family_of(N, RATE), np.zeros(N, bool))
+
+
+def searched(x, *causes):
+    return search(view_of(x), causes, 1e-3, lambda text: None)
+
+
+def numbers(step):
+    return {k: (q.value, q.std) for k, q in step.candidate.parameters.items() if isinstance(q.value, float)}
+
+
+def least_squares(x, *shapes):
+    """Amplitudes of known shapes in white noise of unit variance, an offset fitted too, and deviations."""
+    D = np.column_stack([np.ones(N), *shapes])
+    covariance = np.linalg.inv(D.T @ D)
+    return (covariance @ D.T @ x)[1:], np.sqrt(np.diag(covariance))[1:]
+
+
+# A warm-up that is over when the bias jumps back: each takes part of the other for its own.
+T, PLACE = 60.0, 100.0
+SHAPES = np.exp(-TIME / T), (TIME >= PLACE).astype(float)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_overlaps_in_time_is_known_as_by_least_squares(seed):
+    x = np.random.default_rng(seed).standard_normal(N) + 1.5 * SHAPES[0] - 1.2 * SHAPES[1]
+    found = searched(x, BiasStep(), WarmUp())
+    assert sorted(step.candidate.cause for step in found.steps) == ["bias_step", "warm_up"]
+    steps = {step.candidate.cause: numbers(step) for step in found.steps}
+    amplitudes, deviations = least_squares(x, *SHAPES)
+    for cause, truth, best, deviation in zip(
+        ("warm_up", "bias_step"), (1.5, -1.2), amplitudes, deviations, strict=True
+    ):
+        value, std = steps[cause]["amplitude"]
+        assert abs(value - truth) < 3.0 * std
+        # With time constant and place known: no more can be known, and these two cost a little.
+        assert 0.98 * deviation < std < 2.5 * deviation
+        assert abs(value - best) < deviation
+
+
+def test_what_a_later_finding_explains_is_dropped():
+    """A warm-up found where there is a step: beside the step nothing is left of it."""
+    x = np.random.default_rng(3).standard_normal(N) + 0.6 * (TIME < 40.0)
+    view = view_of(x)
+    wrong = WarmUp().detect(view)
+    first = Step.of(wrong, 1.0, (), view)
+    right = BiasStep().detect(wrong.after)
+    second = Step.of(right, 1.0, (), wrong.after)
+    view = right.after.having("warm_up").having("bias_step")
+    steps, end = refitted([first, second], view, [BiasStep(), WarmUp()])
+    assert [step.candidate.cause for step in steps] == ["bias_step"]
+    assert end.found == ("bias_step",)
+    (best,), (deviation,) = least_squares(x, TIME < 40.0)
+    value, std = numbers(steps[0])["amplitude"]
+    assert abs(abs(value) - best) < deviation
+    assert std == pytest.approx(deviation, rel=0.1)
+    assert np.ptp(x - end.x) == pytest.approx(abs(value), rel=1e-9)
+
+
+def test_steps_are_strung_together_to_the_end_that_they_have():
+    x = np.random.default_rng(4).standard_normal(N) + 1.5 * SHAPES[0] - 1.2 * SHAPES[1]
+    found = searched(x, BiasStep(), WarmUp())
+    for before, after in zip(found.steps[:-1], found.steps[1:], strict=True):
+        assert after.before.x == pytest.approx(before.candidate.after.x, abs=1e-12)
+    assert found.steps[0].before.x == pytest.approx(x, abs=1e-12)
+    assert found.steps[-1].candidate.after.x == pytest.approx(found.end.x, abs=1e-12)
+    # In the other order it is the same end.
+    other = strung(found.start, found.steps[::-1])
+    assert other[-1].candidate.after.x == pytest.approx(found.end.x, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_filter_is_not_bent_by_a_bump_behind_it(seed):
+    """White noise and a damped oscillator, its poles sampled exactly, through a Butterworth filter."""
+    rng = np.random.default_rng(seed)
+    f0, Q, bandwidth = 6.0, 15.0, 9.0
+    pole = np.exp(2.0 * np.pi * f0 / RATE * (-0.5 / Q + 1j * np.sqrt(1.0 - 0.25 / Q**2)))
+    bump = scipy.signal.lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal(N + 1000))
+    noise = rng.standard_normal(N + 1000) + 0.3 * bump / bump[1000:].std()
+    x = scipy.signal.lfilter(*scipy.signal.butter(2, bandwidth, fs=RATE), noise)[1000:]
+    found = searched(x, LowPass(), Resonance())
+    assert sorted(step.candidate.cause for step in found.steps) == ["low_pass", "resonance"]
+    steps = {step.candidate.cause: numbers(step) for step in found.steps}
+    # Fitted with the bump in the spectrum.
+    alone = LowPass().detect(view_of(x)).parameters["bandwidth"]
+    assert abs(alone.value - bandwidth) > max(3.0 * alone.std, 0.03 * bandwidth)
+    value, std = steps["low_pass"]["bandwidth"]
+    assert abs(value - bandwidth) < min(3.0 * std, 0.03 * bandwidth)
+    value, std = steps["resonance"]["frequency"]
+    assert abs(value - f0) < 3.0 * std
+
+
+def test_deviations_allow_for_noise_that_may_drift():
+    """Of steps in white noise with a random walk that is at times seen and at times not."""
+    z, records = [], 60
+    for seed in range(records):
+        rng = np.random.default_rng([5, seed])
+        walk = np.cumsum(0.0006 * rng.standard_normal(N))
+        x = rng.standard_normal(N) + walk + 0.35 * (TIME >= 0.4 * N / RATE)
+        candidate = BiasStep().again(view_of(x))
+        if candidate is not None:
+            value, std = numbers_of(candidate)["amplitude"]
+            z.append((value - 0.35) / std)
+    assert len(z) > records / 2
+    # Three standard errors of a share of normal deviates within three σ, and of their mean square.
+    assert np.mean(np.abs(z) < 3.0) > 0.997 - 3.0 * np.sqrt(0.003 / len(z)) - 1.0 / len(z)
+    assert np.mean(np.square(z)) < 1.0 + 3.0 * np.sqrt(2.0 / len(z))
+
+
+def numbers_of(candidate):
+    return {k: (q.value, q.std) for k, q in candidate.parameters.items() if isinstance(q.value, float)}
+
+
+def test_the_scale_of_outliers_is_theirs_in_quantization_noise():
+    """Prediction errors of neighbours are no outliers, and those too small to be seen are allowed for."""
+    z, records = [], 40
+    for seed in range(records):
+        rng = np.random.default_rng([6, seed])
+        x = np.diff(rng.uniform(-0.5, 0.5, N + 1)) + 0.3 * rng.standard_normal(N)
+        places = rng.choice(N, 20, replace=False)
+        x[places] += 8.0 * rng.standard_normal(20)
+        value, std = numbers_of(Outliers().detect(view_of(x)))["scale"]
+        z.append(np.log(value / 8.0) / (std / value))
+    # Three standard errors of the mean, and of the mean square, of normal deviates.
+    assert abs(np.mean(z)) < 3.0 / np.sqrt(records)
+    assert np.mean(np.square(z)) < 1.0 + 3.0 * np.sqrt(2.0 / records)
