@@ -22,8 +22,8 @@ _ROUNDS = 3
 # Frequencies at which the noise is looked at; what the logarithm of its level may change by, and any
 # parameter of the others in its standard deviations.
 _PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
-# Log-evidence [nats] of what is not dropped.
-_SURE = 20.0
+# Log-evidence [nats] of what is not dropped, and what fitting again may lose: greed explains noise, too.
+_SURE, _LOST = 20.0, 5.0
 
 
 def refitted(
@@ -64,7 +64,7 @@ def refitted(
             without = dataclasses.replace(without, beside=())
             step = Step.of(candidate, gain, found[k].rivals, without)
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
-    if end.noise.log_evidence < view.noise.log_evidence:
+    if end.noise.log_evidence < view.noise.log_evidence - _LOST:
         return list(steps), view
     # One at a time: what is left when it is gone may explain the others.
     for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
