@@ -48,10 +48,7 @@ def refitted(
             break
         for k in stale:
             cause = found[k].candidate.cause
-            without = found[k].change.put_back(end)
-            names = [*without.found]
-            names.remove(cause)
-            without = dataclasses.replace(without, found=tuple(names), beside=_shapes(found, k))
+            without = dataclasses.replace(_without(found[k], end), beside=_shapes(found, k))
             candidate = again[cause].again(without, found[k].candidate)
             if candidate is None or not candidate.gain > 0.0:
                 lost.add(k)
@@ -68,11 +65,18 @@ def refitted(
         return list(steps), view
     # One at a time: what is left when it is gone may explain the others.
     for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
-        without = found[k].change.put_back(end)
+        without = _without(found[k], end)
         if end.noise.log_evidence - without.noise.log_evidence < _SURE:
             found.pop(k)
             end = without
     return found, end
+
+
+def _without(step: Step, end: View) -> View:
+    """The view as it would be had this step not been made."""
+    names = list(end.found)
+    names.remove(step.candidate.cause)
+    return dataclasses.replace(step.change.put_back(end), found=tuple(names))
 
 
 def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
