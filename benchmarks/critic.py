@@ -98,14 +98,17 @@ def examine(*task: Any) -> Row:
     row["named"] = sorted({f.cause for f in found.findings})
     row["others"] = others(found, hidden.effects)
     row["right"], row["missed"] = None, [e.cause for e in hidden.effects if right(found, e) is None]
+    row["off"] = []
     for effect in hidden.effects:
         if (finding := right(found, effect)) is not None:
+            parameters = compared(finding, effect, recording.n / recording.rate)
+            row["off"] += [f"{effect.cause}'s {k}" for k, p in parameters.items() if not p.within_3_sigma]
             row["right"] = {
                 "evidence": finding.evidence,
                 "gain": finding.gain,
                 "p_value": finding.p_value,
                 "rivals": {rival.cause: rival.odds for rival in finding.rivals},
-                "parameters": compared(finding, effect, recording.n / recording.rate),
+                "parameters": parameters,
             }
     if not t.cause:
         row["p_values"] = {f"test of {name}": p for axis in found for name, p in axis.tests.items()}
@@ -226,11 +229,16 @@ def pairs_text(rows: list[Row]) -> str:
     besides = sum(bool(row["others"]) for row in rows)
     text = (
         f"{len(rows)} records of two effects each, by chance, at {OF_PAIRS:g} times the limit: "
-        f"{count - missed} of {count} effects are rightly named; anything else is claimed in {besides}."
+        f"{count - missed} of {count} effects are rightly named, in {sum(not r['off'] for r in rows)} records "
+        f"with all parameters within 3σ; anything else is claimed in {besides}."
     )
-    odd = [row for row in rows if row["missed"] or row["others"]]
-    lines = [[r["cause"].replace("+", ", "), ", ".join(r["missed"]), ", ".join(r["others"])] for r in odd]
-    return text + "\n\n" + table(["hidden", "missed", "claimed besides"], lines)
+    shown = "missed", "others", "off"
+    lines = [
+        [r["cause"].replace("+", ", "), *(", ".join(r[k]) for k in shown)]
+        for r in rows
+        if any(r[k] for k in shown)
+    ]
+    return text + "\n\n" + table(["hidden", "missed", "claimed besides", "not within 3σ"], lines)
 
 
 # --- How small they may be ---------------------------------------------------------------------------------

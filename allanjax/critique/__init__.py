@@ -39,7 +39,8 @@ def critique(
     Every axis is whitened by its model; each cause looks in the residuals for its own signature with the best
     filter there is for it. Competing explanations, among them other basic noise terms, are compared by their
     evidence; the best is accepted if it is significant and predicts data that it was not estimated from,
-    taken out, and the search begins anew. See `allanjax.critique.view` for writing a cause of one's own.
+    taken out, and the search begins anew. What was found earlier is fitted again beside it if that matters,
+    and dropped if nothing is left of it. See `allanjax.critique.view` for writing a cause of one's own.
 
     Args:
         recording: what `read` returns, or `Recording.from_array`.
