@@ -226,11 +226,11 @@ def alarm_text(clean: list[Row]) -> str:
 def pairs_text(rows: list[Row]) -> str:
     """How many of two effects in one record are named, and which are not."""
     missed, count = sum(len(row["missed"]) for row in rows), 2 * len(rows)
-    besides = sum(bool(row["others"]) for row in rows)
+    besides, all_near = sum(bool(row["others"]) for row in rows), sum(not row["off"] for row in rows)
     text = (
         f"{len(rows)} records of two effects each, by chance, at {OF_PAIRS:g} times the limit: "
-        f"{count - missed} of {count} effects are rightly named, in {sum(not r['off'] for r in rows)} records "
-        f"with all parameters within 3σ; anything else is claimed in {besides}."
+        f"{count - missed} of {count} effects are rightly named, in {all_near} records with all of their "
+        f"parameters within 3σ; anything else is claimed in {besides}."
     )
     shown = "missed", "others", "off"
     lines = [
