@@ -71,10 +71,8 @@ class BasicTerm(Cause):
         sets = view.weighing.likely(allowed, (term,), most=SETS)
         found = [_value(view, other, term) for other in sets]
         value = _value(view, noise, term)[0]
-        share = odds(sets)
-        std = float(
-            np.sqrt(sum(w * (s**2 + (x - value) ** 2) for w, (x, s) in zip(share, found, strict=True)))
-        )
+        values, stds = np.transpose(found)
+        std = float(np.sqrt(odds(sets) @ (stds**2 + (values - value) ** 2)))
         declared = Markov() if term == MARKOV else basic_terms()[term]
         parameter = declared.parameters()[0]
         unit = default_coefficient_unit(view.axis.sensor, parameter.time_exponent)
