@@ -23,7 +23,7 @@ _ROUNDS = 3
 # parameter of the others in its standard deviations.
 _PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
 # Log-evidence [nats] of what is not dropped, and what fitting again may lose: greed explains noise, too.
-_SURE, _LOST = 20.0, 5.0
+_SURE, _LOST = 20.0, 2.5
 
 
 def refitted(

@@ -89,7 +89,8 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
         for part in step.candidate.parts or (step.candidate,):
             gain = part.held_out() if step.candidate.parts else step.gain
             steps.append(Step.of(part, gain, step.rivals, view))
-            view = part.after.having(part.cause)
+            # Of two at once the second one does not know of the first.
+            view = dataclasses.replace(part.after, found=view.found).having(part.cause)
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]
