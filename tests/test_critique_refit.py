@@ -30,8 +30,8 @@ def searched(x, *causes):
     return search(view_of(x), causes, 1e-3, lambda text: None)
 
 
-def numbers(step):
-    return {k: (q.value, q.std) for k, q in step.candidate.parameters.items() if isinstance(q.value, float)}
+def numbers(candidate):
+    return {k: (q.value, q.std) for k, q in candidate.parameters.items() if isinstance(q.value, float)}
 
 
 def least_squares(x, *shapes):
@@ -51,7 +51,7 @@ def test_what_overlaps_in_time_is_known_as_by_least_squares(seed):
     x = np.random.default_rng(seed).standard_normal(N) + 1.5 * SHAPES[0] - 1.2 * SHAPES[1]
     found = searched(x, BiasStep(), WarmUp())
     assert sorted(step.candidate.cause for step in found.steps) == ["bias_step", "warm_up"]
-    steps = {step.candidate.cause: numbers(step) for step in found.steps}
+    steps = {step.candidate.cause: numbers(step.candidate) for step in found.steps}
     amplitudes, deviations = least_squares(x, *SHAPES)
     for cause, truth, best, deviation in zip(
         ("warm_up", "bias_step"), (1.5, -1.2), amplitudes, deviations, strict=True
@@ -72,7 +72,7 @@ def test_of_two_findings_that_are_nothing_beside_each_other_one_is_dropped():
     first = Step.of(wrong, 1.0, (), view)
     right = BiasStep().again(wrong.after)
     second = Step.of(right, 1.0, (), wrong.after)
-    both = right.after.having("warm_up").having("bias_step")
+    both = right.after.having("warm_up", "bias_step")
     steps, end = refitted([first, second], both, [BiasStep(), WarmUp()])
     assert len(steps) == len(end.found) == 1
     assert steps[0].candidate.cause == end.found[0]
@@ -103,7 +103,7 @@ def test_a_filter_is_not_bent_by_a_bump_behind_it(seed):
     x = scipy.signal.lfilter(*scipy.signal.butter(2, bandwidth, fs=RATE), noise)[1000:]
     found = searched(x, LowPass(), Resonance())
     assert sorted(step.candidate.cause for step in found.steps) == ["low_pass", "resonance"]
-    steps = {step.candidate.cause: numbers(step) for step in found.steps}
+    steps = {step.candidate.cause: numbers(step.candidate) for step in found.steps}
     # Fitted with the bump in the spectrum.
     alone = LowPass().detect(view_of(x)).parameters["bandwidth"]
     assert abs(alone.value - bandwidth) > max(3.0 * alone.std, 0.03 * bandwidth)
@@ -122,16 +122,12 @@ def test_deviations_allow_for_noise_that_may_drift():
         x = rng.standard_normal(N) + walk + 0.35 * (TIME >= 0.4 * N / RATE)
         candidate = BiasStep().again(view_of(x))
         if candidate is not None:
-            value, std = numbers_of(candidate)["amplitude"]
+            value, std = numbers(candidate)["amplitude"]
             z.append((value - 0.35) / std)
     assert len(z) > records / 2
     # Three standard errors of a share of normal deviates within three σ, and of their mean square.
     assert np.mean(np.abs(z) < 3.0) > 0.997 - 3.0 * np.sqrt(0.003 / len(z)) - 1.0 / len(z)
     assert np.mean(np.square(z)) < 1.0 + 3.0 * np.sqrt(2.0 / len(z))
-
-
-def numbers_of(candidate):
-    return {k: (q.value, q.std) for k, q in candidate.parameters.items() if isinstance(q.value, float)}
 
 
 def test_the_scale_of_outliers_is_theirs_in_quantization_noise():
@@ -142,7 +138,7 @@ def test_the_scale_of_outliers_is_theirs_in_quantization_noise():
         x = np.diff(rng.uniform(-0.5, 0.5, N + 1)) + 0.3 * rng.standard_normal(N)
         places = rng.choice(N, 20, replace=False)
         x[places] += 8.0 * rng.standard_normal(20)
-        value, std = numbers_of(Outliers().detect(view_of(x)))["scale"]
+        value, std = numbers(Outliers().detect(view_of(x)))["scale"]
         z.append(np.log(value / 8.0) / (std / value))
     # Three standard errors of the mean, and of the mean square, of normal deviates.
     assert abs(np.mean(z)) < 3.0 / np.sqrt(records)

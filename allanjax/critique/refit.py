@@ -48,17 +48,17 @@ def refitted(
             break
         for k in stale:
             cause = found[k].candidate.cause
-            without = dataclasses.replace(_without(found[k], end), beside=_shapes(found, k))
-            candidate = again[cause].again(without, found[k].candidate)
+            without = _without(found[k], end)
+            beside = without.having(*without.found, beside=_shapes(found, k))
+            candidate = again[cause].again(beside, found[k].candidate)
             if candidate is None or not candidate.gain > 0.0:
                 lost.add(k)
                 continue
             lost.discard(k)
             # What overlaps in time shares what it gains; what is in the spectrum has been measured once.
             gain = candidate.held_out() if candidate.shaped else found[k].gain
-            end = dataclasses.replace(candidate.after, beside=()).having(cause)
+            end = candidate.after.having(*without.found, cause)
             candidate = dataclasses.replace(candidate, after=end)
-            without = dataclasses.replace(without, beside=())
             step = Step.of(candidate, gain, found[k].rivals, without)
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
     if end.noise.log_evidence < view.noise.log_evidence - _LOST:
@@ -76,7 +76,7 @@ def _without(step: Step, end: View) -> View:
     """The view as it would be had this step not been made."""
     names = list(end.found)
     names.remove(step.candidate.cause)
-    return dataclasses.replace(step.change.put_back(end), found=tuple(names))
+    return step.change.put_back(end).having(*names)
 
 
 def _stale(k: int, steps: Sequence[Step], end: View) -> bool:

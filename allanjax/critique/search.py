@@ -90,7 +90,7 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
             gain = part.held_out() if step.candidate.parts else step.gain
             steps.append(Step.of(part, gain, step.rivals, view))
             # Of two at once the second one does not know of the first.
-            view = dataclasses.replace(part.after, found=view.found).having(part.cause)
+            view = part.after.having(*view.found, part.cause)
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]

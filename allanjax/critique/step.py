@@ -104,7 +104,7 @@ def strung(start: View, steps: Iterable[Step]) -> list[Step]:
     """The steps one after the other, each in the view that the one before has left."""
     view, found = start, []
     for step in steps:
-        after = step.change.taken_out(view).having(step.candidate.cause)
+        after = step.change.taken_out(view).having(*view.found, step.candidate.cause)
         candidate = dataclasses.replace(step.candidate, after=after)
         found.append(Step.of(candidate, step.gain, step.rivals, view))
         view = after

@@ -215,10 +215,15 @@ class View:
         vars(view)["c"] = self.c
         return view
 
-    def having(self, cause: str) -> View:
-        """The same view, for which a cause has been found."""
+    def having(self, *found: str, beside: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
+        """The same view and all that is computed of it, for which these causes have been found.
+
+        Args:
+            found: causes.
+            beside: coefficients of shapes that were taken out, of which the amplitudes are free.
+        """
         view = copy.copy(self)
-        vars(view)["found"] = (*self.found, cause)
+        vars(view).update(found=found, beside=beside)
         return view
 
     def light(self) -> View:

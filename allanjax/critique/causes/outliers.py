@@ -10,7 +10,8 @@ from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from allanjax.critique.bank import folds
+from allanjax.critique.bank import any_of, folds
+from allanjax.critique.causes.additive import mean_and_std
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -95,7 +96,7 @@ class Outliers(Cause):
 
 def _p_value(largest: float, n: int) -> float:
     """Probability that one of n normal scores is larger."""
-    return float(-np.expm1(n * np.log1p(-2.0 * norm.sf(largest))))
+    return any_of(2.0 * float(norm.sf(largest)), n)
 
 
 def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
@@ -163,10 +164,9 @@ def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, flo
     log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
     width = np.sqrt(1.0 + np.exp(2.0 * log))
     each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
-    weight = np.exp(each.sum(axis=0) - each.sum(axis=0).max())
-    weight /= weight.sum()
-    middle = float(weight @ log)
-    return float(np.exp(middle)), float(np.sqrt(weight @ (log - middle) ** 2))
+    total = each.sum(axis=0)
+    middle, spread = mean_and_std(log, np.exp(total - total.max()))
+    return float(np.exp(middle)), spread
 
 
 def _threshold(share: float, scale: float) -> float:

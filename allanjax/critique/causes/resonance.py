@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy.special import gammaincc
 
 from allanjax import terms
+from allanjax.critique.bank import any_of
 from allanjax.critique.causes.spectral import fine_bins, sums
 from allanjax.critique.noise import Noise
 from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
@@ -127,8 +128,7 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
         gain = 0.5 * width * (level - 1.0 - np.log(level)) if level > 1.0 else 0.0
         tail = min(max(float(gammaincc(width / 2.0, level * width / 2.0)), 1e-300), 1.0 - 1e-12)
         independent = min(_INDEPENDENT[0] - _INDEPENDENT[1] * np.log(tail), 4.0)
-        of_width = -np.expm1(independent * windows * np.log1p(-tail))
-        least, widths = min(least, float(of_width)), widths + 1.0
+        least, widths = min(least, any_of(tail, independent * windows)), widths + 1.0
         if gain - np.log(windows) > best[0]:
             best = (
                 gain - np.log(windows),
@@ -139,8 +139,7 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
             )
         width *= 2
     # Every width is a search of its own, but that the widest ones see what narrower ones have seen.
-    p_value = -np.expm1(max(widths - _WIDE, 1.0) * np.log1p(-min(least, 1.0 - 1e-12)))
-    return best[1], best[2], float(p_value), best[3], best[4]
+    return best[1], best[2], any_of(least, max(widths - _WIDE, 1.0)), best[3], best[4]
 
 
 def _fitted(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 
-from allanjax.critique.bank import SLOW, Bank
+from allanjax.critique.bank import SLOW, Bank, any_of
 from allanjax.critique.causes.additive import additive, mean_and_std
 from allanjax.critique.noise import centred
 from allanjax.critique.view import Candidate, Cause, Quantity, View
@@ -35,7 +35,7 @@ class Temperature(Cause):
         banks = [_bank(np.asarray(channel, float)) for channel in view.auxiliary.values()]
         p = [bank[1].p_value(view, view.noise) for bank in banks if bank is not None]
         # Of several channels the best, and there were so many.
-        return 1.0 - (1.0 - min(p)) ** len(p) if p else None
+        return any_of(min(p), len(p)) if p else None
 
     def _of(self, view: View, name: str, channel: np.ndarray) -> Candidate | None:
         z = np.asarray(channel, float)
