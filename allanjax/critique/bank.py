@@ -12,7 +12,7 @@ import dataclasses
 import functools
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.fft import idct
 from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
@@ -24,6 +24,8 @@ from allanjax.critique.view import View
 _DRAWS = 400
 _GROWTH = 0.6
 _FOLD_BLOCK = 8
+# Share of a shape's square below which nothing of it is left beside what is free.
+_NOTHING = 1e-12
 #: Parts of a record, each held out in turn.
 PARTS = 8
 #: Effects that are slow: so many of the lowest coefficients have all of them that noise leaves.
@@ -63,6 +65,41 @@ def amplitude_price(snr: float) -> float:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Matched:
+    """Matched filters: shapes and a record divided by the noise, without what is free beside them.
+
+    No copy of all shapes is made: that would cost more than the sums over them.
+
+    Attributes:
+        shapes: cosine coefficients, one row a shape.
+        root: standard deviation of the coefficients.
+        e: the record, whitened.
+        free: orthonormal directions that are projected out.
+        common: products of the whitened shapes with these.
+        lengths: of the whitened shapes, what is free being projected out.
+    """
+
+    shapes: Float[np.ndarray, "shapes slow"]
+    root: Float[np.ndarray, " slow"]
+    e: Float[np.ndarray, " slow"]
+    free: Float[np.ndarray, "slow k"]
+    common: Float[np.ndarray, "shapes k"]
+    lengths: Float[np.ndarray, " shapes"]
+
+    def products(self, z: Float[np.ndarray, " slow"]) -> Float[np.ndarray, " shapes"]:
+        """Of every shape with something that is whitened."""
+        return self.shapes @ (z / self.root) - self.common @ (z @ self.free)
+
+    def rows(self, some: slice | Int[np.ndarray, " some"] = slice(None)) -> Float[np.ndarray, "some slow"]:
+        """Some of the shapes, whitened."""
+        rows = self.shapes[some] / self.root
+        for k, q in enumerate(self.free.T):
+            # In place: another array of this size would cost more than the product.
+            rows = dger(-1.0, q, self.common[some, k], a=rows.T, overwrite_a=True).T
+        return rows
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Bank:
     """Cosine coefficients of shapes, the lowest `SLOW` ones.
 
@@ -72,28 +109,30 @@ class Bank:
 
     shapes: Float[np.ndarray, "shapes slow"]
 
-    def whitened(self, view: View, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-        """The shapes divided by the noise, and the record.
+    @functools.cached_property
+    def squares(self) -> Float[np.ndarray, "shapes slow"]:
+        """Of the coefficients."""
+        return self.shapes**2
 
-        What a ramp would take, or the shapes beside which these are looked at, is projected out.
-        """
+    def matched(self, view: View, noise: Noise) -> Matched:
+        """To this noise; a ramp that it has, or the shapes beside which these are looked at, are free."""
         J = self.shapes.shape[1]
-        root = np.sqrt(view.variance(noise)[:J])
-        bank, e = self.shapes / root, view.c[:J] / root
-        free = [view.family.ramp] if noise.ramp else []
-        if free or view.beside:
-            columns = np.stack([shape[:J] / root for shape in (*free, *view.beside)], axis=1)
-            for q in np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0].T:
-                # In place: another array of this size would cost more than the sums.
-                bank = dger(-1.0, q, bank @ q, a=bank.T, overwrite_a=True).T
-                e = e - (e @ q) * q
-        return bank, e
+        v = view.lowest(noise, J)
+        root = np.sqrt(v)
+        e, own = view.c[:J] / root, self.squares @ (1.0 / v)
+        others = [view.family.ramp] if noise.ramp else []
+        columns = [shape[:J] / root for shape in (*others, *view.beside)]
+        free = np.zeros((J, 0))
+        if columns:
+            free = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
+        common = self.shapes @ (free / root[:, None])
+        left = np.maximum(own - np.sum(common**2, axis=1), _NOTHING * own)
+        return Matched(self.shapes, root, e - free @ (e @ free), free, common, np.sqrt(left))
 
     def scan(self, view: View, noise: Noise) -> Scan:
         """Every shape's matched filter."""
-        bank, e = self.whitened(view, noise)
-        norms = lengths(bank)
-        projected = bank @ e
+        matched = self.matched(view, noise)
+        projected, norms = matched.products(matched.e), matched.lengths
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
@@ -103,8 +142,8 @@ class Bank:
         `after`.
         """
         noise = noise or after.noise
-        bank, e = self.whitened(view, noise)
-        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (bank, e))
+        matched = self.matched(view, noise)
+        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (matched.rows(), matched.e))
         parts = folds(len(e), _FOLD_BLOCK)
         projected = np.stack([bank[:, part] @ e[part] for part in parts], axis=1)
         squares = np.stack([np.sum(bank[:, part] ** 2, axis=1) for part in parts], axis=1)
@@ -121,18 +160,13 @@ class Bank:
         """Probability that noise alone has an output as large as this, or as the largest in this view."""
         if snr is None:
             snr = float(np.max(abs(self.scan(view, noise).snr)))
-        bank, _ = self.whitened(view, noise)
+        matched = self.matched(view, noise)
         # Seven digits are plenty for draws, and half the work. Each record has draws of its own: with the
         # same for all, their p-values would all be wrong alike.
         rng = np.random.default_rng(view.c[:_FOLD_BLOCK].view(np.uint64))
-        draws = rng.standard_normal((bank.shape[1], _DRAWS), np.float32)
-        outputs = bank.astype(np.float32) @ draws
-        return extrapolated(np.max(abs(outputs) / lengths(bank)[:, None], axis=0), abs(snr))
-
-
-def lengths(bank: Float[np.ndarray, "shapes slow"]) -> Float[np.ndarray, " shapes"]:
-    """Of each whitened shape."""
-    return np.sqrt(np.maximum(np.einsum("ij,ij->i", bank, bank), 1e-300))
+        draws = rng.standard_normal((len(matched.e), _DRAWS), np.float32)
+        outputs = matched.rows().astype(np.float32) @ draws
+        return extrapolated(np.max(abs(outputs) / matched.lengths[:, None], axis=0), abs(snr))
 
 
 def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:

@@ -39,7 +39,8 @@ _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 # Statistics of the samples' distribution: restored samples are drawn, by a simple rule, and show it.
 _OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
 _SHORTEST = 1024
-_WORKERS = 2
+# One more than there are cores on a small machine: axes wait for each other's compiled functions.
+_WORKERS = 3
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

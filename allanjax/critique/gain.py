@@ -92,14 +92,13 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
     half = view.n // 2
     _, m = _horizons(view)
     family = family_of(half, view.rate)
-    factor = None
-    if view.factor is not None:
-        whole = np.arange(1, view.n) / view.n
-        factor = np.interp(np.arange(1, half) / half, whole, view.factor)
+    # Every other coefficient of the whole record has a half's frequency.
+    factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
+    behind = family.behind(factor)
     found = []
     for rows in _halves(view):
         c = centred(view.x[rows])
-        noise = family.of(c, factor).best(view.allowed)
+        noise = behind.weigh(c).best(view.allowed)
         v = noise.variance if factor is None else noise.variance * factor
         ramp = family.slope(c, v)[0] if noise.ramp else 0.0
         variances = _weights(half, tuple(int(k) for k in m)) @ v

@@ -68,6 +68,12 @@ class Noise:
         """Expected squared cosine coefficients c_1 … c_{n−1} [rate²]."""
         return self.family.expected(self.power, self.index)
 
+    def lowest(self, count: int) -> Float[np.ndarray, " count"]:
+        """Of the lowest coefficients; the others are not computed for these."""
+        if "variance" in vars(self):
+            return self.variance[:count]
+        return self.family.expected(self.power, self.index, count)
+
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms, the ramp included."""
@@ -100,6 +106,7 @@ class NoiseFamily:
         self.size = self.bins.size[self.keep].astype(float)
         self.times = np.geomspace(4.0 / rate, n / rate / 4.0, GRID)
         self.frequency = np.arange(1, n) * rate / (2.0 * n)
+        self._padded = jnp.asarray(_padded(self.frequency))
         unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
         self.spectra = np.stack([self.spectrum(term) for term in unit])
         self.columns = np.asarray(_levels(tuple(unit), self.bins, Markov, self.times))[:, self.keep]
@@ -108,7 +115,7 @@ class NoiseFamily:
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients [rate²] of a term of any amplitude, from its density."""
-        return self.rate * density(term, self.frequency, self.rate)
+        return self.rate * _evaluated(term, self._padded, self.rate)[: self.n - 1]
 
     @functools.cached_property
     def power_laws(self) -> Float[np.ndarray, "grid m"]:
@@ -177,16 +184,25 @@ class NoiseFamily:
             return self.columns[len(FIXED) + index], self.spectrum(Markov(1.0, self.times[index]))
         return self.power_laws[index], self.spectrum(PowerLaw(1.0, float(_EXPONENTS[index])))
 
-    def expected(self, power: dict[str, float], index: int) -> Float[np.ndarray, " n-1"]:
-        """Expected squared coefficients of a set: exact for the lowest, then from the density."""
-        variance = np.zeros(self.n - 1)
+    def unit(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
+        """Levels in the bins and spectrum of a term of unit amplitude."""
+        if name not in FIXED:
+            return self.shaped(name, index)
+        k = FIXED.index(name)
+        return self.columns[k], self.spectra[k]
+
+    def expected(
+        self, power: dict[str, float], index: int, count: int | None = None
+    ) -> Float[np.ndarray, " count"]:
+        """Expected squared coefficients of a set (all, or the lowest): from the density but for the first."""
+        count = self.n - 1 if count is None else count
+        variance, term = np.zeros(count), np.empty(count)
         low = np.zeros(len(self.columns[0]))
         for name, p in power.items():
-            k = FIXED.index(name) if name in FIXED else -1
-            level, spectrum = self.shaped(name, index) if k < 0 else (self.columns[k], self.spectra[k])
-            variance += p * spectrum
+            level, spectrum = self.unit(name, index)
+            variance += np.multiply(p, spectrum[:count], out=term)
             low += p * level
-        single = int(np.sum(np.cumprod(self.size == 1.0)))
+        single = min(int(np.sum(np.cumprod(self.size == 1.0))), count)
         variance[:single] = low[:single]
         return variance
 
@@ -293,11 +309,17 @@ def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:
 
 def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
     """`sampled_psd`, compiled once for all values of the parameters and lengths that are nearly the same."""
+    return _evaluated(term, _padded(frequency), rate)[: len(frequency)]
+
+
+def _padded(frequency: Float[np.ndarray, " k"]) -> Float[np.ndarray, " more"]:
+    return np.append(frequency, np.full(-len(frequency) % _PADDED, frequency[-1]))
+
+
+def _evaluated(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[np.ndarray, " k"]:
     values = {p.name: getattr(term, p.name) for p in term.parameters()}
-    term = term.replace(**{name: jnp.asarray(x, float) for name, x in values.items() if np.isfinite(x)})
-    pad = -len(frequency) % _PADDED
-    padded = np.append(frequency, np.full(pad, frequency[-1]))
-    return np.asarray(_density(term, padded, rate))[: len(frequency)]
+    term = term.replace(**{name: np.asarray(x, float) for name, x in values.items() if np.isfinite(x)})
+    return np.asarray(_density(term, frequency, rate))
 
 
 @eqx.filter_jit

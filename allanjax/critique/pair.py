@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.critique.bank import Bank, lengths
+from allanjax.critique.bank import Bank, Matched
 from allanjax.critique.noise import Noise
 from allanjax.critique.view import View
 
@@ -43,18 +43,18 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
         noise: what it is whitened by.
         near: the two to begin with, if they are known nearly.
     """
-    shapes, e = bank.whitened(view, noise)
-    some = np.arange(_COARSER // 2, len(shapes), _COARSER)
+    matched = bank.matched(view, noise)
+    p = matched.products(matched.e)
+    some = np.arange(_COARSER // 2, len(p), _COARSER)
     i, j = np.triu_indices(len(some), 1)
-    coarse = _gains(shapes[some], e, i, j)
+    coarse = _gains(matched.rows(some), p[some], i, j)
     if near is None:
         best = int(np.argmax(coarse))
         near = int(some[i[best]]), int(some[j[best]])
-    own, p = lengths(shapes) ** 2, shapes @ e
-    first, _ = _beside(shapes, own, p, near[1])
-    second, price = _beside(shapes, own, p, first)
-    price += _beside(shapes, own, p, second)[1] - np.log(2.0)
-    chosen, p = shapes[[first, second]], p[[first, second]]
+    first, _ = _beside(matched, p, near[1])
+    second, price = _beside(matched, p, first)
+    price += _beside(matched, p, second)[1] - np.log(2.0)
+    chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
     covariance = np.linalg.pinv(chosen @ chosen.T)
     amplitude = covariance @ p
     # Where both are located more sharply than the coarse pairs are apart, one after the other tells better.
@@ -65,28 +65,24 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
 
 def _gains(
     shapes: Float[np.ndarray, "shapes slow"],
-    e: Float[np.ndarray, " slow"],
+    p: Float[np.ndarray, " shapes"],
     i: Int[np.ndarray, " pairs"],
     j: Int[np.ndarray, " pairs"],
 ) -> Float[np.ndarray, " pairs"]:
-    """Log-likelihood gained by each pair of whitened shapes."""
-    gram, p = shapes @ shapes.T, shapes @ e
+    """Log-likelihood gained by each pair of whitened shapes, `p` being their products with the record."""
+    gram = shapes @ shapes.T
     own = np.diag(gram)
     det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
     return 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
 
 
-def _beside(
-    shapes: Float[np.ndarray, "shapes slow"],
-    own: Float[np.ndarray, " shapes"],
-    p: Float[np.ndarray, " shapes"],
-    other: int,
-) -> tuple[int, float]:
+def _beside(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
     """The shape that explains most where another one may be of any size, and what not knowing it costs.
 
-    `own` are the shapes' squares, `p` their products with the record.
+    `p` are the shapes' products with the record.
     """
-    common = shapes @ shapes[other] / own[other]
+    own = matched.lengths**2
+    common = matched.products(matched.rows(np.array([other]))[0]) / own[other]
     left = np.maximum(own - common**2 * own[other], 0.0)
     clear = left > _CLEAR**2 * left.max()
     half = np.where(clear, 0.5 * (p - common * p[other]) ** 2 / np.where(clear, left, 1.0), 0.0)

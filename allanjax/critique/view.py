@@ -123,7 +123,16 @@ class View:
 
     def variance(self, noise: Noise | None = None) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients [rate²], all that was found before included."""
-        return self.combined((noise or self.noise).variance)
+        return self._variance if noise is None else self.combined(noise.variance)
+
+    @functools.cached_property
+    def _variance(self) -> Float[np.ndarray, " n-1"]:
+        return self.combined(self.noise.variance)
+
+    def lowest(self, noise: Noise, count: int) -> Float[np.ndarray, " count"]:
+        """The same of the lowest coefficients."""
+        v = noise.lowest(count)
+        return v if self.factor is None else v * self.factor[:count]
 
     @functools.cached_property
     def noises(self) -> tuple[Noise, ...]:
@@ -207,6 +216,12 @@ class View:
         view = dataclasses.replace(self, x=x)
         vars(view)["_behind"] = self._behind
         return view
+
+    def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
+        """The best set of basic terms without something that has these lowest coefficients."""
+        c = self.c.copy()
+        c[: len(lowest)] -= lowest
+        return self._behind.weigh(c).best(self.allowed)
 
     def behind(self, factor: Float[np.ndarray, " n-1"]) -> View:
         """The view of a spectrum with a further factor."""

@@ -49,15 +49,20 @@ def additive(
         k = scan.best
         if abs(scan.snr[k]) < _WORTH or k in tried:
             continue
-        after = view
-        for _ in range(_ROUNDS):
-            tried.add(k)
-            after = view.with_x(view.x - scan.amplitude[k] * shape(k))
-            noise = after.noise
-            scan = bank.scan(view, noise)
-            if scan.best == k:
-                break
-            k = scan.best
+        # At first the noise is chosen without what the bank has of the shape, which costs no transform.
+        for exact in (False, True):
+            for _ in range(_ROUNDS):
+                tried.add(k)
+                a = scan.amplitude[k]
+                if exact:
+                    after = view.with_x(view.x - a * shape(k))
+                    noise = after.noise
+                else:
+                    noise = view.noise_without(a * bank.shapes[k])
+                scan = bank.scan(view, noise)
+                if scan.best == k:
+                    break
+                k = scan.best
         snr = float(scan.snr[k])
         gain = after.noise.log_evidence - view.noise.log_evidence
         gain -= scan.search_price + amplitude_price(snr) + more

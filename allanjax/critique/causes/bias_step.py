@@ -80,13 +80,12 @@ class BiasStep(Cause):
             moved = best_pair(bank, view, noise)
             for _ in range(_ROUNDS):
                 pair = moved
-                both = [
-                    a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)
-                ]
-                after = view.with_x(view.x - both[0] - both[1])
-                moved = best_pair(bank, view, after.noise, pair.members)
+                without = view.noise_without(pair.amplitude @ bank.shapes[list(pair.members)])
+                moved = best_pair(bank, view, without, pair.members)
                 if moved.members == pair.members:
                     break
+            both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
+            after = view.with_x(view.x - both[0] - both[1])
             gained = after.noise.log_evidence - view.noise.log_evidence - pair.price
             gained -= sum(amplitude_price(float(snr)) for snr in pair.snr)
             if gained > gain:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from jaxtyping import Float
@@ -100,6 +101,14 @@ def _passed(
     return density(term, frequency, rate)
 
 
+@functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
+def _response(
+    frequency: bytes, rate: float, bandwidth: float, filter_: tuple[int, bool]
+) -> Float[np.ndarray, " k"]:
+    """The same, kept: all axes at all stages are looked through for the same filters."""
+    return _passed(np.frombuffer(frequency), rate, bandwidth, filter_)
+
+
 def _visible(
     view: View, bandwidth: float, filter_: tuple[int, bool], fold: np.ndarray | None = None
 ) -> Float[np.ndarray, " n-1"]:
@@ -153,7 +162,7 @@ class _Screen(FineLevels):
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
-        passed = _passed(self.frequency, self.rate, bandwidth, filter_)
+        passed = _response(self.frequency.tobytes(), self.rate, bandwidth, filter_)
         return self.log_likelihood(passed, np.where(passed < _DEEP, self.ends, 0.0)) - self.plain
 
     def best(self) -> tuple[tuple[int, bool], float, float, float]:

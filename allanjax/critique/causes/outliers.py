@@ -18,6 +18,8 @@ _SCALES = np.geomspace(3.0, 3e4, 25)
 _SHARES = np.geomspace(1e-7, 0.1, 40)
 # Below this no outlier could be told from noise.
 _NOTICED = 3.0
+# Louder scores are looked at one by one, others in bins of this width.
+_LOUD, _FINE = 8.0, 0.02
 _WORTH = 8.0
 # Log-odds from which on a sample counts as an outlier: seven to one.
 _ODDS = 2.0
@@ -126,12 +128,12 @@ def _log_ratio(
 
 def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     """Log-likelihood ratio of the best mixture to noise alone, its share and scale."""
-    noticed = abs(z) > _NOTICED
-    few = z[noticed]
-    if len(few) == 0:
+    size = abs(z)
+    if not np.any(size > _NOTICED):
         return 0.0, 0.0, 1.0
-    # Of the quiet ones only their number counts: a histogram of their squares.
-    counts, edges = np.histogram(abs(z[~noticed]), bins=60)
+    # A histogram is enough, of the quiet ones a coarse one; of the few that are loud each is looked at.
+    edges = np.concatenate([np.linspace(0.0, _NOTICED, 61), np.arange(_NOTICED, _LOUD, _FINE)[1:]])
+    few, counts = size[size > edges[-1]], np.histogram(size, edges)[0]
     centres = 0.5 * (edges[1:] + edges[:-1])
 
     def values(share: float, scale: Float[np.ndarray, " scales"]) -> Float[np.ndarray, " scales"]:

@@ -17,8 +17,9 @@ SHAPE = "shape"
 
 _PER_OCTAVE = 64
 _NEAR = 400
-# Of the powers: rounds of scoring, bins that a first guess is the mean of; and a step for curvatures.
-_SCORINGS, _SMOOTH, _STEP = 8, 9, 0.02
+# Of the powers: rounds of scoring, nats that end it, bins that a first guess is the mean of; and a step for
+# curvatures.
+_SCORINGS, _SETTLED, _SMOOTH, _STEP = 8, 1e-4, 9, 0.02
 
 
 def fine_bins(n: int, centre: float | None = None, width: float = 1.0) -> np.ndarray:
@@ -45,6 +46,17 @@ def log_likelihood(
     return float(-0.5 * np.sum(size * np.log(ratio) + squares / ratio))
 
 
+def non_negative(
+    columns: Float[np.ndarray, "terms bins"],
+    level: Float[np.ndarray, " bins"],
+    weight: Float[np.ndarray, " bins"],
+) -> Float[np.ndarray, " terms"]:
+    """Powers p ≥ 0 that minimize |weight·(p·columns − level)|."""
+    # Of a triangle as wide as there are terms the same are asked for as of all bins.
+    Q, R = np.linalg.qr((columns * weight).T)
+    return nnls(R, (level * weight) @ Q)[0]
+
+
 class FineLevels:
     """The spectrum in fine bins: the likelihood of a shape, all powers being adjusted to it.
 
@@ -52,6 +64,7 @@ class FineLevels:
         size, squares, frequency: coefficients in each bin, the sum of their squares without what was found
             before, and their mean frequency [Hz].
         columns: levels of the allowed basic terms but the Markov process, unit amplitude.
+        smooth: mean squares of a few neighbouring bins together.
     """
 
     def __init__(self, view: View, fold: Bool[np.ndarray, " n-1"] | None = None) -> None:
@@ -66,7 +79,7 @@ class FineLevels:
         self.columns = np.stack([self.mean(spectrum) for spectrum in spectra])
         near = np.ones(_SMOOTH)
         level = np.convolve(self.squares, near, "same") / np.convolve(self.size, near, "same")
-        self._start = np.maximum(level, 1e-300)
+        self.smooth = np.maximum(level, 1e-300)
 
     def mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
         """In each bin, of the coefficients in the fold."""
@@ -81,12 +94,14 @@ class FineLevels:
         """Of the best powers of the basic terms and an extra one, behind a factor, above a floor [nats]."""
         columns = factor * (self.columns if extra is None else np.vstack([self.columns, extra]))
         level = np.maximum(self.squares / self.size - floor, 0.0)
-        model, best = self._start, -np.inf
+        model, best = self.smooth, -np.inf
         for _ in range(_SCORINGS):
-            weight = np.sqrt(self.size) / model
-            power, _ = nnls((columns * weight).T, level * weight)
+            power = non_negative(columns, level, np.sqrt(self.size) / model)
             model = np.maximum(power @ columns + floor, 1e-300)
-            best = max(best, log_likelihood(self.squares, self.size, model))
+            value = log_likelihood(self.squares, self.size, model)
+            if value < best + _SETTLED:
+                return max(value, best)
+            best = value
         return best
 
     def shape_of(

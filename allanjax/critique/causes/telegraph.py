@@ -183,7 +183,9 @@ def _products(
     scale = np.zeros(links.shape[:2])
     reach = 1
     while reach < links.shape[1]:
-        found[:, reach:] = found[:, :-reach] @ found[:, reach:]
+        # Written out: NumPy multiplies stacks of small matrices one by one.
+        one, other = found[:, :-reach], found[:, reach:]
+        found[:, reach:] = one[..., :1] * other[..., :1, :] + one[..., 1:] * other[..., 1:, :]
         scale[:, reach:] = scale[:, :-reach] + scale[:, reach:]
         size = found.max(axis=(-2, -1))
         found /= size[..., None, None]
