@@ -6,13 +6,16 @@ import itertools
 import numpy as np
 import pytest
 from hidden_effects import draw
+from scipy.signal import butter, freqz, lfilter
 from scipy.stats import kstest
 
 from allanjax.critique.bank import Bank, step_coefficients
 from allanjax.critique.causes.bias_step import BiasStep
+from allanjax.critique.causes.low_pass import LowPass
 from allanjax.critique.causes.outliers import Outliers, _scores
 from allanjax.critique.causes.resonance import _conspicuous
 from allanjax.critique.causes.variance_change import VarianceChange
+from allanjax.critique.filling import filled
 from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critique.pair import best_pair
 from allanjax.critique.search import _grouped, search
@@ -223,3 +226,47 @@ def test_a_ramp_that_the_noise_has_is_no_part_of_the_residuals():
     assert np.mean(view.e[ends] ** 2) == pytest.approx(np.mean(white[ends] ** 2), rel=0.02)
     assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
     assert VarianceChange().p_value(view) > 0.01
+
+
+# --- Behind a filter ----------------------------------------------------------------------------------------
+
+# Butterworth of second order, −3 dB at 56 % of the Nyquist frequency.
+CORNER = 14.0
+
+
+def behind_a_filter(n, rng):
+    """White noise of unit deviation, filtered."""
+    b, a = butter(2, CORNER, fs=RATE)
+    return lfilter(b, a, rng.standard_normal(n + 500))[500:]
+
+
+@pytest.mark.parametrize("gaps", ["scattered", "long"])
+def test_samples_are_filled_in_by_the_spectrum_that_the_record_has(gaps):
+    """The filter has not been found yet; what is filled in must not be rough behind it."""
+    rng = np.random.default_rng(2)
+    x, missing = behind_a_filter(N, rng), np.zeros(N, bool)
+    if gaps == "long":
+        missing[20_000:20_600] = True
+    else:
+        first = rng.choice(N - 10, 900, replace=False)
+        for k, length in zip(first, np.minimum(rng.geometric(0.7, len(first)), 6), strict=True):
+            missing[k : k + length] = True
+    c = filled(view_of(np.where(missing, 0.0, x)), missing).c
+    frequency = np.arange(1, N) * RATE / (2.0 * N)
+    expected = abs(freqz(*butter(2, CORNER, fs=RATE), frequency, fs=RATE)[1]) ** 2
+    # In a thousand coefficients each, down to 45 dB below the passband.
+    for low, high in itertools.pairwise(np.flatnonzero(frequency < 24.0)[::1000]):
+        ratio = np.mean(c[low:high] ** 2 / expected[low:high])
+        # Four standard errors of a thousand squares, and a twentieth for the spectrum's bins.
+        assert ratio == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 1000) + 0.05)
+
+
+def test_a_filter_is_found_above_noise_that_is_added_behind_it():
+    """Noise 40 dB below, as of outliers too small to be seen: it must not decide what the filter is."""
+    rng = np.random.default_rng(4)
+    x = behind_a_filter(N, rng) + 1e-2 * rng.standard_normal(N)
+    candidate = LowPass().detect(view_of(x))
+    bandwidth = candidate.parameters["bandwidth"]
+    assert abs(bandwidth.value - CORNER) < 3.0 * bandwidth.std
+    assert bandwidth.std < 0.02 * CORNER
+    assert candidate.parameters["order"].value == 2.0

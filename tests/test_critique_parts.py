@@ -15,6 +15,7 @@ from allanjax.critique.causes.common_mode import _Link, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.causes.telegraph import Telegraph, _chain, _noise, two_levels
+from allanjax.critique.filling import filled
 from allanjax.critique.gain import drift_changes
 from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critique.step import Step
@@ -139,17 +140,17 @@ def test_filled_samples_have_the_conditional_law(monkeypatch):
     view = view_of(np.where(missing, 50.0, x), Known)
     # Every draw of a record takes the same seed otherwise.
     monkeypatch.setattr(np.random, "default_rng", lambda seed=None: rng)
-    filled = np.array([view.filled(missing).x for _ in range(1500)])
-    assert np.all(filled[:, ~missing] == x[~missing])
+    draws = np.array([filled(view, missing).x for _ in range(1500)])
+    assert np.all(draws[:, ~missing] == x[~missing])
     C = dense(N) + 1e6 * np.ones((N, N))  # of any offset
     weights = np.linalg.solve(C[np.ix_(~missing, ~missing)], C[np.ix_(~missing, missing)]).T
     mean = weights @ x[~missing]
     covariance = C[np.ix_(missing, missing)] - weights @ C[np.ix_(~missing, missing)]
     root = np.linalg.cholesky(covariance)
-    z = np.linalg.solve(root, (filled[:, missing] - mean).T)
+    z = np.linalg.solve(root, (draws[:, missing] - mean).T)
     assert np.mean(z, axis=1) == pytest.approx(0.0, abs=4.0 / np.sqrt(1500))
     assert np.cov(z) == pytest.approx(np.eye(len(z)), abs=4.0 * np.sqrt(2.0 / 1500))
-    assert view.filled(missing).restored.tolist() == missing.tolist()
+    assert filled(view, missing).restored.tolist() == missing.tolist()
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0, 3.0])

@@ -26,8 +26,6 @@ _STEADY: tuple[tuple[str, ...], ...] = (
 #: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one.
 MARGIN = 3.0
 EVERYTHING = (*FIXED, MARKOV, RAMP)
-# Of filling in: samples that a level is the mean of, and steps of the conjugate gradients.
-_SMOOTH, _CONJUGATE = 100, 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,27 +257,6 @@ class View:
         c[0] = np.sqrt(self.n) * self.x.mean()
         return idct(c, norm="ortho", workers=-1)
 
-    def filled(self, missing: Bool[np.ndarray, " n"]) -> View:
-        """The view with these samples drawn anew, given all others and the model.
-
-        A draw of the whole record from the model is corrected by the best prediction of what it lacks
-        (conditional simulation); twice, since the model first knows the samples that are to go.
-        """
-        from scipy.ndimage import uniform_filter1d
-
-        rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
-        x, known = self.x.copy(), np.flatnonzero(~missing)
-        # To begin with, the known neighbours' mean, and noise as between neighbours.
-        step = float(np.median(abs(np.diff(x[known])))) / 0.6745 / np.sqrt(2.0)
-        smooth = uniform_filter1d(x[known], min(_SMOOTH, len(known)), mode="nearest")
-        gaps = np.flatnonzero(missing)
-        x[gaps] = np.interp(gaps, known, smooth) + step * rng.standard_normal(len(gaps))
-        for _ in range(2):
-            v = self.with_x(x).variance()
-            draw = in_time(np.sqrt(v) * rng.standard_normal(self.n - 1)) + x.mean()
-            x = np.where(missing, draw + _predicted(x - draw, missing, v), x)
-        return dataclasses.replace(self.with_x(x), restored=self.restored | missing)
-
     def own(self, value: float, std: float, per: str = "") -> Quantity:
         """An amplitude in the recording's own unit."""
         return Quantity(value / self.scale, std / self.scale, self.axis.unit + per)
@@ -297,32 +274,6 @@ def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
 def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
     """The samples with these cosine coefficients c_1 … c_{n−1}, without mean."""
     return idct(np.concatenate([[0.0], coefficients]), norm="ortho", workers=-1)
-
-
-def _predicted(
-    d: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]
-) -> Float[np.ndarray, " n"]:
-    """The missing samples of d, by the others and a noise of this spectrum: d_m minimizes d'C⁻¹d."""
-
-    def precision(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        return in_time(dct(y, norm="ortho", workers=-1)[1:] / v)
-
-    gaps = np.flatnonzero(missing)
-    y = np.interp(np.arange(len(d)), np.flatnonzero(~missing), d[~missing])
-    residual = -precision(y)[gaps]
-    direction, square, full = residual.copy(), float(residual @ residual), np.zeros(len(d))
-    first = square
-    for _ in range(_CONJUGATE):
-        if square <= 1e-6 * first or square == 0.0:
-            break
-        full[gaps] = direction
-        image = precision(full)[gaps]
-        a = square / float(direction @ image)
-        y[gaps] += a * direction
-        residual -= a * image
-        square, old = float(residual @ residual), square
-        direction = residual + square / old * direction
-    return y
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from scipy.fft import dct
 from scipy.special import gammaincc
 
 from allanjax.critique.bank import folds
+from allanjax.critique.filling import filled
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _SHORTEST = 0.1  # s
@@ -46,7 +47,7 @@ class Disturbance(Cause):
                 return None
             missing = np.zeros(view.n, bool)
             missing[max(start - block, 0) : end + block] = True
-            quiet = view.filled(missing)
+            quiet = filled(view, missing)
         assert loudest is not None
         windows = loudest[2]
         m, level = end - start, float(np.mean(squares[start:end]))

@@ -25,6 +25,8 @@ _RESPONSE, _REACHED = 4097, 0.8
 _SHORT = 20.0
 # Below this response the record's ends are reckoned with; coefficients that a local mean is taken over.
 _DEEP, _LOCAL = 0.01, 401
+# Coefficients of a bin that says how little noise there is anywhere.
+_COUNTED = 100
 # Share of the record at each end that these make loud.
 _ENDS = 0.02
 # Order, and whether the filter is a digital one made by the bilinear transformation.
@@ -122,7 +124,9 @@ def _visible(
     if not deep.any():
         return passed
     clear = ~deep & (used > 0.0)
-    ends, level = _ends(view), float(np.mean(view.squares[clear] / passed[clear]))
+    levels = FineLevels(view, fold)
+    ends = np.maximum(_ends(view), view.combined(np.full(view.n - 1, _floor(levels, bandwidth))))
+    level = float(np.mean(view.squares[clear] / passed[clear]))
     factor = passed + np.where(deep, ends / level, 0.0)
     whole = view.combined(factor)
     noise = view.family.of(view.c, whole, fold).best(view.allowed)
@@ -148,6 +152,17 @@ def _filtered(model: Model, bandwidth: float, order: int) -> Model:
     return model.without([white]) + terms.LowPass(N, bandwidth, order=order)
 
 
+def _floor(levels: FineLevels, bandwidth: float) -> float:
+    """Power of what is added behind the filter and cannot be told from its deepest response, 0 if it can.
+
+    Outliers too small to be seen, the digits of the samples: it is what is least anywhere in the spectrum.
+    """
+    level = levels.squares / levels.size
+    least = float(np.min(level[levels.size >= _COUNTED], initial=np.inf))
+    passed = float(np.interp(bandwidth, levels.frequency, levels.smooth))
+    return least if least < _DEEP * passed else 0.0
+
+
 class _Screen(FineLevels):
     """Likelihoods of many filters."""
 
@@ -163,7 +178,8 @@ class _Screen(FineLevels):
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
         passed = _response(self.frequency.tobytes(), self.rate, bandwidth, filter_)
-        return self.log_likelihood(passed, np.where(passed < _DEEP, self.ends, 0.0)) - self.plain
+        added = np.maximum(self.ends, _floor(self, bandwidth))
+        return self.log_likelihood(passed, np.where(passed < _DEEP, added, 0.0)) - self.plain
 
     def best(self) -> tuple[tuple[int, bool], float, float, float]:
         """The best filter, its bandwidth, its half-power frequency, and how well that is known [Hz].

@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from allanjax.critique.bank import any_of, folds
 from allanjax.critique.causes.additive import mean_and_std
+from allanjax.critique.filling import filled
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -62,7 +63,7 @@ class Outliers(Cause):
             if peaks is None:
                 return None
             missing[peaks], scores[peaks] = True, seen[peaks]
-            after = view.filled(missing)
+            after = filled(view, missing)
             seen = _scores(after, bulk)
         times = np.flatnonzero(missing)
         if len(times) == 0:
@@ -93,7 +94,7 @@ class Outliers(Cause):
         missing = np.zeros(view.n, bool)
         times = np.asarray(found.parameters["times"].value, float)
         missing[np.rint(times * view.rate).astype(int)] = True
-        return dataclasses.replace(found, after=view.filled(missing))
+        return dataclasses.replace(found, after=filled(view, missing))
 
 
 def _p_value(largest: float, n: int) -> float:

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import norm
 
 from allanjax.critique.causes.rounding import lattice
+from allanjax.critique.filling import filled
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
 # Fewer are no matter.
@@ -44,7 +45,7 @@ class RepeatedSamples(Cause):
             },
             gain,
             float(norm.sf(z)) if chance > 0.0 else 0.0,
-            view.filled(same),
+            filled(view, same),
             lambda: _held_out(same, chance),
             (0.0, view.duration),
             "time",

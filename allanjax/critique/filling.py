@@ -1,0 +1,110 @@
+"""Samples that tell nothing, drawn anew given all others."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.fft import dct
+
+from allanjax.critique.view import View, in_time
+
+# Draws, and a change of the spectrum's logarithm that ends them.
+_DRAWS, _SETTLED = 12, 0.1
+# Of the record's own spectrum: bins an octave, coefficients in one, and standard deviations that are chance.
+_PARTS, _LEAST, _CHANCE = 32, 64, 3.0
+# Steps of the conjugate gradients; what of d'C⁻¹d does not matter; samples that are solved for at once.
+_CONJUGATE, _EXACT, _BLOCK = 60, 1e-2, 256
+
+
+def filled(view: View, missing: Bool[np.ndarray, " n"]) -> View:
+    """The view with these samples drawn anew, given all others and the record's spectrum.
+
+    A draw of a whole record is corrected by the best prediction of what this one lacks (conditional
+    simulation); again until the spectrum, which first has straight lines in it, is that of the others.
+    """
+    rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
+    gaps, known = np.flatnonzero(missing), np.flatnonzero(~missing)
+    x, before = view.x.copy(), np.ones(1)
+    x[gaps] = np.interp(gaps, known, x[known])
+    for _ in range(_DRAWS):
+        v = _own_variance(view.with_x(x))
+        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + x.mean()
+        x = np.where(missing, draw + _predicted(x - draw, missing, v), x)
+        if np.max(abs(np.log(v / before))) < _SETTLED:
+            break
+        before = v
+    return dataclasses.replace(view.with_x(x), restored=view.restored | missing)
+
+
+def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
+    """Expected squared coefficients: the model's, and in bins the record's where they differ beyond chance.
+
+    What has not been found yet, as a filter, is in these.
+    """
+    n, v = view.n, view.variance()
+    octaves = np.append(2 ** np.arange(int(np.log2(n - 1)) + 1) - 1, n - 1)
+    parts = [
+        np.linspace(low, high, int(np.clip((high - low) // _LEAST, 1, _PARTS)) + 1)
+        for low, high in itertools.pairwise(octaves)
+    ]
+    first = np.unique(np.concatenate(parts).astype(int))
+    count = np.diff(first)
+    level = np.log(np.maximum(np.add.reduceat(view.c**2 / v, first[:-1]), 1e-300) / count)
+    level = np.where(abs(level) < _CHANCE * np.sqrt(2.0 / count), 0.0, level)
+    middle = 0.5 * (first[:-1] + first[1:] - 1)
+    return v * np.exp(np.interp(np.arange(n - 1), middle, level))
+
+
+def _predicted(
+    d: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]
+) -> Float[np.ndarray, " n"]:
+    """The missing samples of d, by the others and a noise of this spectrum: d_m minimizes d'C⁻¹d.
+
+    By conjugate gradients, for neighbouring gaps solved at once: behind a filter they lean on each other.
+    """
+    gaps, full = np.flatnonzero(missing), np.zeros(len(d))
+
+    def precision(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " gaps"]:
+        return in_time(dct(y, norm="ortho", workers=-1)[1:] / v)[gaps]
+
+    blocks = _inverses(gaps, v)
+
+    def nearly_solved(residual: Float[np.ndarray, " gaps"]) -> Float[np.ndarray, " gaps"]:
+        rows = np.zeros(blocks.shape[:2])
+        rows.flat[: len(gaps)] = residual
+        return np.ravel(blocks @ rows[..., None])[: len(gaps)]
+
+    y = np.interp(np.arange(len(d)), np.flatnonzero(~missing), d[~missing])
+    residual = -precision(y)
+    direction = nearly_solved(residual)
+    square = float(residual @ direction)
+    for _ in range(_CONJUGATE):
+        if square <= _EXACT:
+            break
+        full[gaps] = direction
+        image = precision(full)
+        a = square / float(direction @ image)
+        y[gaps] += a * direction
+        residual -= a * image
+        conditioned = nearly_solved(residual)
+        square, old = float(residual @ conditioned), square
+        direction = conditioned + square / old * direction
+    return y
+
+
+def _inverses(
+    gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
+) -> Float[np.ndarray, "blocks size size"]:
+    """Of the precision between neighbouring gaps, so many at a time: ½[r(i − k) + r(i + k + 1)]."""
+    n, size = len(v) + 1, min(len(gaps), _BLOCK)
+    r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
+    places = np.full((-(-len(gaps) // size), size), -1)
+    places.flat[: len(gaps)] = gaps
+    one, other = places[:, :, None], places[:, None, :]
+    there = (one >= 0) & (other >= 0)
+    total = np.where(there, one + other + 1, 0)
+    precision = 0.5 * (r[abs(one - other)] + r[np.minimum(total, 2 * n - total)])
+    return np.linalg.inv(np.where(there, precision, np.eye(size)))
