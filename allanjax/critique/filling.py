@@ -73,9 +73,8 @@ def _predicted(
     blocks = _inverses(gaps, v)
 
     def nearly_solved(residual: Float[np.ndarray, " gaps"]) -> Float[np.ndarray, " gaps"]:
-        rows = np.zeros(blocks.shape[:2])
-        rows.flat[: len(gaps)] = residual
-        return np.ravel(blocks @ rows[..., None])[: len(gaps)]
+        parts = np.split(residual, range(_BLOCK, len(gaps), _BLOCK))
+        return np.concatenate([inverse @ part for inverse, part in zip(blocks, parts, strict=True)])
 
     y = np.interp(np.arange(len(d)), np.flatnonzero(~missing), d[~missing])
     residual = -precision(y)
@@ -97,14 +96,13 @@ def _predicted(
 
 def _inverses(
     gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
-) -> Float[np.ndarray, "blocks size size"]:
+) -> list[Float[np.ndarray, "block block"]]:
     """Of the precision between neighbouring gaps, so many at a time: ½[r(i − k) + r(i + k + 1)]."""
-    n, size = len(v) + 1, min(len(gaps), _BLOCK)
+    n = len(v) + 1
     r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
-    places = np.full((-(-len(gaps) // size), size), -1)
-    places.flat[: len(gaps)] = gaps
-    one, other = places[:, :, None], places[:, None, :]
-    there = (one >= 0) & (other >= 0)
-    total = np.where(there, one + other + 1, 0)
-    precision = 0.5 * (r[abs(one - other)] + r[np.minimum(total, 2 * n - total)])
-    return np.linalg.inv(np.where(there, precision, np.eye(size)))
+    found = []
+    for some in np.split(gaps, range(_BLOCK, len(gaps), _BLOCK)):
+        total = some[:, None] + some + 1
+        precision = 0.5 * (r[abs(some[:, None] - some)] + r[np.minimum(total, 2 * n - total)])
+        found.append(np.linalg.inv(precision))
+    return found

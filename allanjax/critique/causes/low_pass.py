@@ -58,7 +58,7 @@ class LowPass(Cause):
         if gains.max() < _WORTH:
             return None
         filter_, bandwidth, half_power, std = screen.best()
-        visible = _visible(view, bandwidth, filter_)
+        visible = _visible(view, screen, bandwidth, filter_)
         after = dataclasses.replace(_without_ends(view.behind(visible)), passes=visible)
         gain = after.noise.log_evidence - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
@@ -112,7 +112,7 @@ def _response(
 
 
 def _visible(
-    view: View, bandwidth: float, filter_: tuple[int, bool], fold: np.ndarray | None = None
+    view: View, screen: _Screen, bandwidth: float, filter_: tuple[int, bool], fold: np.ndarray | None = None
 ) -> Float[np.ndarray, " n-1"]:
     """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
 
@@ -124,8 +124,7 @@ def _visible(
     if not deep.any():
         return passed
     clear = ~deep & (used > 0.0)
-    levels = FineLevels(view, fold)
-    ends = np.maximum(_ends(view), view.combined(np.full(view.n - 1, _floor(levels, bandwidth))))
+    ends = np.maximum(_ends(view), view.combined(np.full(view.n - 1, screen.floor(bandwidth))))
     level = float(np.mean(view.squares[clear] / passed[clear]))
     factor = passed + np.where(deep, ends / level, 0.0)
     whole = view.combined(factor)
@@ -152,17 +151,6 @@ def _filtered(model: Model, bandwidth: float, order: int) -> Model:
     return model.without([white]) + terms.LowPass(N, bandwidth, order=order)
 
 
-def _floor(levels: FineLevels, bandwidth: float) -> float:
-    """Power of what is added behind the filter and cannot be told from its deepest response, 0 if it can.
-
-    Outliers too small to be seen, the digits of the samples: it is what is least anywhere in the spectrum.
-    """
-    level = levels.squares / levels.size
-    least = float(np.min(level[levels.size >= _COUNTED], initial=np.inf))
-    passed = float(np.interp(bandwidth, levels.frequency, levels.smooth))
-    return least if least < _DEEP * passed else 0.0
-
-
 class _Screen(FineLevels):
     """Likelihoods of many filters."""
 
@@ -172,13 +160,23 @@ class _Screen(FineLevels):
         self.plain = self.log_likelihood()
         ends = _ends(view) if view.factor is None else _ends(view) / view.factor
         self.ends = self.mean(ends)
+        level = self.squares / self.size
+        self.least = float(np.min(level[self.size >= _COUNTED], initial=np.inf))
         self.grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
         self.gains = np.array([[self.gain(filter_, f) for f in self.grid] for filter_ in _FILTERS])
+
+    def floor(self, bandwidth: float) -> float:
+        """Power of what is added behind the filter and hides its deepest response, 0 if nothing does.
+
+        Outliers too small to be seen, the digits of the samples: what is least anywhere in the spectrum.
+        """
+        passed = float(np.interp(bandwidth, self.frequency, self.smooth))
+        return self.least if self.least < _DEEP * passed else 0.0
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
         passed = _response(self.frequency.tobytes(), self.rate, bandwidth, filter_)
-        added = np.maximum(self.ends, _floor(self, bandwidth))
+        added = np.maximum(self.ends, self.floor(bandwidth))
         return self.log_likelihood(passed, np.where(passed < _DEEP, added, 0.0)) - self.plain
 
     def best(self) -> tuple[tuple[int, bool], float, float, float]:
@@ -226,8 +224,9 @@ def _held_out(view: View) -> float:
     """Log-likelihood of half of the coefficients under the filter and the noise of the others, both ways."""
     gain = 0.0
     for fold in coefficient_folds(view.n):
-        filter_, bandwidth, *_ = _Screen(view, fold).best()
-        factor = _visible(view, bandwidth, filter_, fold)
+        screen = _Screen(view, fold)
+        filter_, bandwidth, *_ = screen.best()
+        factor = _visible(view, screen, bandwidth, filter_, fold)
         whole = view.combined(factor)
         noise = view.family.of(view.c, whole, fold).best(view.allowed)
         gain += view.log_likelihood(noise, ~fold, factor)
