@@ -20,12 +20,13 @@ from allanjax.units import default_coefficient_unit, unit_scale
 class BasicTerm(Cause):
     """One of quantization, angle random walk, bias instability, rate random walk, drift ramp, Markov.
 
-    Between sets of basic terms the evidence decides: of 300 records of sensors whose model was complete one
-    gained two and a half nats by a further term, none three.
+    Between sets of basic terms the evidence decides, at odds of ten to one: of 600 records of sensors whose
+    model was complete three gained so much by a further term (2,029 tried). Wilks's law, which knows nothing
+    of other sets, is asked only whether there is anything.
     """
 
-    margin = 2.5
-    level = 0.01
+    margin = 2.3
+    level = 0.05
     joint = "at once"
 
     def __init__(self, term: str) -> None:
