@@ -6,12 +6,14 @@ import itertools
 import numpy as np
 import pytest
 from hidden_effects import draw
+from scipy.fft import dct
+from scipy.linalg import toeplitz
 from scipy.signal import butter, freqz, lfilter
 from scipy.stats import kstest
 
 from allanjax.critique.bank import Bank, step_coefficients
 from allanjax.critique.causes.bias_step import BiasStep
-from allanjax.critique.causes.low_pass import LowPass
+from allanjax.critique.causes.low_pass import LowPass, _ends, _fine
 from allanjax.critique.causes.outliers import Outliers, _scores
 from allanjax.critique.causes.resonance import _conspicuous
 from allanjax.critique.causes.variance_change import VarianceChange
@@ -270,3 +272,32 @@ def test_a_filter_is_found_above_noise_that_is_added_behind_it():
     assert abs(bandwidth.value - CORNER) < 3.0 * bandwidth.std
     assert bandwidth.std < 0.02 * CORNER
     assert candidate.parameters["order"].value == 2.0
+
+
+@pytest.mark.parametrize(("order", "bandwidth"), [(2, 12.0), (2, 20.0), (4, 15.0)])
+def test_the_ends_of_a_filtered_record_are_those_of_its_covariance(order, bandwidth):
+    """By brute force: the diagonal of D C Dᵀ, less the response, where it is nothing but ends."""
+    n, rate = 3000, 100.0
+    taps = butter(order, bandwidth, fs=rate)
+    echo = lfilter(*taps, np.r_[1.0, np.zeros(n - 1)])
+    covariance = toeplitz(np.correlate(echo, np.r_[echo, np.zeros(n - 1)], "valid")[::-1])
+    exact = np.diag(dct(dct(covariance, norm="ortho", axis=0), norm="ortho", axis=1))[1:]
+    frequency = np.arange(1, n) * rate / (2.0 * n)
+    response = abs(freqz(*taps, frequency, fs=rate)[1]) ** 2
+    ends = np.interp(frequency, _fine(rate), _ends(rate, bandwidth, (order, True))) / n
+    there = (ends > 0.1 * response) & (frequency < 0.998 * rate / 2.0)
+    assert there.sum() > 20
+    np.testing.assert_allclose(ends[there], (exact - response)[there], rtol=0.02)
+
+
+def test_nothing_is_left_of_what_a_strong_filter_stops():
+    """Deep in the stop band the two ends of the record are loud; they are neither noise nor an effect."""
+    x = behind_a_filter(N, np.random.default_rng(6))
+    after = LowPass().detect(view_of(x)).after
+    squares = after.e**2 - 1.0
+    # 3.9: one of the 20 mean squares, of variance 2/N each, in 500 records.
+    z = squares.reshape(20, -1).mean(axis=1) / np.sqrt(2.0 * 20 / N)
+    assert np.max(abs(z)) < 3.9
+    high = after.family.frequency > 0.45 * RATE
+    whitened = (after.residual**2 / after.variance())[high]
+    assert abs(whitened.mean() - 1.0) < 4.0 * np.sqrt(2.0 / high.sum())

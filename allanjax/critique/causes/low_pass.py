@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.fft import dct, dst
 from scipy.ndimage import uniform_filter1d
 
 from allanjax import terms
-from allanjax.critique.causes.spectral import FineLevels
+from allanjax.critique.causes.spectral import SHARES, FineLevels
 from allanjax.critique.noise import MARKOV, density
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds
+from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, in_time
 from allanjax.model import Model
 
 _WORTH = 6.0
 _GRID = 40
 # Kinds of filters that are so much less likely [nats] are out of the question.
 _RIVALS = 10.0
+# What quantization costs [nats]: the mean price of a term in `evidence`.
+_PRICE = 4.0
 # Of the response: points, and up to which share of the Nyquist frequency.
 _RESPONSE, _REACHED = 4097, 0.8
 # A Markov process this short [samples] without white noise is white noise behind a filter.
@@ -27,6 +31,8 @@ _SHORT = 20.0
 _DEEP, _LOCAL = 0.01, 401
 # Coefficients of a bin that says how little noise there is anywhere.
 _COUNTED = 100
+# So many times what the ends leave a level must be to tell anything.
+_ABOVE = 10.0
 # Share of the record at each end that these make loud.
 _ENDS = 0.02
 # Order, and whether the filter is a digital one made by the bilinear transformation.
@@ -59,7 +65,13 @@ class LowPass(Cause):
             return None
         filter_, bandwidth, half_power, std = screen.best()
         visible = _visible(view, screen, bandwidth, filter_)
-        after = dataclasses.replace(_without_ends(view.behind(visible)), passes=visible)
+        after = view.behind(visible)
+        if (visible < _DEEP).any():
+            after = _without_ends(after, visible < _DEEP)
+            # What is below the response now is what was added, no longer the ends.
+            visible = _visible(view.with_x(after.x), screen, bandwidth, filter_)
+            after = dataclasses.replace(after, factor=view.combined(visible))
+        after = dataclasses.replace(after, passes=visible)
         gain = after.noise.log_evidence - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
@@ -81,16 +93,6 @@ class LowPass(Cause):
         )
 
 
-def _ends(view: View) -> Float[np.ndarray, " n-1"]:
-    """Power of the record's ends in its coefficients: all that is left where a filter stops the noise.
-
-    The mirrored record that cosines see has kinks at its two ends, of the slopes there, with a power of
-    (4/n)·E ẋ²/(2 sin(a/2))⁴.
-    """
-    slopes = float(np.mean(np.diff(view.x) ** 2))
-    return 4.0 / view.n * slopes / (2.0 * np.sin(np.pi * view.family.frequency / view.rate)) ** 4
-
-
 def _passed(
     frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool]
 ) -> Float[np.ndarray, " k"]:
@@ -104,11 +106,37 @@ def _passed(
 
 
 @functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
+def _ends(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> Float[np.ndarray, " fine"]:
+    """Power that a record's two ends add to the response, times its number of samples, at `_fine` ones.
+
+    Cosines see the record continued by its mirror image, which has kinks there. With the autocovariance r the
+    squares of coefficients are expected to be Σ (2 − 2k/n)·r_k cos(ak) − r_0 − 2/(n sin a)·Σ r_k sin(ak); the
+    ends' part is −(2/n)·[Σ k·r_k cos(ak) + Σ r_k sin(ak)/sin a].
+    """
+    m = _RESPONSE - 1
+    response = _passed(_fine(rate), rate, bandwidth, filter_)
+    r = dct(np.concatenate([response[:1], response, response[-1:]]), type=1) / (2.0 * m)
+    lag = np.arange(m + 1.0)
+    cosines = 0.5 * dct(lag * r, type=1)[1:-1] + 0.5 * m * r[-1] * (-1.0) ** lag[1:-1]
+    sines = 0.5 * dst(r[1:-1], type=1) / np.sin(np.pi * lag[1:-1] / m)
+    return np.maximum(-2.0 * (cosines + sines), 0.0)
+
+
+def _fine(rate: float) -> Float[np.ndarray, " fine"]:
+    """Frequencies between zero and Nyquist's."""
+    return np.arange(1, _RESPONSE - 1) * rate / (2.0 * (_RESPONSE - 1))
+
+
+@functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
 def _response(
-    frequency: bytes, rate: float, bandwidth: float, filter_: tuple[int, bool]
-) -> Float[np.ndarray, " k"]:
-    """The same, kept: all axes at all stages are looked through for the same filters."""
-    return _passed(np.frombuffer(frequency), rate, bandwidth, filter_)
+    within: bytes, rate: float, bandwidth: float, filter_: tuple[int, bool]
+) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
+    """Means in bins of the response and its ends, kept: all axes are looked through for the same filters."""
+    f = np.frombuffer(within)
+    ends = np.interp(f, _fine(rate), _ends(rate, bandwidth, filter_))
+    found = _passed(f, rate, bandwidth, filter_), ends
+    passed, ends = (x.reshape(-1, len(SHARES)) @ SHARES for x in found)
+    return passed, ends
 
 
 def _visible(
@@ -116,30 +144,38 @@ def _visible(
 ) -> Float[np.ndarray, " n-1"]:
     """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
 
-    Where the record's ends count more than what the filter passes, the level is the record's own, and nothing
-    is said.
+    Where the record's ends or what is added behind the filter count more than what it passes, the level is
+    the record's own, and nothing is said.
     """
-    passed = _passed(view.family.frequency, view.rate, bandwidth, filter_)
+    f = view.family.frequency
+    passed = _passed(f, view.rate, bandwidth, filter_)
     deep, used = passed < _DEEP, np.ones(view.n - 1) if fold is None else fold.astype(float)
     if not deep.any():
         return passed
-    clear = ~deep & (used > 0.0)
-    ends = np.maximum(_ends(view), view.combined(np.full(view.n - 1, screen.floor(bandwidth))))
+    clear, floor = ~deep & (used > 0.0), screen.floor(filter_, bandwidth)
+    ends = np.interp(f, _fine(view.rate), _ends(view.rate, bandwidth, filter_)) / view.n
     level = float(np.mean(view.squares[clear] / passed[clear]))
-    factor = passed + np.where(deep, ends / level, 0.0)
-    whole = view.combined(factor)
-    noise = view.family.of(view.c, whole, fold).best(view.allowed)
-    kinks = np.where(deep, ends / view.combined(noise.variance), 0.0)
-    ratio = uniform_filter1d(used * view.c**2 / view.combined(noise.variance), _LOCAL, mode="nearest")
+    factor = passed + np.where(deep, ends + floor / level, 0.0)
+    noise = view.family.of(view.c, view.combined(factor), fold).best(view.allowed)
+    added = np.where(deep, ends + floor / noise.variance, 0.0)
+    ratio = uniform_filter1d(used * view.squares / noise.variance, _LOCAL, mode="nearest")
     ratio /= np.maximum(uniform_filter1d(used, _LOCAL, mode="nearest"), 1.0 / _LOCAL)
-    return np.where(kinks > passed, np.maximum(ratio, 1e-9 * factor), passed + kinks)
+    told = (added <= passed) & (f <= screen.frequency[-1])
+    return np.where(told, passed + added, np.maximum(ratio, 1e-9 * factor))
 
 
-def _without_ends(view: View) -> View:
-    """What was stopped and is amplified now has the record's ends in it, and is loud there."""
+def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"]) -> View:
+    """The view with noise of its own kind at the ends of what the filter stopped; the ends count as restored.
+
+    What was stopped is amplified by whitening, and so are the kinks of the mirrored record.
+    """
     k = np.arange(view.n)
     ends = np.minimum(k, view.n - 1 - k) < _ENDS * view.n
-    return dataclasses.replace(view, restored=view.restored | ends)
+    root = np.sqrt(view.variance())
+    drawn = np.random.default_rng(0).standard_normal(view.n - 1)
+    change = np.where(ends, in_time(np.where(deep, drawn - view.residual / root, 0.0)), 0.0)
+    mended = view.x + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
+    return dataclasses.replace(view.with_x(mended), restored=view.restored | ends)
 
 
 def _filtered(model: Model, bandwidth: float, order: int) -> Model:
@@ -157,51 +193,89 @@ class _Screen(FineLevels):
     def __init__(self, view: View, fold: np.ndarray | None = None) -> None:
         super().__init__(view, fold)
         self.rate = view.rate
-        self.plain = self.log_likelihood()
-        ends = _ends(view) if view.factor is None else _ends(view) / view.factor
-        self.ends = self.mean(ends)
+        self.n, self.plain = view.n, self.log_likelihood()
+        self.quantized = {"quantization", "angle_random_walk"} <= set(view.allowed)
         level = self.squares / self.size
         self.least = float(np.min(level[self.size >= _COUNTED], initial=np.inf))
         self.grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
         self.gains = np.array([[self.gain(filter_, f) for f in self.grid] for filter_ in _FILTERS])
 
-    def floor(self, bandwidth: float) -> float:
-        """Power of what is added behind the filter and hides its deepest response, 0 if nothing does.
+    def floor(self, filter_: tuple[int, bool], bandwidth: float) -> float:
+        """Power of what is added behind the filter and hides its deepest response.
 
-        Outliers too small to be seen, the digits of the samples: what is least anywhere in the spectrum.
+        Outliers too small to be seen, the digits of the samples.
         """
-        passed = float(np.interp(bandwidth, self.frequency, self.smooth))
-        return self.least if self.least < _DEEP * passed else 0.0
+        return float(self._fitted(filter_, bandwidth)[1][-1]) if self._hidden(bandwidth) else 0.0
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
-        passed = _response(self.frequency.tobytes(), self.rate, bandwidth, filter_)
-        added = np.maximum(self.ends, self.floor(bandwidth))
-        return self.log_likelihood(passed, np.where(passed < _DEEP, added, 0.0)) - self.plain
+        return self._fitted(filter_, bandwidth)[0] - self.plain
+
+    def _hidden(self, bandwidth: float) -> bool:
+        """Whether the spectrum falls so far that something else may be seen there."""
+        return bool(self.least < _DEEP * np.interp(bandwidth, self.frequency, self.smooth))
+
+    def _fitted(self, filter_: tuple[int, bool], bandwidth: float) -> tuple[float, Float[np.ndarray, " k"]]:
+        """Log-likelihood of the best powers, and these: that of the floor last, if there may be one."""
+        passed, ends = _response(self.within.tobytes(), self.rate, bandwidth, filter_)
+        deep = passed < _DEEP
+        passed = np.where(deep, passed + ends / self.n, passed)
+        floor = deep / passed if self._hidden(bandwidth) and deep.any() else None
+        return self.scored(passed, extra=floor)
 
     def best(self) -> tuple[tuple[int, bool], float, float, float]:
         """The best filter, its bandwidth, its half-power frequency, and how well that is known [Hz].
 
-        Other filters being possible.
+        Other filters being possible, and quantization, which rises where a filter falls.
         """
+        self._leave_ends_out()
         likely = np.flatnonzero(self.gains.max(axis=1) > self.gains.max() - _RIVALS)
-        found = [self._maximum(int(i)) for i in likely]
-        bandwidth, half, std, gain = (np.array(x) for x in zip(*found, strict=True))
-        k = int(np.argmax(gain))
-        weight = np.exp(gain - gain[k])
-        variance = float(weight @ (std**2 + (half - half[k]) ** 2) / weight.sum())
-        return _FILTERS[likely[k]], float(bandwidth[k]), float(half[k]), float(np.sqrt(variance))
+        noises = (
+            [(self.columns, _PRICE), (self.columns[1:], 0.0)] if self.quantized else [(self.columns, 0.0)]
+        )
+        found: list[_Maximum] = []
+        for columns, price in noises:
+            self.columns = columns
+            found += [self._maximum(int(i), price) for i in likely]
+        best = max(found, key=lambda one: one.gain)
+        self.columns = best.columns
+        weight = np.exp([one.gain - best.gain for one in found])
+        off = [one.std**2 + (one.half_power - best.half_power) ** 2 for one in found]
+        return best.filter_, best.bandwidth, best.half_power, float(np.sqrt(weight @ off / weight.sum()))
 
-    def _maximum(self, i: int) -> tuple[float, float, float, float]:
-        """Bandwidth of one kind of filter, half-power frequency, its deviation, and gain."""
-        k = int(np.argmax(self.gains[i]))
+    def _leave_ends_out(self) -> None:
+        """Leave out the highest frequencies, where the ends are all that is left.
+
+        They are two draws there, not one of every coefficient, which would outvote all others.
+        """
+        i, k = np.unravel_index(np.argmax(self.gains), self.gains.shape)
+        passed, ends = _response(self.within.tobytes(), self.rate, float(self.grid[k]), _FILTERS[i])
+        level = float(np.median((self.smooth / passed)[passed > 0.5 * passed.max()]))
+        told = np.flatnonzero(self.squares / self.size > _ABOVE * level * ends / self.n)
+        if len(told):
+            self.keep(int(told[-1]) + 1)
+            self.plain = self.log_likelihood()
+
+    def _maximum(self, i: int, price: float) -> _Maximum:
+        """Of one kind of filter."""
+        k, filter_ = int(np.argmax(self.gains[i])), _FILTERS[i]
         bounds = (np.log(self.grid[max(k - 1, 0)]), np.log(self.grid[min(k + 1, _GRID - 1)]))
-        u, std, gain = self.shape_of(lambda u: self.gain(_FILTERS[i], float(np.exp(u))), bounds)
+        u, std, gain = self.shape_of(lambda u: self.gain(filter_, float(np.exp(u))), bounds)
         bandwidth = float(np.exp(u))
-        half, above = (_half_power(self.rate, float(np.exp(x)), _FILTERS[i]) for x in (u, u + std))
-        if half is None:
-            return bandwidth, bandwidth, bandwidth * std, gain
-        return bandwidth, half, abs((above or self.rate / 2.0) - half), gain
+        half, above = (_half_power(self.rate, float(np.exp(x)), filter_) for x in (u, u + std))
+        std = bandwidth * std if half is None else abs((above or self.rate / 2.0) - half)
+        return _Maximum(filter_, bandwidth, half or bandwidth, std, gain - price, self.columns)
+
+
+class _Maximum(NamedTuple):
+    """Best bandwidth of one kind of filter [Hz], deviation of its half-power frequency, and the noise."""
+
+    filter_: tuple[int, bool]
+    bandwidth: float
+    half_power: float
+    std: float
+    gain: float
+    columns: Float[np.ndarray, "terms bins"]
 
 
 def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float | None:

@@ -17,6 +17,8 @@ SHAPE = "shape"
 
 _PER_OCTAVE = 64
 _NEAR = 400
+#: Gauss's quadrature: a response may fall by much within a bin.
+NODES, SHARES = np.polynomial.legendre.leggauss(4) * np.array([[1.0], [0.5]])
 # Of the powers: rounds of scoring, nats that end it, bins that a first guess is the mean of; and a step for
 # curvatures.
 _SCORINGS, _SETTLED, _SMOOTH, _STEP = 8, 1e-4, 9, 0.02
@@ -63,6 +65,7 @@ class FineLevels:
     Attributes:
         size, squares, frequency: coefficients in each bin, the sum of their squares without what was found
             before, and their mean frequency [Hz].
+        within: frequencies in each bin of which the `SHARES` of a function's values are nearly its mean [Hz].
         columns: levels of the allowed basic terms but the Markov process, unit amplitude.
         smooth: mean squares of a few neighbouring bins together.
     """
@@ -75,11 +78,23 @@ class FineLevels:
         self.size = size[self._real]
         self.squares = self.size * self.mean(view.squares)
         self.frequency = self.mean(view.family.frequency)
+        last = np.append(self._first[1:], view.n - 1)
+        middle, half = 0.5 * (self._first + last + 1), 0.5 * (last - self._first)
+        places = middle[:, None] + half[:, None] * NODES
+        self.within = places[self._real] * view.rate / (2.0 * view.n)
         spectra = [view.family.spectra[FIXED.index(t)] for t in FIXED if t in view.allowed]
         self.columns = np.stack([self.mean(spectrum) for spectrum in spectra])
         near = np.ones(_SMOOTH)
         level = np.convolve(self.squares, near, "same") / np.convolve(self.size, near, "same")
         self.smooth = np.maximum(level, 1e-300)
+
+    def keep(self, count: int) -> None:
+        """Leave out all but so many of the lowest bins."""
+        self._real[np.flatnonzero(self._real)[count:]] = False
+        self.size, self.squares, self.frequency, self.within = (
+            x[:count] for x in (self.size, self.squares, self.frequency, self.within)
+        )
+        self.columns, self.smooth = self.columns[:, :count], self.smooth[:count]
 
     def mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
         """In each bin, of the coefficients in the fold."""
@@ -92,17 +107,28 @@ class FineLevels:
         extra: Float[np.ndarray, " bins"] | None = None,
     ) -> float:
         """Of the best powers of the basic terms and an extra one, behind a factor, above a floor [nats]."""
+        return self.scored(factor, floor, extra)[0]
+
+    def scored(
+        self,
+        factor: Float[np.ndarray, " bins"] | float = 1.0,
+        floor: Float[np.ndarray, " bins"] | float = 0.0,
+        extra: Float[np.ndarray, " bins"] | None = None,
+    ) -> tuple[float, Float[np.ndarray, " terms"]]:
+        """The same and these powers, that of the extra one last."""
         columns = factor * (self.columns if extra is None else np.vstack([self.columns, extra]))
         level = np.maximum(self.squares / self.size - floor, 0.0)
-        model, best = self.smooth, -np.inf
+        model, best, found = self.smooth, -np.inf, np.zeros(len(columns))
         for _ in range(_SCORINGS):
             power = non_negative(columns, level, np.sqrt(self.size) / model)
             model = np.maximum(power @ columns + floor, 1e-300)
             value = log_likelihood(self.squares, self.size, model)
-            if value < best + _SETTLED:
-                return max(value, best)
-            best = value
-        return best
+            gained = value - best
+            if gained > 0.0:
+                best, found = value, power
+            if gained < _SETTLED:
+                break
+        return best, found
 
     def shape_of(
         self, likelihood: Callable[[float], float], bounds: tuple[float, float]
