@@ -63,7 +63,7 @@ class Outliers(Cause):
             if peaks is None:
                 return None
             missing[peaks], scores[peaks] = True, seen[peaks]
-            after = filled(view, missing)
+            after = filled(after, missing)
             seen = _scores(after, bulk)
         times = np.flatnonzero(missing)
         if len(times) == 0:
