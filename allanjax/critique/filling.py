@@ -31,8 +31,9 @@ def filled(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     fresh, known = np.flatnonzero(missing & ~view.restored), np.flatnonzero(~missing)
     x = view.x.copy()
     x[fresh] = np.interp(fresh, known, x[known])
-    model = view.with_x(x).variance()
-    v = _own_variance(model, centred(x))
+    straight = view.with_x(x)
+    model = straight.variance()
+    v = _own_variance(model, straight.c)
     for _ in range(_DRAWS):
         draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + x.mean()
         x = np.where(missing, draw + _predicted(x - draw, missing, v), x)

@@ -57,8 +57,9 @@ def _drift_change(
         return None
     rows = []
     for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
-        effect = (before.x - after.x)[mine]
-        rows.append((_mean_squares(before.x[mine], m), old, new + _mean_squares(effect, m)))
+        # What is in the spectrum alone has no path of its own.
+        effect = 0.0 if after.x is before.x else _mean_squares((before.x - after.x)[mine], m)
+        rows.append((_mean_squares(before.x[mine], m), old, new + effect))
     measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
     unit = ANGLE[before.axis.sensor]

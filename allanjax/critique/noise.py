@@ -239,14 +239,15 @@ class Weighing:
 
     @functools.cached_property
     def _basic(self) -> Evidence:
-        return self._rough(self.family.columns[len(FIXED) :])
+        return self._rough(MARKOV)
 
     @functools.cached_property
     def _with_power_law(self) -> Evidence:
-        return self._rough(self.family.power_laws)
+        return self._rough(POWER_LAW)
 
-    def _rough(self, grid: Float[np.ndarray, "grid m"]) -> Evidence:
-        return self.family.run(self.levels, self.size, grid, np.arange(len(self.family.jobs.ramp)))
+    def _rough(self, grid: str) -> Evidence:
+        every = np.arange(len(self.family.jobs.ramp))
+        return self.family.run(self.levels, self.size, self._columns(grid), every)
 
     def best(
         self,
@@ -258,23 +259,57 @@ class Weighing:
 
     def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
         """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
-        rough = self._with_power_law if POWER_LAW in allowed else self._basic
-        jobs, grid = self.family.jobs, POWER_LAW if POWER_LAW in allowed else MARKOV
-        possible = np.ones(len(jobs.ramp), bool)
-        for name, has in self._members(grid):
+        grid = POWER_LAW if POWER_LAW in allowed else MARKOV
+        possible, rough = self._possible(allowed, required), self._of(grid)
+        values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
+        # Only those that may be the best one are carried to their maximum.
+        near = np.argsort(-values)[: min(_CONTENDERS, np.sum(possible))]
+        found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
+        values[near], powers[near] = found.log_evidence, found.power
+        return self._ranked(values, powers, grid, most)
+
+    def roughly(self, allowed: Collection[str], like: Weighing) -> Noise:
+        """The most probable set but for the last digits, to go on from.
+
+        Looked at are those without a free shape and those that were best for a record like this.
+        """
+        grid = POWER_LAW if POWER_LAW in allowed else MARKOV
+        possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
+        known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
+        plain = np.flatnonzero(possible & ~shaped)
+        best = np.argsort(-known)[: min(_CONTENDERS - len(plain), np.sum(known > -np.inf))]
+        near = np.concatenate([plain, best])
+        found = self.family.run(self.levels, self.size, self._columns(grid), near)
+        values, powers = np.full(len(possible), -np.inf), np.zeros((len(possible), len(FIXED) + 1))
+        values[near], powers[near] = found.log_evidence, found.power
+        return self._ranked(values, powers, grid, 1)[0]
+
+    def _of(self, grid: str) -> Evidence:
+        return self._with_power_law if grid == POWER_LAW else self._basic
+
+    def _columns(self, grid: str) -> Float[np.ndarray, "grid m"]:
+        return self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
+
+    def _possible(self, allowed: Collection[str], required: Sequence[str] = ()) -> Bool[np.ndarray, " jobs"]:
+        """Sets of `allowed` terms that have the `required` ones."""
+        possible = np.ones(len(self.family.jobs.ramp), bool)
+        for name, has in self._members(POWER_LAW if POWER_LAW in allowed else MARKOV):
             if name not in allowed:
                 possible &= ~has
             if name in required:
                 possible &= has
-        values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
-        # Only those that may be the best one are carried to their maximum.
-        near = np.argsort(-values)[: min(_CONTENDERS, np.sum(possible))]
-        columns = self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
-        found = self.family.run(self.levels, self.size, columns, near, powers[near])
-        values[near], powers[near] = found.log_evidence, found.power
-        in_grid = jobs.terms[:, -1]
-        # The evidence of a set with a free shape is the mean over its grid.
-        total = values.copy()
+        return possible
+
+    def _ranked(
+        self,
+        values: Float[np.ndarray, " jobs"],
+        powers: Float[np.ndarray, "jobs terms"],
+        grid: str,
+        most: int,
+    ) -> list[Noise]:
+        """The sets of largest evidence: that of one with a free shape is the mean over its grid."""
+        jobs, possible = self.family.jobs, values > -np.inf
+        in_grid, total = jobs.terms[:, -1], values.copy()
         keys = np.column_stack([jobs.terms[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
         for key in np.unique(keys[in_grid & possible]):
             rows = in_grid & (keys == key)

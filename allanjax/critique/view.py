@@ -216,10 +216,10 @@ class View:
         return view
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
-        """The best set of basic terms without something that has these lowest coefficients."""
+        """About the best set of basic terms without something that has these lowest coefficients."""
         c = self.c.copy()
         c[: len(lowest)] -= lowest
-        return self._behind.weigh(c).best(self.allowed)
+        return self._behind.weigh(c).roughly(self.allowed, self.weighing)
 
     def behind(self, factor: Float[np.ndarray, " n-1"]) -> View:
         """The view of a spectrum with a further factor."""

@@ -75,11 +75,14 @@ class BiasStep(Cause):
 
         None if they gain no more than the `least`.
         """
-        gain = least
+        gain, tried = least, set[tuple[int, int]]()
         for noise in view.noises:
             moved = best_pair(bank, view, noise)
+            if moved.members in tried:
+                continue
             for _ in range(_ROUNDS):
                 pair = moved
+                tried.add(pair.members)
                 without = view.noise_without(pair.amplitude @ bank.shapes[list(pair.members)])
                 moved = best_pair(bank, view, without, pair.members)
                 if moved.members == pair.members:
