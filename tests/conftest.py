@@ -22,6 +22,11 @@ from allanjax.result import Fit  # noqa: E402
 from allanjax.simulate import simulate_recording  # noqa: E402
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: compiling, which takes half of the time, leaves them idle at times."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_unconfigure() -> None:
     if _OWN:
         shutil.rmtree(os.environ[_CACHE], ignore_errors=True)

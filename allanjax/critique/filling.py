@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.fft import dct
 
-from allanjax.critique.noise import centred
 from allanjax.critique.view import View, in_time
 
 # Draws, and a change of the spectrum's logarithm that ends them.
@@ -31,29 +30,23 @@ def filled(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     fresh, known = np.flatnonzero(missing & ~view.restored), np.flatnonzero(~missing)
     x = view.x.copy()
     x[fresh] = np.interp(fresh, known, x[known])
-    straight = view.with_x(x)
-    model = straight.variance()
-    v = _own_variance(model, straight.c)
+    after = dataclasses.replace(view.with_x(x), restored=view.restored | missing)
+    v = _own_variance(after)
     for _ in range(_DRAWS):
-        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + x.mean()
-        x = np.where(missing, draw + _predicted(x - draw, missing, v), x)
-        c = centred(x)
-        before, v = v, _own_variance(model, c)
+        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + after.x.mean()
+        after = after.with_x(np.where(missing, draw + _predicted(after.x - draw, missing, v), after.x))
+        before, v = v, _own_variance(after)
         if np.max(abs(np.log(v / before))) < _SETTLED:
             break
-    after = dataclasses.replace(view.with_x(x), restored=view.restored | missing)
-    vars(after)["c"] = c
     return after
 
 
-def _own_variance(
-    model: Float[np.ndarray, " n-1"], c: Float[np.ndarray, " n-1"]
-) -> Float[np.ndarray, " n-1"]:
+def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
     """Expected squared coefficients: the model's, and in bins the record's where they differ beyond chance.
 
     What has not been found yet, as a filter, is in these.
     """
-    n = len(c) + 1
+    n, v = view.n, view.variance()
     octaves = np.append(2 ** np.arange(int(np.log2(n - 1)) + 1) - 1, n - 1)
     parts = [
         np.linspace(low, high, int(np.clip((high - low) // _LEAST, 1, _PARTS)) + 1)
@@ -61,11 +54,11 @@ def _own_variance(
     ]
     first = np.unique(np.concatenate(parts).astype(int))
     count = np.diff(first)
-    level = np.log(np.maximum(np.add.reduceat(c**2 / model, first[:-1]), 1e-300) / count)
+    level = np.log(np.maximum(np.add.reduceat(view.c**2 / v, first[:-1]), 1e-300) / count)
     # Gradually: what is at the edge of chance would come and go from draw to draw.
     level *= np.clip(abs(level) / np.sqrt(2.0 / count) - _CHANCE, 0.0, 1.0)
     middle = 0.5 * (first[:-1] + first[1:] - 1)
-    return model * np.exp(np.interp(np.arange(n - 1), middle, level))
+    return v * np.exp(np.interp(np.arange(n - 1), middle, level))
 
 
 def _predicted(

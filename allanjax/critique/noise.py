@@ -167,14 +167,13 @@ class NoiseFamily:
         grid: Float[np.ndarray, "grid m"],
         rows: Int[np.ndarray, " jobs"],
         first: Float[np.ndarray, "jobs terms"] | None = None,
+        steps: int = FURTHER,
     ) -> Evidence:
-        """Evidence and powers of these jobs, roughly, or, from powers to start with, to the maximum."""
+        """Evidence and powers of these jobs after so many steps, from powers to start with."""
         jobs, share = Job(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
         known = self.columns[: len(FIXED)]
-        if first is None:
-            found = evidences(jobs, levels, known, grid, size, share, steps=ROUGH)
-        else:
-            found = evidences(jobs, levels, known, grid, size, share, first[None], FURTHER)
+        first = None if first is None else first[None]
+        found = evidences(jobs, levels, known, grid, size, share, first, steps)
         return Evidence(*(x[0] for x in found))
 
     @functools.lru_cache(maxsize=2 * GRID)  # noqa: B019 - families are few, and themselves cached
@@ -247,7 +246,7 @@ class Weighing:
 
     def _rough(self, grid: str) -> Evidence:
         every = np.arange(len(self.family.jobs.ramp))
-        return self.family.run(self.levels, self.size, self._columns(grid), every)
+        return self.family.run(self.levels, self.size, self._columns(grid), every, steps=ROUGH)
 
     def best(
         self,
@@ -269,7 +268,7 @@ class Weighing:
         return self._ranked(values, powers, grid, most)
 
     def roughly(self, allowed: Collection[str], like: Weighing) -> Noise:
-        """The most probable set but for the last digits, to go on from.
+        """About the most probable set, to go on from.
 
         Looked at are those without a free shape and those that were best for a record like this.
         """

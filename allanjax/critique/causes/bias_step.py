@@ -75,17 +75,13 @@ class BiasStep(Cause):
 
         None if they gain no more than the `least`.
         """
-        gain, tried = least, set[tuple[int, int]]()
+        gain = least
         for noise in view.noises:
-            moved = best_pair(bank, view, noise)
-            if moved.members in tried:
-                continue
+            pair = best_pair(bank, view, noise)
             for _ in range(_ROUNDS):
-                pair = moved
-                tried.add(pair.members)
                 without = view.noise_without(pair.amplitude @ bank.shapes[list(pair.members)])
-                moved = best_pair(bank, view, without, pair.members)
-                if moved.members == pair.members:
+                before, pair = pair, best_pair(bank, view, without, pair.members)
+                if pair.members == before.members:
                     break
             both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
             after = view.with_x(view.x - both[0] - both[1])

@@ -107,7 +107,7 @@ def _passed(
 
 @functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
 def _ends(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> Float[np.ndarray, " fine"]:
-    """Power that a record's two ends add to the response, times its number of samples, at `_fine` ones.
+    """Power that a record's two ends add to the response, times the number of samples (`_fine`).
 
     Cosines see the record continued by its mirror image, which has kinks there. With the autocovariance r the
     squares of coefficients are expected to be Σ (2 − 2k/n)·r_k cos(ak) − r_0 − 2/(n sin a)·Σ r_k sin(ak); the
@@ -205,7 +205,7 @@ class _Screen(FineLevels):
 
         Outliers too small to be seen, the digits of the samples.
         """
-        return float(self._fitted(filter_, bandwidth)[1][-1]) if self._hidden(bandwidth) else 0.0
+        return self._fitted(filter_, bandwidth)[1]
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
@@ -215,13 +215,15 @@ class _Screen(FineLevels):
         """Whether the spectrum falls so far that something else may be seen there."""
         return bool(self.least < _DEEP * np.interp(bandwidth, self.frequency, self.smooth))
 
-    def _fitted(self, filter_: tuple[int, bool], bandwidth: float) -> tuple[float, Float[np.ndarray, " k"]]:
-        """Log-likelihood of the best powers, and these: that of the floor last, if there may be one."""
+    def _fitted(self, filter_: tuple[int, bool], bandwidth: float) -> tuple[float, float]:
+        """Log-likelihood of the best powers, and that of what is added behind the filter."""
         passed, ends = _response(self.within.tobytes(), self.rate, bandwidth, filter_)
         deep = passed < _DEEP
         passed = np.where(deep, passed + ends / self.n, passed)
-        floor = deep / passed if self._hidden(bandwidth) and deep.any() else None
-        return self.scored(passed, extra=floor)
+        if not (deep.any() and self._hidden(bandwidth)):
+            return self.log_likelihood(passed), 0.0
+        value, powers = self.scored(passed, deep / passed)
+        return value, float(powers[-1])
 
     def best(self) -> tuple[tuple[int, bool], float, float, float]:
         """The best filter, its bandwidth, its half-power frequency, and how well that is known [Hz].

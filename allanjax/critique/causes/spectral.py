@@ -103,25 +103,23 @@ class FineLevels:
     def log_likelihood(
         self,
         factor: Float[np.ndarray, " bins"] | float = 1.0,
-        floor: Float[np.ndarray, " bins"] | float = 0.0,
         extra: Float[np.ndarray, " bins"] | None = None,
     ) -> float:
-        """Of the best powers of the basic terms and an extra one, behind a factor, above a floor [nats]."""
-        return self.scored(factor, floor, extra)[0]
+        """Of the best powers of the basic terms and an extra one, behind a factor [nats]."""
+        return self.scored(factor, extra)[0]
 
     def scored(
         self,
         factor: Float[np.ndarray, " bins"] | float = 1.0,
-        floor: Float[np.ndarray, " bins"] | float = 0.0,
         extra: Float[np.ndarray, " bins"] | None = None,
     ) -> tuple[float, Float[np.ndarray, " terms"]]:
         """The same and these powers, that of the extra one last."""
         columns = factor * (self.columns if extra is None else np.vstack([self.columns, extra]))
-        level = np.maximum(self.squares / self.size - floor, 0.0)
+        level = self.squares / self.size
         model, best, found = self.smooth, -np.inf, np.zeros(len(columns))
         for _ in range(_SCORINGS):
             power = non_negative(columns, level, np.sqrt(self.size) / model)
-            model = np.maximum(power @ columns + floor, 1e-300)
+            model = np.maximum(power @ columns, 1e-300)
             value = log_likelihood(self.squares, self.size, model)
             gained = value - best
             if gained > 0.0:
