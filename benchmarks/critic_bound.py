@@ -1,6 +1,6 @@
 """How many hidden effects can be told from noise at all? The critic beside a judge who has less to find out.
 
-    python benchmarks/critic_bound.py [--quick] [--records 100] [--clean 300] [--causes bias_step,markov]
+    python benchmarks/critic_bound.py [--quick] [--records 40] [--clean 150] [--causes bias_step,markov]
                                       [--multiple 2] [--workers 2] [--results PATH]
 
 The detection limit is that of a detector which knows the noise. Nobody who is handed samples does, and noise
@@ -218,8 +218,8 @@ Reproduce with `python benchmarks/critic_bound.py`.
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few records, to see that all of it runs")
-    parser.add_argument("--records", type=int, default=100, help="of each cause")
-    parser.add_argument("--clean", type=int, default=300, help="without the effect, which set the threshold")
+    parser.add_argument("--records", type=int, default=40, help="of each cause")
+    parser.add_argument("--clean", type=int, default=150, help="without the effect, which set the threshold")
     parser.add_argument("--causes", default=",".join((*PATHS, *STOCHASTIC)))
     parser.add_argument("--multiple", type=float, default=2.0, help="of the limit")
     parser.add_argument("--workers", type=int, default=2, help="processes")
