@@ -67,7 +67,9 @@ class LowPass(Cause):
         visible = _visible(view, screen, bandwidth, filter_)
         after = view.behind(visible)
         if (visible < _DEEP).any():
-            after = _without_ends(after, visible < _DEEP)
+            stationary = _passed(view.family.frequency, view.rate, bandwidth, filter_)
+            stationary += screen.floor(filter_, bandwidth) / after.noise.variance
+            after = _without_ends(after, visible < _DEEP, np.minimum(stationary / visible, 1.0))
             # What is below the response now is what was added, no longer the ends.
             visible = _visible(view.with_x(after.x), screen, bandwidth, filter_)
             after = dataclasses.replace(after, factor=view.combined(visible))
@@ -164,16 +166,23 @@ def _visible(
     return np.where(told, passed + added, np.maximum(ratio, 1e-9 * factor))
 
 
-def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"]) -> View:
+def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.ndarray, " n-1"]) -> View:
     """The view with noise of its own kind at the ends of what the filter stopped; the ends count as restored.
 
     What was stopped is amplified by whitening, and so are the kinks of the mirrored record.
+
+    Args:
+        view: behind the filter.
+        deep: what the filter stopped.
+        share: of the expected squares, without the kinks.
     """
     k = np.arange(view.n)
     ends = np.minimum(k, view.n - 1 - k) < _ENDS * view.n
     root = np.sqrt(view.variance())
-    drawn = np.random.default_rng(0).standard_normal(view.n - 1)
-    change = np.where(ends, in_time(np.where(deep, drawn - view.residual / root, 0.0)), 0.0)
+    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
+    # Gradually: an edge would be a sample that stands out.
+    near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
+    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
     mended = view.x + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
     return dataclasses.replace(view.with_x(mended), restored=view.restored | ends)
 
