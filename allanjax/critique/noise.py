@@ -258,7 +258,7 @@ class Weighing:
 
     def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
         """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
-        grid = POWER_LAW if POWER_LAW in allowed else MARKOV
+        grid = _grid(allowed)
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
         # Only those that may be the best one are carried to their maximum.
@@ -272,7 +272,7 @@ class Weighing:
 
         Looked at are those without a free shape and those that were best for a record like this.
         """
-        grid = POWER_LAW if POWER_LAW in allowed else MARKOV
+        grid = _grid(allowed)
         possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
         known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
         plain = np.flatnonzero(possible & ~shaped)
@@ -292,7 +292,7 @@ class Weighing:
     def _possible(self, allowed: Collection[str], required: Sequence[str] = ()) -> Bool[np.ndarray, " jobs"]:
         """Sets of `allowed` terms that have the `required` ones."""
         possible = np.ones(len(self.family.jobs.ramp), bool)
-        for name, has in self._members(POWER_LAW if POWER_LAW in allowed else MARKOV):
+        for name, has in self._members(_grid(allowed)):
             if name not in allowed:
                 possible &= ~has
             if name in required:
@@ -332,6 +332,11 @@ class Weighing:
         jobs = self.family.jobs
         members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
+
+
+def _grid(allowed: Collection[str]) -> str:
+    """The term with a free shape: a power law is in the Markov process's place."""
+    return POWER_LAW if POWER_LAW in allowed else MARKOV
 
 
 def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:

@@ -66,10 +66,11 @@ class LowPass(Cause):
         filter_, bandwidth, half_power, std = screen.best()
         visible = _visible(view, screen, bandwidth, filter_)
         after = view.behind(visible)
-        if (visible < _DEEP).any():
+        deep = visible < _DEEP
+        if deep.any():
             stationary = _passed(view.family.frequency, view.rate, bandwidth, filter_)
             stationary += screen.floor(filter_, bandwidth) / after.noise.variance
-            after = _without_ends(after, visible < _DEEP, np.minimum(stationary / visible, 1.0))
+            after = _without_ends(after, deep, np.minimum(stationary / visible, 1.0))
             # What is below the response now is what was added, no longer the ends.
             visible = _visible(view.with_x(after.x), screen, bandwidth, filter_)
             after = dataclasses.replace(after, factor=view.combined(visible))
@@ -177,14 +178,13 @@ def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.nd
         share: of the expected squares, without the kinks.
     """
     k = np.arange(view.n)
-    ends = np.minimum(k, view.n - 1 - k) < _ENDS * view.n
-    root = np.sqrt(view.variance())
-    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
     # Gradually: an edge would be a sample that stands out.
     near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
+    root = np.sqrt(view.variance())
+    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
     change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
     mended = view.x + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
-    return dataclasses.replace(view.with_x(mended), restored=view.restored | ends)
+    return dataclasses.replace(view.with_x(mended), restored=view.restored | (near > 0.0))
 
 
 def _filtered(model: Model, bandwidth: float, order: int) -> Model:
