@@ -274,6 +274,19 @@ def test_a_filter_is_found_above_noise_that_is_added_behind_it():
     assert candidate.parameters["order"].value == 2.0
 
 
+def test_an_analog_filter_is_found_and_its_deep_stop_band_does_no_harm():
+    """Sampled after filtering: sixteen times as fast, aliases and all."""
+    over = 16
+    white = np.random.default_rng(5).standard_normal(N * over)
+    x = lfilter(*butter(2, CORNER / 3.0, fs=RATE * over), white)[::over]
+    candidate = LowPass().detect(view_of(x))
+    bandwidth = candidate.parameters["bandwidth"]
+    assert abs(bandwidth.value - CORNER / 3.0) < 3.0 * bandwidth.std
+    assert bandwidth.std < 0.02 * CORNER
+    assert candidate.parameters["order"].value == 2.0
+    assert candidate.gain > 100.0
+
+
 @pytest.mark.parametrize(("order", "bandwidth"), [(2, 12.0), (2, 20.0), (4, 15.0)])
 def test_the_ends_of_a_filtered_record_are_those_of_its_covariance(order, bandwidth):
     """By brute force: the diagonal of D C Dᵀ, less the response, where it is nothing but ends."""

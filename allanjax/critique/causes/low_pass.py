@@ -64,15 +64,15 @@ class LowPass(Cause):
         if gains.max() < _WORTH:
             return None
         filter_, bandwidth, half_power, std = screen.best()
-        visible = _visible(view, screen, bandwidth, filter_)
+        behind = screen.behind(view, filter_, bandwidth)
+        visible = _visible(view, behind)
         after = view.behind(visible)
         deep = visible < _DEEP
         if deep.any():
-            stationary = _passed(view.family.frequency, view.rate, bandwidth, filter_)
-            stationary += screen.floor(filter_, bandwidth) / after.noise.variance
+            stationary = behind.passed + behind.floor / after.noise.variance
             after = _without_ends(after, deep, np.minimum(stationary / visible, 1.0))
             # What is below the response now is what was added, no longer the ends.
-            visible = _visible(view.with_x(after.x), screen, bandwidth, filter_)
+            visible = _visible(view.with_x(after.x), behind)
             after = dataclasses.replace(after, factor=view.combined(visible))
         after = dataclasses.replace(after, passes=visible)
         gain = after.noise.log_evidence - basic.log_evidence
@@ -130,40 +130,58 @@ def _fine(rate: float) -> Float[np.ndarray, " fine"]:
     return np.arange(1, _RESPONSE - 1) * rate / (2.0 * (_RESPONSE - 1))
 
 
+def _at(
+    frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """The filter's power response, and what the ends add to it times the number of samples."""
+    ends = np.interp(frequency, _fine(rate), _ends(rate, bandwidth, filter_))
+    return _passed(frequency, rate, bandwidth, filter_), ends
+
+
 @functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
 def _response(
     within: bytes, rate: float, bandwidth: float, filter_: tuple[int, bool]
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
     """Means in bins of the response and its ends, kept: all axes are looked through for the same filters."""
-    f = np.frombuffer(within)
-    ends = np.interp(f, _fine(rate), _ends(rate, bandwidth, filter_))
-    found = _passed(f, rate, bandwidth, filter_), ends
+    found = _at(np.frombuffer(within), rate, bandwidth, filter_)
     passed, ends = (x.reshape(-1, len(SHARES)) @ SHARES for x in found)
     return passed, ends
 
 
-def _visible(
-    view: View, screen: _Screen, bandwidth: float, filter_: tuple[int, bool], fold: np.ndarray | None = None
-) -> Float[np.ndarray, " n-1"]:
+class _Behind(NamedTuple):
+    """What a record shows behind a filter, coefficient by coefficient.
+
+    Attributes:
+        passed: power response.
+        ends: what the record's two ends add to it.
+        floor: power of what is added behind the filter and hides its deepest response.
+        told: highest frequency at which the filter decides what is seen [Hz].
+    """
+
+    passed: Float[np.ndarray, " n-1"]
+    ends: Float[np.ndarray, " n-1"]
+    floor: float
+    told: float
+
+
+def _visible(view: View, behind: _Behind, fold: np.ndarray | None = None) -> Float[np.ndarray, " n-1"]:
     """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
 
     Where the record's ends or what is added behind the filter count more than what it passes, the level is
     the record's own, and nothing is said.
     """
-    f = view.family.frequency
-    passed = _passed(f, view.rate, bandwidth, filter_)
+    passed, ends, floor, limit = behind
     deep, used = passed < _DEEP, np.ones(view.n - 1) if fold is None else fold.astype(float)
     if not deep.any():
         return passed
-    clear, floor = ~deep & (used > 0.0), screen.floor(filter_, bandwidth)
-    ends = np.interp(f, _fine(view.rate), _ends(view.rate, bandwidth, filter_)) / view.n
+    clear = ~deep & (used > 0.0)
     level = float(np.mean(view.squares[clear] / passed[clear]))
     factor = passed + np.where(deep, ends + floor / level, 0.0)
     noise = view.family.of(view.c, view.combined(factor), fold).best(view.allowed)
     added = np.where(deep, ends + floor / noise.variance, 0.0)
     ratio = uniform_filter1d(used * view.squares / noise.variance, _LOCAL, mode="nearest")
     ratio /= np.maximum(uniform_filter1d(used, _LOCAL, mode="nearest"), 1.0 / _LOCAL)
-    told = (added <= passed) & (f <= screen.frequency[-1])
+    told = (added <= passed) & (view.family.frequency <= limit)
     return np.where(told, passed + added, np.maximum(ratio, 1e-9 * factor))
 
 
@@ -209,12 +227,14 @@ class _Screen(FineLevels):
         self.grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
         self.gains = np.array([[self.gain(filter_, f) for f in self.grid] for filter_ in _FILTERS])
 
-    def floor(self, filter_: tuple[int, bool], bandwidth: float) -> float:
-        """Power of what is added behind the filter and hides its deepest response.
+    def behind(self, view: View, filter_: tuple[int, bool], bandwidth: float) -> _Behind:
+        """What the view shows behind a filter; the power of what is added there is the fitted one.
 
-        Outliers too small to be seen, the digits of the samples.
+        That may be outliers too small to be seen, the digits of the samples.
         """
-        return self._fitted(filter_, bandwidth)[1]
+        passed, ends = _at(view.family.frequency, self.rate, bandwidth, filter_)
+        floor = self._fitted(filter_, bandwidth)[1]
+        return _Behind(passed, ends / view.n, floor, float(self.frequency[-1]))
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
@@ -311,7 +331,7 @@ def _held_out(view: View) -> float:
     for fold in coefficient_folds(view.n):
         screen = _Screen(view, fold)
         filter_, bandwidth, *_ = screen.best()
-        factor = _visible(view, screen, bandwidth, filter_, fold)
+        factor = _visible(view, screen.behind(view, filter_, bandwidth), fold)
         whole = view.combined(factor)
         noise = view.family.of(view.c, whole, fold).best(view.allowed)
         gain += view.log_likelihood(noise, ~fold, factor)
