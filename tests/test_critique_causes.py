@@ -17,12 +17,12 @@ from allanjax.critique.causes.low_pass import LowPass, _ends, _fine
 from allanjax.critique.causes.outliers import Outliers, _scores
 from allanjax.critique.causes.resonance import _conspicuous
 from allanjax.critique.causes.variance_change import VarianceChange
-from allanjax.critique.filling import filled
+from allanjax.critique.filling import _predicted, filled
 from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critique.pair import best_pair
 from allanjax.critique.search import _grouped, search
 from allanjax.critique.step import Step
-from allanjax.critique.view import EVERYTHING, View
+from allanjax.critique.view import EVERYTHING, View, in_time
 from allanjax.evidence import evidences
 from allanjax.recording import Axis
 
@@ -261,6 +261,21 @@ def test_samples_are_filled_in_by_the_spectrum_that_the_record_has(gaps):
         ratio = np.mean(c[low:high] ** 2 / expected[low:high])
         # Four standard errors of a thousand squares, and a twentieth for the spectrum's bins.
         assert ratio == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 1000) + 0.05)
+
+
+def test_a_long_gap_is_bridged_as_by_exact_prediction():
+    """Half of a record in noise that wanders, beside a few single samples: against a dense solution."""
+    n, rng = 3000, np.random.default_rng(3)
+    v = 1.0 + (300.0 / np.arange(1.0, n)) ** 2
+    missing = np.zeros(n, bool)
+    missing[700:2200] = missing[[100, 101, 2500]] = True
+    d = in_time(np.sqrt(v) * rng.standard_normal(n - 1))
+    D = dct(np.eye(n)[missing], norm="ortho", axis=1)[:, 1:]
+    precision = (D / v) @ D.T
+    exact = -np.linalg.solve(precision, (D / v) @ dct(np.where(missing, 0.0, d), norm="ortho")[1:])
+    off = _predicted(d, missing, v)[missing] - exact
+    # A hundredth of what one sample's own chance adds.
+    assert off @ precision @ off < 0.01
 
 
 def test_a_filter_is_found_above_noise_that_is_added_behind_it():

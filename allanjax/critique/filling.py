@@ -31,12 +31,14 @@ def filled(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     x = view.x.copy()
     x[fresh] = np.interp(fresh, known, x[known])
     after = dataclasses.replace(view.with_x(x), restored=view.restored | missing)
-    v = _own_variance(after)
+    v, changed = _own_variance(after), np.inf
     for _ in range(_DRAWS):
         draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + after.x.mean()
         after = after.with_x(np.where(missing, draw + _predicted(after.x - draw, missing, v), after.x))
         before, v = v, _own_variance(after)
-        if np.max(abs(np.log(v / before))) < _SETTLED:
+        last, changed = changed, float(np.max(abs(np.log(v / before))))
+        # What changes no less than the last time is chance, as of a long gap that is drawn anew.
+        if changed < _SETTLED or changed > last:
             break
     return after
 
@@ -66,18 +68,29 @@ def _predicted(
 ) -> Float[np.ndarray, " n"]:
     """The missing samples of d, by the others and a noise of this spectrum: d_m minimizes d'C⁻¹d.
 
-    By conjugate gradients, for neighbouring gaps solved at once: behind a filter they lean on each other.
+    By conjugate gradients. Neighbouring gaps are solved at once: behind a filter they lean on each other. Of
+    a long one the covariance is nearly the inverse, but for its ends.
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
+    long = _long(missing)[gaps]
+    short = np.flatnonzero(~long)
+
+    def filtered(y: Float[np.ndarray, " n"], by: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " gaps"]:
+        return in_time(dct(y, norm="ortho", workers=-1)[1:] * by)[gaps]
 
     def precision(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " gaps"]:
-        return in_time(dct(y, norm="ortho", workers=-1)[1:] / v)[gaps]
+        return filtered(y, 1.0 / v)
 
-    blocks = _inverses(gaps, v)
+    blocks = _inverses(gaps[short], v)
 
     def nearly_solved(residual: Float[np.ndarray, " gaps"]) -> Float[np.ndarray, " gaps"]:
-        parts = np.split(residual, range(_BLOCK, len(gaps), _BLOCK))
-        return np.concatenate([inverse @ part for inverse, part in zip(blocks, parts, strict=True)])
+        solved = residual.copy()
+        if long.any():
+            full[gaps] = np.where(long, residual, 0.0)
+            solved = filtered(full, v)
+        parts = np.split(residual[short], range(_BLOCK, len(short), _BLOCK))
+        solved[short] = np.concatenate([inverse @ part for inverse, part in zip(blocks, parts, strict=True)])
+        return solved
 
     y = np.interp(np.arange(len(d)), np.flatnonzero(~missing), d[~missing])
     residual = -precision(y)
@@ -95,6 +108,15 @@ def _predicted(
         square, old = float(residual @ conditioned), square
         direction = conditioned + square / old * direction
     return y
+
+
+def _long(missing: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Where more samples in a row are missing than are solved for at once."""
+    first, end = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
+    long = np.zeros(len(missing), bool)
+    for k in np.flatnonzero(end - first > _BLOCK):
+        long[first[k] : end[k]] = True
+    return long
 
 
 def _inverses(

@@ -15,8 +15,9 @@ _SHORTEST = 0.1  # s
 _LONGEST = 0.25  # of the record
 _WORTH = 12.0
 _BANDS = 6
-# Motion is smooth: this share of the excess is in the lowest quarter of the frequencies.
-_SMOOTH = 0.75
+# Motion is smooth: this share of the excess is in the lowest quarter of the frequencies. And it is no whim of
+# the noise: in one band at least there is so much more power.
+_SMOOTH, _LOUD = 0.75, 2.0
 _QUIET = 3.0
 # Blocks that its beginning and end are looked for in; share of it that is below the noise at either.
 _FADING, _UNSEEN = 10, 0.1
@@ -43,7 +44,7 @@ class Disturbance(Cause):
             start, end = _faded(e, start, end, block)
             excess = _bands(e[start:end])
             power = excess[:, 0] * (excess[:, 1] - 1.0)
-            if np.sum(power[:-2]) < _SMOOTH * np.sum(power):
+            if np.sum(power[:-2]) < _SMOOTH * np.sum(power) or np.max(excess[:, 1]) < _LOUD:
                 return None
             missing = np.zeros(view.n, bool)
             missing[max(start - block, 0) : end + block] = True
