@@ -48,7 +48,7 @@ def critique(
             are causes too; if they were chosen, the choice is made anew with every finding.
         causes: what to look for; by default `allanjax.critique.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding. Basic terms that a
-            given model lacks are judged by their evidence (`Cause.margin`) and need a p-value below 0.01.
+            given model lacks are judged by their evidence (`Cause.margin`, odds of ten to one).
         progress: is told what is being done.
 
     Raises:

@@ -46,7 +46,7 @@ _WORKERS = 3
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def criticize(
     recording: Recording,
-    fit: Fit | None,
+    given: Fit | None,
     causes: Sequence[Cause] | None,
     false_alarms: float,
     progress: Callable[[str], None] | None,
@@ -65,41 +65,29 @@ def criticize(
         raise FitError(
             f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
         )
-    given = fit is not None
-    if fit is None:
-        tell("fitting the noise model")
-        fit = fit_recording(recording)
-        if not all(result.converged for result in fit):
-            # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
-            fit = fit_recording(recording, objective="whittle")
-    if fit.axes != recording.names:
+    if given is not None and given.axes != recording.names:
         raise AllanjaxError(
-            f"the fit is of {', '.join(fit.axes)}, the recording has {', '.join(recording.names)}"
+            f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
         )
-    for result in fit:
-        if given and not result.converged:
+    for result in given or ():
+        if not result.converged:
             raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
     # One share for each kind of cause and axis, and one for what axes have in common.
     kinds = len({type(cause) for cause in causes}) + 1
     alpha = false_alarms / (len(recording.axes) * kinds)
 
     def searched(k: int) -> Search:
-        result = fit.results[k]
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
-        view = view_of(
-            result.axis,
-            scale,
-            x,
-            recording.rate,
-            recording.auxiliary,
-            result,
-            None if fit.chosen else fit.template,
-        )
+        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
+        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
         return search(view, causes, alpha, tell)
 
-    # The work is in transforms and compiled functions, which run beside each other.
+    # The work is in transforms and compiled functions, which run beside each other. Where the terms are
+    # chosen the search needs no fit: it is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
+        fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
         searches = list(pool.map(searched, range(len(recording.axes))))
+    fit = fitting.result()
     tell("comparing measurement and simulation")
     stages = [_stages(s) for s in searches]
     first, last = (
@@ -137,7 +125,7 @@ def criticize(
             after,
             s.tests,
             stages[k],
-            # The search needs no fit where the terms are chosen, and an effect may be why there is none.
+            # An effect may be why there is no fit.
             fit.results[k].model if fit.results[k].converged else basic_model(s.start),
             extended(s),
         )
@@ -160,6 +148,15 @@ def criticize(
             *(note for s in searches for note in s.notes),
         ),
     )
+
+
+def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
+    tell("fitting the noise model")
+    fit = fit_recording(recording)
+    if all(result.converged for result in fit):
+        return fit
+    # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
+    return fit_recording(recording, objective="whittle")
 
 
 def _stages(s: Search) -> tuple[Snapshot, ...]:

@@ -43,8 +43,15 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
     2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
     taken together. An effect with a shape of its own drifts as its shape does.
     """
-    # What is after one finding is before the next.
-    predicted = functools.lru_cache(maxsize=None)(_predicted)
+    known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
+
+    def predicted(view: View) -> Float[np.ndarray, "halves m"]:
+        # What is after one finding is before the next, if only as the same samples behind the same spectrum.
+        key = id(view.x), id(view.factor), tuple(view.allowed)
+        if key not in known:
+            known[key] = _predicted(view)
+        return known[key]
+
     return [_drift_change(step, predicted) for step in steps]
 
 
@@ -99,7 +106,7 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
     found = []
     for rows in _halves(view):
         c = centred(view.x[rows])
-        noise = behind.weigh(c).best(view.allowed)
+        noise = behind.weigh(c).roughly(view.allowed, view.weighing)
         v = noise.variance if factor is None else noise.variance * factor
         ramp = family.slope(c, v)[0] if noise.ramp else 0.0
         variances = _weights(half, tuple(int(k) for k in m)) @ v

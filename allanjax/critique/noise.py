@@ -20,7 +20,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import ramp_column
-from allanjax.evidence import FURTHER, ROUGH, Evidence, Job, Levels, evidences
+from allanjax.evidence import BLOCK, FURTHER, ROUGH, Evidence, Job, Levels, evidences
 from allanjax.model import Model
 from allanjax.selection import basic_terms, jobs_of
 from allanjax.terms import Markov, NoiseTerm, PowerLaw
@@ -31,8 +31,6 @@ WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "dr
 NEARLY_ALL = 0.9
 # Lengths of spectra are rounded up to multiples of this.
 _PADDED = 4096
-# Sets of which the most probable one is chosen with all digits.
-_CONTENDERS = 136
 #: Sets of noise terms of which one may be the right one, and how much less likely they may be [nats].
 SETS, _LESS = 4, 3.0
 #: Values of the free shape (a correlation time or an exponent) that are compared.
@@ -245,8 +243,16 @@ class Weighing:
         return self._rough(POWER_LAW)
 
     def _rough(self, grid: str) -> Evidence:
-        every = np.arange(len(self.family.jobs.ramp))
-        return self.family.run(self.levels, self.size, self._columns(grid), every, steps=ROUGH)
+        """Of all sets: with every other shape, and between these what is between."""
+        jobs = self.family.jobs
+        between = jobs.terms[:, -1] & (jobs.column % 2 == 1)
+        rows, k = np.flatnonzero(~between), np.flatnonzero(between)
+        found = self.family.run(self.levels, self.size, self._columns(grid), rows, steps=ROUGH)
+        values, powers = np.empty(len(between)), np.empty((len(between), len(FIXED) + 1))
+        values[rows], powers[rows] = found.log_evidence, found.power
+        after = np.where(jobs.column[k] < GRID - 1, k + 1, k - 1)
+        values[k], powers[k] = 0.5 * (values[k - 1] + values[after]), powers[k - 1]
+        return Evidence(values, powers)
 
     def best(
         self,
@@ -262,7 +268,7 @@ class Weighing:
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
         # Only those that may be the best one are carried to their maximum.
-        near = np.argsort(-values)[: min(_CONTENDERS, np.sum(possible))]
+        near = np.argsort(-values)[: min(BLOCK, np.sum(possible))]
         found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
         values[near], powers[near] = found.log_evidence, found.power
         return self._ranked(values, powers, grid, most)
@@ -276,7 +282,7 @@ class Weighing:
         possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
         known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
         plain = np.flatnonzero(possible & ~shaped)
-        best = np.argsort(-known)[: min(_CONTENDERS - len(plain), np.sum(known > -np.inf))]
+        best = np.argsort(-known)[: min(BLOCK - len(plain), np.sum(known > -np.inf))]
         near = np.concatenate([plain, best])
         found = self.family.run(self.levels, self.size, self._columns(grid), near)
         values, powers = np.full(len(possible), -np.inf), np.zeros((len(possible), len(FIXED) + 1))

@@ -16,7 +16,6 @@ from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View,
 from allanjax.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.model import Model
 from allanjax.recording import Axis
-from allanjax.result import AxisFit
 from allanjax.terms import DriftRamp
 
 # Rivals with longer odds against them than this are not worth a word.
@@ -236,15 +235,17 @@ def view_of(
     x: Float[np.ndarray, " n"],
     rate: float,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
-    result: AxisFit,
-    template: Model | None,
+    baseline: tuple[Model, Model] | None,
 ) -> View:
-    """The first view of an axis: the baseline's basic terms, and what else it has taken out."""
+    """The first view of an axis: the baseline's basic terms, and what else it has taken out.
+
+    The baseline is a fitted model and what terms it might have had; None: all basic terms may be there.
+    """
     n = len(x)
     family = family_of(n, rate)
-    if template is None:
+    if baseline is None:
         return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, np.zeros(n, bool))
-    model = result.model
+    model, template = baseline
     allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
     basic = [name for name in model.term_labels if name in EVERYTHING]
     others = model.without(basic)

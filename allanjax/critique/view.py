@@ -153,7 +153,7 @@ class View:
         """The same with these basic terms to choose from."""
         total = 0.0
         for fold in coefficient_folds(self.n):
-            noise = self.family.of(self.c, self.factor, fold).best(allowed)
+            noise = self.family.of(self.c, self.factor, fold).roughly(allowed, self.weighing)
             total += self.log_likelihood(noise, ~fold)
         return total
 

@@ -30,7 +30,7 @@ class BiasStep(Cause):
     def detect(self, view: View) -> Candidate | None:
         found = self.again(view)
         if found is None or found.gain < _SURE:
-            least = 0.0 if found is None else found.gain + self.margin
+            least = self.margin + (0.0 if found is None else found.gain)
             both = self._two(view, *step_bank(view.n), least)
             # Each of the two must hold on held-out data; else the one that was found stands.
             if both is not None and (found is None or both.held_out() > 0.0):

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr, ndtri
 
-_SWEEPS = 12
+# Sweeps, and a relative change of the deviation that is chance, in its standard errors.
+_SWEEPS, _LEAST, _CHANCE = 12, 3, 1.0
 _WINDOW = 200
 _DEEP = 1e-12
 
@@ -25,7 +26,7 @@ def imputed(
     y = x.astype(float).copy()
     width = min(_WINDOW, len(x) // 8)
     centre, sigma = uniform_filter1d(y, width, mode="reflect"), float(np.std(np.diff(y)) / np.sqrt(2.0))
-    for _ in range(_SWEEPS):
+    for k in range(_SWEEPS):
         a, b = ((limit[open_] - centre[open_]) / max(sigma, 1e-300) for limit in (lower, upper))
         # In the tail where both limits are: the digits are in the smaller probability.
         flip = a > 0.0
@@ -35,5 +36,7 @@ def imputed(
         z = ndtri(np.clip(u, _DEEP, 1.0 - _DEEP))
         y[open_] = centre[open_] + sigma * np.where(flip, -z, z)
         centre = uniform_filter1d(y, width, mode="reflect")
-        sigma = float(np.sqrt(np.mean((y - centre) ** 2) * width / (width - 1.0)))
+        before, sigma = sigma, float(np.sqrt(np.mean((y - centre) ** 2) * width / (width - 1.0)))
+        if k + 1 >= _LEAST and abs(sigma - before) < _CHANCE * sigma / np.sqrt(2.0 * len(y)):
+            break
     return y, sigma

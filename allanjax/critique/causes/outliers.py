@@ -133,9 +133,11 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     if not np.any(size > _NOTICED):
         return 0.0, 0.0, 1.0
     # A histogram is enough, of the quiet ones a coarse one; of the few that are loud each is looked at.
-    edges = np.concatenate([np.linspace(0.0, _NOTICED, 61), np.arange(_NOTICED, _LOUD, _FINE)[1:]])
-    few, counts = size[size > edges[-1]], np.histogram(size, edges)[0]
-    centres = 0.5 * (edges[1:] + edges[:-1])
+    parts = (60, 0.0, _NOTICED), (round((_LOUD - _NOTICED) / _FINE), _NOTICED, _LOUD)
+    found = [np.histogram(size, count, (low, high)) for count, low, high in parts]
+    counts = np.concatenate([count for count, _ in found])
+    centres = np.concatenate([0.5 * (edges[1:] + edges[:-1]) for _, edges in found])
+    few = size[size > _LOUD]
 
     def values(share: float, scale: Float[np.ndarray, " scales"]) -> Float[np.ndarray, " scales"]:
         return _log_ratio(few, share, scale).sum(axis=0) + counts @ _log_ratio(centres, share, scale)
@@ -149,14 +151,14 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     gain, share, scale = best
     if gain == 0.0:
         return 0.0, 0.0, 1.0
-    found = minimize(
+    refined = minimize(
         lambda u: -float(values(min(np.exp(u[0]), 0.5), np.exp(u[1:]))[0]),
         np.log([share, scale]),
         method="Nelder-Mead",
         options={"xatol": 0.01, "fatol": 0.01},
     )
-    share, scale = np.exp(found.x)
-    return -float(found.fun), float(min(share, 0.5)), float(scale)
+    share, scale = np.exp(refined.x)
+    return -float(refined.fun), float(min(share, 0.5)), float(scale)
 
 
 def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float]:
