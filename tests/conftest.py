@@ -4,6 +4,7 @@ import dataclasses
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 
 import pytest
 
@@ -14,6 +15,8 @@ _OWN = _CACHE not in os.environ
 if _OWN:
     os.environ[_CACHE] = tempfile.mkdtemp(prefix="allanjax-tests-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+
+from gamma_levels import with_likelihood  # noqa: E402
 
 from allanjax.fit import fit  # noqa: E402
 from allanjax.notation import parse_model  # noqa: E402
@@ -53,3 +56,9 @@ def half_failed_fit(small_fit: Fit) -> Fit:
     first, second, *others = small_fit.results
     failed = dataclasses.replace(second, converged=False, reason="the start was hopeless")
     return dataclasses.replace(small_fit, results=(first, failed, *others))
+
+
+@pytest.fixture
+def two_terms(small_fit: Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Fit]:
+    """What makes a fit of angle and rate random walk with a likelihood of one's own."""
+    return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
