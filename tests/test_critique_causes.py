@@ -289,6 +289,14 @@ def test_a_filter_is_found_above_noise_that_is_added_behind_it():
     assert candidate.parameters["order"].value == 2.0
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_no_filter_is_found_in_unfiltered_noise(seed):
+    """Also where one is tried that stops nearly all: a record whose ends are replaced is another record."""
+    samples = draw(seed, None, duration=600.0, rate=100.0).values[:, 0]
+    candidate = LowPass().detect(view_of(samples))
+    assert candidate is None or candidate.gain < LowPass.margin
+
+
 def test_an_analog_filter_is_found_and_its_deep_stop_band_does_no_harm():
     """Sampled after filtering: sixteen times as fast, aliases and all."""
     over = 16

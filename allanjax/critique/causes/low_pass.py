@@ -67,6 +67,8 @@ class LowPass(Cause):
         behind = screen.behind(view, filter_, bandwidth)
         visible = _visible(view, behind)
         after = view.behind(visible)
+        # Of the samples as they are: with its ends replaced a record is another one.
+        filtered = after.noise.log_evidence
         deep = visible < _DEEP
         if deep.any():
             stationary = behind.passed + behind.floor / after.noise.variance
@@ -75,10 +77,10 @@ class LowPass(Cause):
             visible = _visible(view.with_x(after.x), behind)
             after = dataclasses.replace(after, factor=view.combined(visible))
         after = dataclasses.replace(after, passes=visible)
-        gain = after.noise.log_evidence - basic.log_evidence
+        gain = filtered - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
-        if after.noise.log_evidence < noise.log_evidence - 4.0:
+        if filtered < noise.log_evidence - 4.0:
             return None
         return Candidate(
             self.name,
