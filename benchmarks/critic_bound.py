@@ -1,7 +1,7 @@
 """How many hidden effects can be told from noise at all? The critic beside a judge who has less to find out.
 
-    python benchmarks/critic_bound.py [--quick] [--records 40] [--clean 150] [--causes bias_step,markov]
-                                      [--multiple 2] [--workers 2] [--results PATH]
+    python benchmarks/critic_bound.py [--quick] [--records 40] [--clean 150] [--sweep 20] [--multiple 2]
+                                      [--causes bias_step,markov] [--workers 2] [--results PATH]
 
 The detection limit is that of a detector which knows the noise. Nobody who is handed samples does, and noise
 that wanders looks like a step, a warm-up or a random walk. What is lost by that is computed here (judge.py):
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from critic import APART, SWEEP, half_detected
 from judge import DURATION, LOWEST, RATE, SIZE_WITHIN, Judge, ground
 from machine import describe
 from report import run_tasks, share, table
@@ -40,6 +41,8 @@ STOCHASTIC = ("drift_ramp", "rate_random_walk", "markov")
 ODDS = {"B": 0.5, "K": 0.5, "M": 0.2}
 RAMP_ODDS = 0.2
 FALSE_ALARMS = 0.01
+#: Of which the smallest that are found are looked for, with sensors as drawn and with white noise alone.
+SWEPT, SENSORS = ("bias_step",), {"as drawn": "", "white noise only": "BKMR"}
 SHARE = f"{100 * FALSE_ALARMS:g} %"
 
 
@@ -163,16 +166,16 @@ def odds_of_term(cause: str, hidden: Hidden, multiple: float, seed: int) -> dict
 # --- Records -----------------------------------------------------------------------------------------------
 
 
-def examine(cause: str, multiple: float, seed: int, there: bool) -> dict[str, Any]:
-    """What the judge, and where the effect is there the critic, say of one record."""
+def examine(study: str, cause: str, multiple: float, seed: int) -> dict[str, Any]:
+    """What the judge, and of a "hidden" effect the critic, say of one record; other studies: of `SENSORS`."""
     size = {"duration": DURATION, "rate": RATE}
-    if there:
-        hidden = draw(seed, cause, multiple, **size)
-    else:
+    if study == "clean":
         hidden = draw(seed, None, without=TERMS.get(cause, ""), **size)
+    else:
+        hidden = draw(seed, cause, multiple, without=SENSORS.get(study, ""), **size)
     weigh = odds_of_path if cause in PATHS else odds_of_term
     row: dict[str, Any] = weigh(cause, hidden, multiple, seed)
-    if there:
+    if study == "hidden":
         recording, model = recording_of(hidden), model_without(hidden)
         fit = aj.fit(recording, model) if model is not None else None
         found = critique(recording, fit, false_alarms=0.005)
@@ -180,16 +183,36 @@ def examine(cause: str, multiple: float, seed: int, there: bool) -> dict[str, An
     return row
 
 
+def threshold_of(clean: np.ndarray) -> float:
+    """Of the odds, that so many records without the effect exceed."""
+    # Of telegraphs there is no evidence without one to start from.
+    return float(np.quantile(clean, 1.0 - FALSE_ALARMS)) if len(clean) else 0.0
+
+
 def verdicts(cause: str, mine: list[dict[str, Any]], clean: np.ndarray) -> list[str]:
     """A line of the table."""
-    # Of telegraphs there is no evidence without one to start from.
-    threshold = float(np.quantile(clean, 1.0 - FALSE_ALARMS)) if len(clean) else 0.0
+    threshold = threshold_of(clean)
     found = [row["odds"] > threshold and row.get("over_rivals", 1.0) > 0.0 for row in mine]
     told = share(np.array([row["told"] > threshold for row in mine])) if "told" in mine[0] else "–"
     even = [row["odds"] > 0.0 and row.get("over_rivals", 1.0) > 0.0 for row in mine]
     judged = [share(np.array(x)) for x in (even, found)] if len(clean) else [share(np.array(even)), "–"]
     critic = share(np.array([row["right"] for row in mine]))
     return [cause, str(len(mine)), critic, *judged, f"{threshold:.1f}" if len(clean) else "–", told]
+
+
+def smallest(rows: dict[tuple, dict[str, Any]], thresholds: dict[str, float]) -> str:
+    """Multiples that the judge finds in half of the records."""
+    lines = []
+    for sensor in SENSORS:
+        for cause in SWEPT:
+            mine = [
+                (t[2], row["odds"] > thresholds[cause]) for t, row in rows.items() if t[:2] == (sensor, cause)
+            ]
+            if mine:
+                multiples, hits = (np.array(x) for x in zip(*mine, strict=True))
+                middle = "{:.2f} ± {:.2f}".format(*half_detected(multiples, hits))
+                lines.append([cause, sensor, str(len(mine)), middle])
+    return table(["hidden", "sensor", "records", "judge finds half at"], lines)
 
 
 INTRODUCTION = f"""# What can be told from noise at all
@@ -220,31 +243,42 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few records, to see that all of it runs")
     parser.add_argument("--records", type=int, default=40, help="of each cause")
     parser.add_argument("--clean", type=int, default=150, help="without the effect, which set the threshold")
+    parser.add_argument("--sweep", type=int, default=20, help="records of each multiple that is swept")
     parser.add_argument("--causes", default=",".join((*PATHS, *STOCHASTIC)))
     parser.add_argument("--multiple", type=float, default=2.0, help="of the limit")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "critic_bound.md")
     options = parser.parse_args()
     if options.quick:
-        options.records, options.clean = 4, 6
+        options.records, options.clean, options.sweep = 4, 6, 2
     causes, begun = options.causes.split(","), time.perf_counter()
-    tasks = [
-        (cause, options.multiple, seed, there)
+    tasks: list[tuple] = [
+        (study, cause, options.multiple, seed)
         for cause in causes
-        for there, count in ((True, options.records), (False, options.clean))
+        for study, count in (("hidden", options.records), ("clean", options.clean))
         for seed in range(count)
-        if there or cause != "telegraph"
+        if study == "hidden" or cause != "telegraph"
+    ]
+    tasks += [
+        (sensor, cause, multiple, APART * (k + 1) + seed)
+        for sensor in SENSORS
+        for cause in SWEPT
+        if cause in causes
+        for k, multiple in enumerate(SWEEP)
+        for seed in range(options.sweep)
     ]
     rows: dict[tuple, dict[str, Any]] = {}
     for task, row, spent in run_tasks(examine, tasks, options.workers):
         rows[task] = row
         print(*task, row, f"{spent:.1f} s", flush=True)
     of = {
-        (c, there): [r for t, r in rows.items() if t[0] == c and t[3] == there]
+        (study, c): [r for t, r in rows.items() if t[:2] == (study, c)]
         for c in causes
-        for there in (0, 1)
+        for study in ("hidden", "clean")
     }
-    lines = [verdicts(c, of[c, 1], np.array([row["odds"] for row in of[c, 0]])) for c in causes]
+    odds = {c: np.array([row["odds"] for row in of["clean", c]]) for c in causes}
+    lines = [verdicts(c, of["hidden", c], odds[c]) for c in causes]
+    thresholds = {c: threshold_of(odds[c]) for c in causes}
     head = [
         "hidden",
         "records",
@@ -255,6 +289,9 @@ def main() -> None:
     ]
     text = INTRODUCTION.format(machine=describe(), multiple=options.multiple, clean=options.clean)
     text += table([*head, "judge, told the shape"], lines)
+    text += "\n\nHow small effects may be that the judge still finds, at the same thresholds (the critic: "
+    text += "[critic.md](critic.md), where it does not know what it looks for):\n\n"
+    text += smallest(rows, thresholds)
     text += f"\n\nThis run: {(time.perf_counter() - begun) / 60.0:.0f} min.\n"
     print(text)
     if not options.quick:
