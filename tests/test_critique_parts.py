@@ -196,7 +196,7 @@ def test_a_chain_of_two_states_is_summed_over_all_paths():
     log_likelihood[3] = -800.0, 0.0
     log_likelihood[6:8] = 0.0
     dwells = np.array([0.7, 3.0, 40.0])
-    total, upper = _chain(log_likelihood, dwells)
+    total, upper = _chain(log_likelihood[None], dwells)
     paths = np.array(list(itertools.product((0, 1), repeat=9)))
     for k, dwell in enumerate(dwells):
         # A chain in continuous time has changed its state after one block with this probability.
@@ -253,7 +253,7 @@ def test_the_likelihood_ratio_of_two_levels_is_a_fair_bet_in_noise():
     ratios = []
     for _ in range(400):
         y = rng.standard_normal((64, 1))
-        total, _ = _chain(-0.5 * (y - np.array([0.0, 0.5])) ** 2, dwells)
+        total, _ = _chain(-0.5 * (y[None] - np.array([0.0, 0.5])) ** 2, dwells)
         ratios.append(np.exp(total + 0.5 * np.sum(y**2)).mean())
     assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * np.std(ratios) / np.sqrt(400))
 

@@ -123,20 +123,16 @@ def two_levels(
     y = means[weight > 0.0]
     dwells = np.geomspace(_SHORTEST, max(len(means) / 2.0, 2.0 * _SHORTEST), _DWELLS)
 
-    def likelihoods(values: Float[np.ndarray, 2]) -> Float[np.ndarray, "blocks 2"]:
-        return -0.5 * ((means[:, None] - values) / sigma) ** 2 * weight[:, None]
+    def likelihoods(values: Float[np.ndarray, "starts 2"]) -> Float[np.ndarray, "starts blocks 2"]:
+        return -0.5 * ((means[:, None] - values[:, None, :]) / sigma) ** 2 * weight[:, None]
 
-    best, values = -np.inf, np.zeros(2)
-    for width in _SMOOTH:
-        smooth = np.convolve(y - y.mean(), np.ones(width) / width, "valid") + y.mean()
-        tried = np.quantile(smooth, [0.2, 0.8])
-        for _ in range(_ROUNDS):
-            total, upper = _chain(likelihoods(tried), dwells[_DWELLS // 2 :][:1])
-            share = np.stack([1.0 - upper[0], upper[0]]) * weight
-            tried = share @ means / np.maximum(share.sum(axis=1), 1e-9)
-        if total[0] > best:
-            best, values = float(total[0]), tried
-    total, upper = _chain(likelihoods(values), dwells)
+    smooth = [np.convolve(y - y.mean(), np.ones(width) / width, "valid") + y.mean() for width in _SMOOTH]
+    values = np.stack([np.quantile(x, [0.2, 0.8]) for x in smooth])
+    for _ in range(_ROUNDS):
+        total, upper = _chain(likelihoods(values), dwells[_DWELLS // 2 :][:1])
+        share = np.stack([1.0 - upper, upper], axis=1) * weight
+        values = share @ means / np.maximum(share.sum(axis=-1), 1e-9)
+    total, upper = _chain(likelihoods(values[[int(np.argmax(total))]]), dwells)
     probable = np.exp(total - np.logaddexp.reduce(total))
     log = float(probable @ np.log(dwells))
     spread = float(np.sqrt(probable @ (np.log(dwells) - log) ** 2))
@@ -150,45 +146,45 @@ def two_levels(
 
 
 def _chain(
-    log_likelihood: Float[np.ndarray, "blocks 2"], dwells: Float[np.ndarray, " dwells"]
-) -> tuple[Float[np.ndarray, " dwells"], Float[np.ndarray, "dwells blocks"]]:
-    """Of a chain of two states that jumps with these mean dwell times [blocks].
+    log_likelihood: Float[np.ndarray, "#chains blocks 2"], dwells: Float[np.ndarray, "#chains"]
+) -> tuple[Float[np.ndarray, " chains"], Float[np.ndarray, "chains blocks"]]:
+    """Of chains of two states that jump with these mean dwell times [blocks]; one of either is for all.
 
     Returns:
         Its log-likelihood over all paths, and the probability of the second state in each block.
     """
-    largest = log_likelihood.max(axis=1)
-    jump = -0.5 * np.expm1(-2.0 / dwells)
-    step = np.stack([1.0 - jump, jump, jump, 1.0 - jump], axis=-1).reshape(-1, 1, 2, 2)
-    links = step * np.exp(log_likelihood - largest[:, None])[:, None, :]
+    largest = log_likelihood.max(axis=-1)
+    jump = -0.5 * np.expm1(-2.0 / dwells)[:, None]
+    step = np.stack([1.0 - jump, jump, jump, 1.0 - jump]).reshape(2, 2, -1, 1)
+    links = step * np.moveaxis(np.exp(log_likelihood - largest[..., None]), -1, 0)
     forward, scale = _products(links)
     # Backwards, a link's likelihood is on the other side of its step.
-    backward, _ = _products(np.swapaxes(links, -1, -2)[:, ::-1])
-    ahead = 0.5 * forward.sum(axis=-2)
+    backward, _ = _products(np.swapaxes(links, 0, 1)[..., ::-1])
+    ahead = 0.5 * forward.sum(axis=0)
     behind = np.ones_like(ahead)
-    behind[:, :-1] = backward[:, ::-1].sum(axis=-2)[:, 1:]
+    behind[..., :-1] = backward[..., ::-1].sum(axis=0)[..., 1:]
     both = ahead * behind
-    total = np.log(ahead[:, -1].sum(axis=-1)) + scale[:, -1] + largest.sum()
-    return total, both[..., 1] / both.sum(axis=-1)
+    total = np.log(ahead[..., -1].sum(axis=0)) + scale[:, -1] + largest.sum(axis=-1)
+    return total, both[1] / both.sum(axis=0)
 
 
 def _products(
-    links: Float[np.ndarray, "dwells blocks 2 2"],
-) -> tuple[Float[np.ndarray, "dwells blocks 2 2"], Float[np.ndarray, "dwells blocks"]]:
+    links: Float[np.ndarray, "2 2 chains blocks"],
+) -> tuple[Float[np.ndarray, "2 2 chains blocks"], Float[np.ndarray, "chains blocks"]]:
     """Products of the first one, two, three, … matrices, and the logarithms of what they were divided by.
 
     By doubling: those of two, four, eight, … in a row.
     """
     found = links.copy()
-    scale = np.zeros(links.shape[:2])
+    scale = np.zeros(links.shape[2:])
     reach = 1
-    while reach < links.shape[1]:
+    while reach < links.shape[-1]:
         # Written out: NumPy multiplies stacks of small matrices one by one.
-        one, other = found[:, :-reach], found[:, reach:]
-        found[:, reach:] = one[..., :1] * other[..., :1, :] + one[..., 1:] * other[..., 1:, :]
+        one, other = found[..., :-reach], found[..., reach:]
+        found[..., reach:] = one[:, :1] * other[:1] + one[:, 1:] * other[1:]
         scale[:, reach:] = scale[:, :-reach] + scale[:, reach:]
-        size = found.max(axis=(-2, -1))
-        found /= size[..., None, None]
+        size = found.max(axis=(0, 1))
+        found /= size
         scale += np.log(size)
         reach *= 2
     return found, scale
