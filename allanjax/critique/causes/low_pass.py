@@ -227,7 +227,12 @@ class _Screen(FineLevels):
         level = self.squares / self.size
         self.least = float(np.min(level[self.size >= _COUNTED], initial=np.inf))
         self.grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
-        self.gains = np.array([[self.gain(filter_, f) for f in self.grid] for filter_ in _FILTERS])
+        self.gains = np.full((len(_FILTERS), _GRID), -np.inf)
+        for some in (slice(0, None, 2), slice(1, None, 2)):
+            self.gains[:, some] = [[self.gain(filter_, f) for f in self.grid[some]] for filter_ in _FILTERS]
+            # Half as far from the best bandwidth as its neighbours are, these gain not much more than they.
+            if self.gains.max() < 0.5 * _WORTH:
+                break
 
     def behind(self, view: View, filter_: tuple[int, bool], bandwidth: float) -> _Behind:
         """What the view shows behind a filter; the power of what is added there is the fitted one.
