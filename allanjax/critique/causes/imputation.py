@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr, ndtri
 
 # Sweeps, and a relative change of the deviation that is chance, in its standard errors.
-_SWEEPS, _LEAST, _CHANCE = 12, 3, 1.0
+_SWEEPS, _LEAST, _CHANCE = 12, 6, 1.0
 _WINDOW = 200
 _DEEP = 1e-12
 
