@@ -80,25 +80,31 @@ class Whitened:
         return in_time(self.z)
 
     @functools.cached_property
-    def shares(self) -> Float[np.ndarray, "terms n-1"]:
-        """Share of each noise term in the expected squares; no rows where the terms are not known."""
-        family = family_of(self.n, self.rate)
-        rows = []
-        for name, power in self.stage.powers.items():
+    def _spectra(self) -> list[Float[np.ndarray, " n-1"]]:
+        """Of the noise terms, unit amplitude."""
+        family, found = family_of(self.n, self.rate), []
+        for name in self.stage.powers:
             if name in FIXED:
-                rows.append(power * family.spectra[FIXED.index(name)])
+                found.append(family.spectra[FIXED.index(name)])
             else:
                 term = Markov if name == MARKOV else PowerLaw
-                rows.append(power * family.spectrum(term(1.0, self.stage.shape)))
+                found.append(family.spectrum(term(1.0, self.stage.shape)))
+        return found
+
+    def shares(self, part: slice = slice(None)) -> Float[np.ndarray, "terms some"]:
+        """Share of each noise term in the expected squares; no rows where the terms are not known.
+
+        Of a part of the coefficients: all of them at all stages would take gigabytes.
+        """
+        rows = [p * x[part] for p, x in zip(self.stage.powers.values(), self._spectra, strict=True)]
         if not rows:
-            return np.zeros((0, self.n - 1))
-        total = np.sum(rows, axis=0)
-        return np.stack(rows) / np.maximum(total, 1e-300)
+            return np.zeros((0, len(self.variance[part])))
+        return np.stack(rows) / np.maximum(np.sum(rows, axis=0), 1e-300)
 
     def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
         """Of one noise term; None if there is no such term."""
         names = list(self.stage.powers)
-        return self.shares[names.index(term)] if term in names else None
+        return self.shares()[names.index(term)] if term in names else None
 
     @functools.cached_property
     def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
@@ -107,12 +113,13 @@ class Whitened:
         The inverse of the Fisher information, to which 1 is added: no power is taken to be uncertain by more
         than itself.
         """
-        return np.linalg.inv(self.level_information + np.eye(len(self.shares)))
+        return np.linalg.inv(self.level_information + np.eye(len(self.stage.powers)))
 
     @functools.cached_property
     def level_information(self) -> Float[np.ndarray, "terms terms"]:
         """Fisher information about the logarithms of the terms' powers: ½ Σ_j q_k q_l, q the shares."""
-        return 0.5 * self.shares @ self.shares.T
+        k = len(self.stage.powers)
+        return 0.5 * sum((q @ q.T for q in map(self.shares, _chunks(self.n - 1))), start=np.zeros((k, k)))
 
     def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
         """A record of the model at its levels [SI], without mean and ramp."""
@@ -165,7 +172,7 @@ def allan_law(record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
 def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
     """Of several records of one length: the weights are computed once."""
     n = records[0].n
-    sums = [_Sums.zero(len(sizes), len(record.shares)) for record in records]
+    sums = [_Sums.zero(len(sizes), len(record.stage.powers)) for record in records]
     for part in _chunks(n - 1):
         # Of neighbours between which no weight turns by more than a small angle, only the sum counts.
         edges = np.arange(0, part.stop - part.start, max(int(part.start * _TURN / _FAST), 1))
@@ -186,7 +193,7 @@ def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> lis
             total.measured += rows @ (weight @ c2)
             total.mean += rows @ (weight @ np.add.reduceat(v, edges))
             total.square += rows @ ((weight * v2) @ weight.T) @ rows.T
-            total.slope += rows @ (weight @ np.add.reduceat(record.shares[:, part] * v, edges, axis=1).T)
+            total.slope += rows @ (weight @ np.add.reduceat(record.shares(part) * v, edges, axis=1).T)
     return [total.law(record, sizes) for record, total in zip(records, sums, strict=True)]
 
 
@@ -276,7 +283,7 @@ def summaries(record: Whitened) -> tuple[Comparison, Comparison]:
     )
     edges = octave_bins(n)
     first, count = edges[:-1] - 1, np.diff(edges)
-    q = np.add.reduceat(record.shares * record.variance, first, axis=1)
+    q = np.add.reduceat(record.shares() * record.variance, first, axis=1)
     expected = np.add.reduceat(record.variance, first)
     q = q / expected
     spread = 2.0 / count + np.einsum("kb,kl,lb->b", q, record.level_covariance, q)
