@@ -51,3 +51,28 @@ def _user_cache() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def release_programs(share: float) -> None:
+    """Forget all compiled programs if they take more than a share of what the operating system allows.
+
+    Each is in memory in many pieces, and Linux lets a process have so many (65,530, unless it was told
+    otherwise): a process that goes through recordings of all lengths would come to an end after some dozens
+    of them. What is needed again is loaded from the cache of programs, or compiled.
+    """
+    used, limit = _mapped()
+    if used > share * limit:
+        import jax
+
+        jax.clear_caches()
+
+
+def _mapped() -> tuple[int, float]:
+    """Pieces of memory that this process has, and may have."""
+    try:
+        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
+        with open("/proc/self/maps", "rb") as file:
+            return sum(1 for _ in file), limit
+    except OSError:
+        # Not Linux: there is no such limit.
+        return 0, float("inf")

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
 from allanjax.allan import AllanDeviation, allan_deviation
+from allanjax.cache import release_programs
 from allanjax.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
 from allanjax.design import AllanDesign
 from allanjax.deterministic import lines_of, take_out_lines
@@ -70,6 +71,7 @@ def fit(
     if objective not in ("allan", "whittle"):
         raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
     given = _regressors(recording, regressors, objective)
+    release_programs(0.75)
     selection = select_terms(recording) if model is None else None
     template, active = terms_to_fit(model, selection, len(recording.axes), objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)

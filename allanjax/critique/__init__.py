@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from allanjax.cache import release_programs
 from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
@@ -57,5 +58,8 @@ def critique(
     """
     # What it needs takes long to load.
     from allanjax.critique.critic import criticize
+
+    # Sooner than a fit would: not while axes are criticized beside it.
+    release_programs(0.5)
 
     return criticize(recording, fit, causes, false_alarms, progress)

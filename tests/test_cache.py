@@ -1,0 +1,41 @@
+"""Compiled programs are forgotten before the operating system has no room for more."""
+
+import jax
+import numpy as np
+import pytest
+
+import allanjax as aj
+from allanjax import cache
+from allanjax.critique import critique
+
+
+@pytest.mark.parametrize("used", [100, 60_000])
+def test_programs_are_forgotten_when_there_are_too_many(monkeypatch, used):
+    traced = []
+
+    @jax.jit
+    def program(x):
+        traced.append(x)
+        return 2.0 * x
+
+    program(1.0)
+    monkeypatch.setattr(cache, "_mapped", lambda: (used, 65_530))
+    cache.release_programs(0.75)
+    assert float(program(3.0)) == 6.0
+    assert len(traced) == (1 if used == 100 else 2)
+
+
+@pytest.mark.skipif(cache._mapped()[0] == 0, reason="only Linux has such a limit")
+def test_what_is_mapped_is_counted():
+    used, limit = cache._mapped()
+    assert 10 < used < limit
+
+
+def test_a_fit_and_a_critique_go_on_with_their_programs_forgotten(monkeypatch):
+    """As in a process that has gone through recordings of many lengths."""
+    samples = np.random.default_rng(0).standard_normal(5000)
+    recording = aj.Recording.from_array(samples, 50.0, gyro_unit="rad/s", names=["gyro_x"])
+    before = aj.fit(recording)["gyro_x"]["angle_random_walk"].value
+    monkeypatch.setattr(cache, "_mapped", lambda: (60_000, 65_530))
+    assert aj.fit(recording)["gyro_x"]["angle_random_walk"].value == before
+    assert critique(recording).findings == ()
