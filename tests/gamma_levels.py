@@ -15,8 +15,8 @@ FREQUENCY = np.geomspace(1e-3, 50.0, 40)
 ORDINATES = np.maximum(1.0, 200.0 * FREQUENCY)
 
 
-class SpectralLevels(eqx.Module):
-    """Gamma laws of spectral levels, the mean linear in the squares of all amplitudes."""
+class Likelihood(eqx.Module):
+    """What the sampler has to know of a likelihood beside its values."""
 
     parameters: tuple = eqx.field(static=True)
     start: np.ndarray
@@ -25,6 +25,11 @@ class SpectralLevels(eqx.Module):
     upper: np.ndarray
     knee: np.ndarray
     found: np.ndarray
+
+
+class SpectralLevels(Likelihood):
+    """Gamma laws of spectral levels, the mean linear in the squares of all amplitudes."""
+
     levels: np.ndarray
 
     def __call__(self, values):

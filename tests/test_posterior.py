@@ -3,11 +3,10 @@
 import dataclasses
 import warnings
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from gamma_levels import K, N, quadrature, spectral_levels
+from gamma_levels import K, Likelihood, N, quadrature, spectral_levels
 
 from allanjax.absent import absent_amplitude
 from allanjax.errors import AllanjaxError, FitError
@@ -63,15 +62,7 @@ def test_a_gaussian_with_other_kinds_of_parameters_is_recovered():
         for q, kind in zip(template, kinds, strict=True)
     )
 
-    class Gaussian(eqx.Module):
-        parameters: tuple = eqx.field(static=True)
-        start: np.ndarray
-        scatter: np.ndarray
-        lower: np.ndarray
-        upper: np.ndarray
-        knee: np.ndarray
-        found: np.ndarray
-
+    class Gaussian(Likelihood):
         def __call__(self, values):
             z = [
                 (values[0] - 20.0) / 0.01,
@@ -226,15 +217,7 @@ def test_upper_limit_of_an_absent_term_is_that_of_quadrature(two_terms, truth):
 def test_reweighting_is_exact_where_the_terms_are_strongly_correlated():
     """Two amplitudes of nearly the same spectrum: at the limit of one the other has moved by many σ."""
 
-    class Twins(eqx.Module):
-        parameters: tuple = eqx.field(static=True)
-        start: np.ndarray
-        scatter: np.ndarray
-        lower: np.ndarray
-        upper: np.ndarray
-        knee: np.ndarray
-        found: np.ndarray
-
+    class Twins(Likelihood):
         def __call__(self, values):
             a, b = values**2
             return -0.5 * (((a + b - 1.0) / 0.01) ** 2 + ((a - b - 1.0) / 0.08) ** 2)
