@@ -72,14 +72,14 @@ def _predicted(
     a long one the covariance is nearly the inverse, but for its ends.
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
-    long = _long(missing)[gaps]
+    long, weight = _long(missing)[gaps], 1.0 / v
     short = np.flatnonzero(~long)
 
     def filtered(y: Float[np.ndarray, " n"], by: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " gaps"]:
         return in_time(dct(y, norm="ortho", workers=-1)[1:] * by)[gaps]
 
     def precision(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " gaps"]:
-        return filtered(y, 1.0 / v)
+        return filtered(y, weight)
 
     blocks = _inverses(gaps[short], v)
 
