@@ -12,7 +12,7 @@ import dataclasses
 import functools
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy.fft import idct
 from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
@@ -59,9 +59,9 @@ class Scan:
         return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
 
 
-def amplitude_price(snr: float) -> float:
+def amplitude_price(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
     """What an unknown amplitude costs [nats], with the prior of `evidence` for either sign."""
-    return float(np.log((abs(snr) + 1.0) * 2.0 * np.log1p(1e4) / np.sqrt(2.0 * np.pi)))
+    return np.log((np.abs(snr) + 1.0) * 2.0 * np.log1p(1e4) / np.sqrt(2.0 * np.pi))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

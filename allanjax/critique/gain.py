@@ -13,6 +13,7 @@ from allanjax.critique.profiles import ANGLE
 from allanjax.critique.result import CoefficientChange, DriftChange
 from allanjax.critique.step import Step
 from allanjax.critique.view import View
+from allanjax.critique.weighing import Behind
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov
 from allanjax.units import default_coefficient_unit, unit_scale
@@ -102,7 +103,7 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
     family = family_of(half, view.rate)
     # Every other coefficient of the whole record has a half's frequency.
     factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
-    behind = family.behind(factor)
+    behind = Behind.of(family, factor)
     found = []
     for rows in _halves(view):
         c = centred(view.x[rows])

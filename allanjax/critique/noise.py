@@ -2,14 +2,14 @@
 
 An effect that is not in the model is taken for noise: a step for a random walk, a temperature's influence for
 a Markov process. So no cause can be judged against noise estimated with the effect still in it. Each
-hypothesis gets the noise that suits it best (`NoiseFamily.best`), and what is compared is their evidence.
+hypothesis gets the noise that suits it best (`Weighing.best`), and what is compared is their evidence.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +20,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import ramp_column
-from allanjax.evidence import BLOCK, FURTHER, ROUGH, Evidence, Job, Levels, evidences
+from allanjax.evidence import FURTHER, Evidence, Job, Levels, evidences
 from allanjax.model import Model
 from allanjax.selection import basic_terms, jobs_of
 from allanjax.terms import Markov, NoiseTerm, PowerLaw
@@ -31,12 +31,10 @@ WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "dr
 NEARLY_ALL = 0.9
 # Lengths of spectra are rounded up to multiples of this.
 _PADDED = 4096
-#: Sets of noise terms of which one may be the right one, and how much less likely they may be [nats].
-SETS, _LESS = 4, 3.0
 #: Values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
 # Slopes that no basic term has; the grid keeps its distance from those that have one.
-_EXPONENTS = np.array(
+EXPONENTS = np.array(
     [-0.6, -0.4, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 1.25, 1.35, 1.5, 1.65, 1.75, 2.3, 2.5, 2.8]
 )
 
@@ -118,34 +116,7 @@ class NoiseFamily:
     @functools.cached_property
     def power_laws(self) -> Float[np.ndarray, "grid m"]:
         """Levels of power laws of unit amplitude."""
-        return np.asarray(_levels((), self.bins, PowerLaw, _EXPONENTS))[:, self.keep]
-
-    def of(
-        self,
-        c: Float[np.ndarray, " n-1"],
-        factor: Float[np.ndarray, " n-1"] | None = None,
-        fold: Bool[np.ndarray, " n-1"] | None = None,
-    ) -> Weighing:
-        """Weigh all sets for a record with these coefficients, its spectrum being theirs times `factor`.
-
-        With a `fold` only its coefficients are looked at.
-        """
-        return self.behind(factor, fold).weigh(c)
-
-    def behind(
-        self, factor: Float[np.ndarray, " n-1"] | None = None, fold: Bool[np.ndarray, " n-1"] | None = None
-    ) -> Behind:
-        """To weigh all sets for any record whose spectrum is theirs times `factor`."""
-        weight, constant, size = None if fold is None else fold.astype(float), 0.0, self.size
-        if weight is not None:
-            size = self.bins.sums(weight)[self.keep]
-        if factor is not None:
-            log = np.log(factor)
-            constant = -0.5 * float(log.sum() if fold is None else log.sum(where=fold))
-            weight = 1.0 / factor if weight is None else weight / factor
-        ramp = self.ramp if weight is None else weight * self.ramp
-        gram = self.bins.sums(ramp * self.ramp)[self.keep]
-        return Behind(self, weight, ramp, gram, size, constant)
+        return np.asarray(_levels((), self.bins, PowerLaw, EXPONENTS))[:, self.keep]
 
     def slope(
         self,
@@ -179,7 +150,7 @@ class NoiseFamily:
         """Levels and spectrum of a Markov process or a power law of unit amplitude, by place in its grid."""
         if name == MARKOV:
             return self.columns[len(FIXED) + index], self.spectrum(Markov(1.0, self.times[index]))
-        return self.power_laws[index], self.spectrum(PowerLaw(1.0, float(_EXPONENTS[index])))
+        return self.power_laws[index], self.spectrum(PowerLaw(1.0, float(EXPONENTS[index])))
 
     def unit(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
         """Levels in the bins and spectrum of a term of unit amplitude."""
@@ -202,154 +173,6 @@ class NoiseFamily:
         single = min(int(np.sum(np.cumprod(self.size == 1.0))), count)
         variance[:single] = low[:single]
         return variance
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Behind:
-    """What weighing records needs that does not depend on them: a factor of the spectrum, a fold."""
-
-    family: NoiseFamily
-    weight: Float[np.ndarray, " n-1"] | None
-    ramp: Float[np.ndarray, " n-1"]
-    gram: Float[np.ndarray, " m"]
-    size: Float[np.ndarray, " m"]
-    constant: float
-
-    def weigh(self, c: Float[np.ndarray, " n-1"]) -> Weighing:
-        """The statistics of the record with these coefficients."""
-        squares = c * c
-        if self.weight is not None:
-            squares *= self.weight
-        found = (self.family.bins.sums(z)[self.family.keep] for z in (squares, self.ramp * c))
-        levels = Levels(*(z[None] for z in (*found, self.gram)))
-        return Weighing(self.family, levels, self.size, self.constant)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Weighing:
-    """The statistics of one hypothetical record, from which sets of noise terms are weighed."""
-
-    family: NoiseFamily
-    levels: Levels
-    size: Float[np.ndarray, " m"]
-    constant: float
-
-    @functools.cached_property
-    def _basic(self) -> Evidence:
-        return self._rough(MARKOV)
-
-    @functools.cached_property
-    def _with_power_law(self) -> Evidence:
-        return self._rough(POWER_LAW)
-
-    def _rough(self, grid: str) -> Evidence:
-        """Of all sets: with every other shape, and between these what is between."""
-        jobs = self.family.jobs
-        between = jobs.terms[:, -1] & (jobs.column % 2 == 1)
-        rows, k = np.flatnonzero(~between), np.flatnonzero(between)
-        found = self.family.run(self.levels, self.size, self._columns(grid), rows, steps=ROUGH)
-        values, powers = np.empty(len(between)), np.empty((len(between), len(FIXED) + 1))
-        values[rows], powers[rows] = found.log_evidence, found.power
-        after = np.where(jobs.column[k] < GRID - 1, k + 1, k - 1)
-        values[k], powers[k] = 0.5 * (values[k - 1] + values[after]), powers[k - 1]
-        return Evidence(values, powers)
-
-    def best(
-        self,
-        allowed: Collection[str] = (*FIXED, MARKOV, RAMP),
-        required: Sequence[str] = (),
-    ) -> Noise:
-        """The most probable set of `allowed` terms that has the `required` ones."""
-        return self.likely(allowed, required, 1)[0]
-
-    def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
-        """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
-        grid = _grid(allowed)
-        possible, rough = self._possible(allowed, required), self._of(grid)
-        values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
-        # Only those that may be the best one are carried to their maximum.
-        near = np.argsort(-values)[: min(BLOCK, np.sum(possible))]
-        found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
-        values[near], powers[near] = found.log_evidence, found.power
-        return self._ranked(values, powers, grid, most)
-
-    def roughly(self, allowed: Collection[str], like: Weighing) -> Noise:
-        """About the most probable set, to go on from.
-
-        Looked at are those without a free shape and those that were best for a record like this.
-        """
-        grid = _grid(allowed)
-        possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
-        known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
-        plain = np.flatnonzero(possible & ~shaped)
-        best = np.argsort(-known)[: min(BLOCK - len(plain), np.sum(known > -np.inf))]
-        near = np.concatenate([plain, best])
-        found = self.family.run(self.levels, self.size, self._columns(grid), near)
-        values, powers = np.full(len(possible), -np.inf), np.zeros((len(possible), len(FIXED) + 1))
-        values[near], powers[near] = found.log_evidence, found.power
-        return self._ranked(values, powers, grid, 1)[0]
-
-    def _of(self, grid: str) -> Evidence:
-        return self._with_power_law if grid == POWER_LAW else self._basic
-
-    def _columns(self, grid: str) -> Float[np.ndarray, "grid m"]:
-        return self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
-
-    def _possible(self, allowed: Collection[str], required: Sequence[str] = ()) -> Bool[np.ndarray, " jobs"]:
-        """Sets of `allowed` terms that have the `required` ones."""
-        possible = np.ones(len(self.family.jobs.ramp), bool)
-        for name, has in self._members(_grid(allowed)):
-            if name not in allowed:
-                possible &= ~has
-            if name in required:
-                possible &= has
-        return possible
-
-    def _ranked(
-        self,
-        values: Float[np.ndarray, " jobs"],
-        powers: Float[np.ndarray, "jobs terms"],
-        grid: str,
-        most: int,
-    ) -> list[Noise]:
-        """The sets of largest evidence: that of one with a free shape is the mean over its grid."""
-        jobs, possible = self.family.jobs, values > -np.inf
-        in_grid, total = jobs.terms[:, -1], values.copy()
-        keys = np.column_stack([jobs.terms[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
-        for key in np.unique(keys[in_grid & possible]):
-            rows = in_grid & (keys == key)
-            mean = np.logaddexp.reduce(values[rows]) - np.log(rows.sum())
-            total[rows] = np.where(values[rows] == values[rows].max(), mean, -np.inf)
-        order = np.argsort(-total, kind="stable")[: min(most, np.sum(total > -np.inf))]
-        return [self._noise(int(k), powers[k], float(total[k]), grid) for k in order]
-
-    def _noise(self, k: int, powers: Float[np.ndarray, " terms"], log_evidence: float, grid: str) -> Noise:
-        """The set of that job."""
-        jobs, names = self.family.jobs, [*FIXED, grid]
-        power = {names[i]: float(powers[i]) for i in np.flatnonzero(jobs.terms[k]) if powers[i] > 0.0}
-        shape = float("nan")
-        if grid in power:
-            values_of = _EXPONENTS if grid == POWER_LAW else self.family.times
-            shape = float(values_of[jobs.column[k]])
-        log_evidence += self.constant
-        return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
-
-    def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
-        jobs = self.family.jobs
-        members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
-        return [*members, (RAMP, jobs.ramp)]
-
-
-def _grid(allowed: Collection[str]) -> str:
-    """The term with a free shape: a power law is in the Markov process's place."""
-    return POWER_LAW if POWER_LAW in allowed else MARKOV
-
-
-def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:
-    """Probability of each of these sets of terms, the best one first; 0 if it is far less likely."""
-    less = np.array([sets[0].log_evidence - noise.log_evidence for noise in sets])
-    likely = np.where(less < _LESS, np.exp(-less), 0.0)
-    return likely / likely.sum()
 
 
 def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:

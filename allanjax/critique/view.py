@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
-from allanjax.critique.noise import FIXED, MARKOV, RAMP, Behind, Noise, NoiseFamily, Weighing, centred
+from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
+from allanjax.critique.weighing import Behind, Weighing
 from allanjax.model import Model
 from allanjax.recording import Axis
 
@@ -91,9 +92,21 @@ class View:
         """Of the sets of basic terms, for x."""
         return self._behind.weigh(self.c)
 
+    def weighed(
+        self, fold: Bool[np.ndarray, " n-1"] | None, factor: Float[np.ndarray, " n-1"] | None = None
+    ) -> Weighing:
+        """The same of the coefficients in a fold, behind a further factor of the spectrum."""
+        factor = self.factor if factor is None else self.combined(factor)
+        return Behind.of(self.family, factor, fold).weigh(self.c)
+
+    @functools.cached_property
+    def total(self) -> float:
+        """Log-evidence of x whichever allowed basic terms there are."""
+        return self.weighing.sets(self.allowed).total
+
     @functools.cached_property
     def _behind(self) -> Behind:
-        return self.family.behind(self.factor)
+        return Behind.of(self.family, self.factor)
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -153,7 +166,7 @@ class View:
         """The same with these basic terms to choose from."""
         total = 0.0
         for fold in coefficient_folds(self.n):
-            noise = self.family.of(self.c, self.factor, fold).roughly(allowed, self.weighing)
+            noise = self.weighed(fold).roughly(allowed, self.weighing)
             total += self.log_likelihood(noise, ~fold)
         return total
 

@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.critique.bank import Bank, amplitude_price
-from allanjax.critique.noise import SETS, odds
+from allanjax.critique.bank import Bank
+from allanjax.critique.marginal import log_evidence
 from allanjax.critique.view import Candidate, Quantity, View
+from allanjax.critique.weighing import SETS, odds
 from allanjax.model import Model
 from allanjax.terms import NoiseTerm
 
@@ -49,11 +50,12 @@ def additive(
         k = scan.best
         if abs(scan.snr[k]) < _WORTH or k in tried:
             continue
+        taken, a = k, 0.0
         # At first the noise is chosen without what the bank has of the shape, which costs no transform.
         for exact in (False, True):
             for _ in range(_ROUNDS):
                 tried.add(k)
-                a = scan.amplitude[k]
+                taken, a = k, float(scan.amplitude[k])
                 if exact:
                     after = view.with_x(view.x - a * shape(k))
                     noise = after.noise
@@ -63,9 +65,7 @@ def additive(
                 if scan.best == k:
                     break
                 k = scan.best
-        snr = float(scan.snr[k])
-        gain = after.noise.log_evidence - view.noise.log_evidence
-        gain -= scan.search_price + amplitude_price(snr) + more
+        gain = log_evidence(view, after, bank, taken, a) - view.total - more
         if best is None or gain > best.gain:
             best = Candidate(
                 cause,
@@ -79,7 +79,7 @@ def additive(
                 adding(term and term(k, float(scan.amplitude[k]))),
                 shaped=True,
             )
-            searched, place = (noise, snr), (k, float(scan.amplitude[k]))
+            searched, place = (noise, float(scan.snr[k])), (k, float(scan.amplitude[k]))
     if best is None or not best.gain > 0.0:
         return None
     # Noise alone has an evidence of e^gain against it with no more than this probability.

@@ -24,7 +24,8 @@ class BiasStep(Cause):
     """A jump of the bias; several are found one after the other, or two that hide each other at once."""
 
     name = "bias_step"
-    margin = 2.0
+    # The evidence is the test: of 900 records of sensors without an effect five have a step of such odds.
+    margin, level = 1.0, 0.01
     joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
@@ -85,8 +86,8 @@ class BiasStep(Cause):
                     break
             both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
             after = view.with_x(view.x - both[0] - both[1])
-            gained = after.noise.log_evidence - view.noise.log_evidence - pair.price
-            gained -= sum(amplitude_price(float(snr)) for snr in pair.snr)
+            gained = after.total - view.total - pair.price
+            gained -= float(np.sum(amplitude_price(pair.snr)))
             if gained > gain:
                 gain, best = gained, (pair, both, after)
         if gain == least:
@@ -117,7 +118,7 @@ class BiasStep(Cause):
         return Candidate(
             self.name,
             _parameters(view, places, a, *known(alone, without, bank, k, a)),
-            without.noise.log_evidence - alone.noise.log_evidence - scan.search_price,
+            without.total - alone.total - scan.search_price,
             bank.p_value(alone, without.noise, float(scan.snr[k])),
             without,
             cache(partial(bank.held_out, alone, without)),

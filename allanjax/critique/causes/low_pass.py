@@ -179,7 +179,7 @@ def _visible(view: View, behind: _Behind, fold: np.ndarray | None = None) -> Flo
     clear = ~deep & (used > 0.0)
     level = float(np.mean(view.squares[clear] / passed[clear]))
     factor = passed + np.where(deep, ends + floor / level, 0.0)
-    noise = view.family.of(view.c, view.combined(factor), fold).best(view.allowed)
+    noise = view.weighed(fold, factor).best(view.allowed)
     added = np.where(deep, ends + floor / noise.variance, 0.0)
     ratio = uniform_filter1d(used * view.squares / noise.variance, _LOCAL, mode="nearest")
     ratio /= np.maximum(uniform_filter1d(used, _LOCAL, mode="nearest"), 1.0 / _LOCAL)
@@ -339,7 +339,6 @@ def _held_out(view: View) -> float:
         screen = _Screen(view, fold)
         filter_, bandwidth, *_ = screen.best()
         factor = _visible(view, screen.behind(view, filter_, bandwidth), fold)
-        whole = view.combined(factor)
-        noise = view.family.of(view.c, whole, fold).best(view.allowed)
+        noise = view.weighed(fold, factor).best(view.allowed)
         gain += view.log_likelihood(noise, ~fold, factor)
     return gain

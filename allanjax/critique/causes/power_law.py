@@ -36,7 +36,7 @@ class PowerLaw(Cause):
         def held_out() -> float:
             total = -view.foretold
             for fold in coefficient_folds(view.n):
-                with_it = view.family.of(view.c, view.factor, fold).best(allowed, required=(POWER_LAW,))
+                with_it = view.weighed(fold).best(allowed, required=(POWER_LAW,))
                 total += view.log_likelihood(with_it, ~fold)
             return total
 

@@ -146,10 +146,9 @@ def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: fl
     """
     gain = -view.foretold
     for fold in coefficient_folds(view.n):
-        beside = view.family.of(view.c, after.factor, fold).roughly(view.allowed, after.weighing)
+        beside = after.weighed(fold).roughly(view.allowed, after.weighing)
         found, _ = Spectrum(view, theta[:2], width, fold).fitted(beside, theta[:2])
         factor = 1.0 + _density(found, view) / view.variance(beside)
-        behind = view.family.of(view.c, view.combined(factor), fold)
-        noise = behind.roughly(view.allowed, after.weighing)
+        noise = view.weighed(fold, factor).roughly(view.allowed, after.weighing)
         gain += view.log_likelihood(noise, ~fold, factor)
     return gain

@@ -20,8 +20,8 @@ class WarmUp(Cause):
     """a·exp(−t/T), T from a five hundredth of the record to its half: beyond, it is a ramp."""
 
     name = "warm_up"
-    # Units do warm up: even odds with the noise that would do as well.
-    margin = 0.5
+    # Units do warm up.
+    margin = 1.0
     joint = "at once"
 
     def p_value(self, view: View) -> float:
