@@ -7,7 +7,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import multivariate_normal, norm
 
 from allanjax.critique.bank import any_of, extrapolated, folds
@@ -23,8 +23,8 @@ _FINER = 32
 _FOLD_BLOCK = 16
 # Samples at each end of the record that are not looked at.
 _ENDS = 16
-# What a place that need not be known saves [nats]; the least that can be left of a noise, less one.
-_PLACE, _LEAST = 5.0, -0.99
+# The least that can be left of a noise, less one.
+_LEAST = -0.99
 # Normal variates beyond this are too rare for the bivariate law to be computed.
 _NORMAL = 5.0
 
@@ -65,6 +65,10 @@ class _Kind:
         edges = np.rint(np.arange(blocks + 1) * view.n / blocks)
         return cls(name, share, squares / squares.mean(), worth, edges)
 
+    def scores(self) -> Float[np.ndarray, "k k"]:
+        """Log-likelihood gained by another variance between any two edges, less what the interval costs."""
+        return self.worth * interval_gains(self.squares, self.edges) - _price(len(self.edges))
+
     def excess(self, ratio: float) -> float:
         """By what share of itself this part has grown where the squares have grown by a ratio."""
         return (ratio - 1.0) * float(np.mean(self.share) / np.mean(np.square(self.share)))
@@ -81,34 +85,38 @@ def _kinds(view: View) -> list[_Kind]:
 
 
 class VarianceChange(Cause):
-    """One interval in which the noise, or its white part, has another variance."""
+    """One interval in which the noise, or its white part, has another variance.
+
+    Beforehand it is as likely to last to an end of the record, with one place to know, as to begin and end.
+    """
 
     name = "variance_change"
 
     def p_value(self, view: View) -> float:
         kinds = _kinds(view)
-        gains = [(kind.worth * interval_gains(kind.squares, kind.edges)).max() for kind in kinds]
-        return _p_value(float(max(gains)), kinds)
+        return _p_value(float(max(kind.scores().max() for kind in kinds)), kinds)
 
     def detect(self, view: View) -> Candidate | None:
         kinds = _kinds(view)
-        gains = [kind.worth * interval_gains(kind.squares, kind.edges) for kind in kinds]
-        best = int(np.argmax([g.max() for g in gains]))
-        kind, gain = kinds[best], gains[best]
-        if gain.max() < _WORTH:
+        scores = [kind.scores() for kind in kinds]
+        best = int(np.argmax([score.max() for score in scores]))
+        kind, score = kinds[best], scores[best]
+        if score.max() < _WORTH:
             return None
-        i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
-        flat = np.concatenate([g[np.triu_indices(len(g), 1)] for g in gains])
-        search = float(flat.max() - np.logaddexp.reduce(flat) + np.log(len(flat)))
+        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
+        # The mean over those that last to an end, of which each counts fully, and the others together.
+        count = 2.0 * len(kinds) * np.sum(_lasting(len(score)))
+        mean = float(
+            np.logaddexp.reduce(np.concatenate([s[_intervals(len(s))] for s in scores])) - np.log(count)
+        )
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
-        a, b = _at_ends(kind, a, b)
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
         louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
         # A record that begins or ends with another level: the louder part is what changed.
         if not louder and (a == 0 or b == view.n):
             a, b = (b, view.n) if a == 0 else (0, a)
             inside = ~inside
-        spreads = _spreads(kind, gain, a, b)
+        spreads = _spreads(kind, score, a, b)
         m = kind.worth * np.array([inside.sum(), (~inside).sum()], float)
         level = np.array([kind.squares[inside].mean(), kind.squares[~inside].mean()])
         excess = max(kind.excess(float(level[0] / level[1])), _LEAST)
@@ -125,8 +133,8 @@ class VarianceChange(Cause):
                 "ratio": Quantity(ratio, std, "1"),
                 "noise": Quantity((kind.name,), 0.0, ""),
             },
-            float(gain.max()) - search - 3.0,
-            _p_value(float(gain.max()), kinds),
+            mean - 3.0,
+            _p_value(float(score.max()), kinds),
             after,
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
@@ -134,15 +142,15 @@ class VarianceChange(Cause):
         )
 
 
-def _p_value(gain: float, kinds: Sequence[_Kind]) -> float:
-    """Probability of so large a gain by any of the kinds, where nothing changes.
+def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
+    """Probability of so large a score by any of the kinds, where nothing changes.
 
     Sums of the squares behind the two filters, 1 and √share, are correlated by √worth.
     """
-    p = scan_p_value(gain, len(kinds[0].edges) - 1)
+    p = scan_p_value(score, len(kinds[0].edges) - 1)
     if len(kinds) == 1:
         return p
-    u, r = float(np.sqrt(2.0 * gain)), float(np.sqrt(kinds[1].worth))
+    u, r = float(np.sqrt(2.0 * score)), float(np.sqrt(kinds[1].worth))
     both = multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]])
     # As a pair of normal variates exceeds u more often than one of them, so do the largest of many.
     below = both.cdf([u, u], lower_limit=[-u, -u])
@@ -150,18 +158,24 @@ def _p_value(gain: float, kinds: Sequence[_Kind]) -> float:
     return any_of(p, times)
 
 
-def _at_ends(kind: _Kind, a: int, b: int) -> tuple[int, int]:
-    """The interval up to the record's end where that explains nearly as much: one place less to know."""
-    n = len(kind.squares)
+def _intervals(edges: int) -> Bool[np.ndarray, "k k"]:
+    """From the first of two edges to the second one."""
+    return np.triu(np.ones((edges, edges), bool), 1)
 
-    def gain(a: int, b: int) -> float:
-        edges = np.unique([0.0, float(a), float(b), float(n)])
-        found = kind.worth * interval_gains(kind.squares, edges)
-        return float(found[np.searchsorted(edges, a), np.searchsorted(edges, b)])
 
-    least = gain(a, b) - _PLACE
-    whole = [(x, y) for x, y in ((0, b), (a, n)) if gain(x, y) > least]
-    return max(whole, key=lambda ends: gain(*ends), default=(a, b))
+def _lasting(edges: int) -> Bool[np.ndarray, "k k"]:
+    """Intervals to an end of the record."""
+    lasting = _intervals(edges)
+    lasting[1:, :-1] = False
+    return lasting
+
+
+@functools.lru_cache(maxsize=4)
+def _price(edges: int) -> Float[np.ndarray, "k k"]:
+    """What an interval costs that does not last to an end: there are so many more of these [nats]."""
+    lasting = _lasting(edges)
+    others = _intervals(edges) & ~lasting
+    return np.where(others, np.log(max(others.sum(), 1) / lasting.sum()), 0.0)
 
 
 def interval_gains(
@@ -221,20 +235,20 @@ def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tu
 
 @functools.lru_cache(maxsize=4)
 def _null(blocks: int) -> Float[np.ndarray, " draws"]:
-    """Largest root of twice the gain in draws of blocks of many samples, which are normal."""
+    """Largest root of twice the score in draws of blocks of many samples, which are normal."""
     rng = np.random.default_rng(0)
     many = 400
     edges = np.arange(blocks + 1.0) * many
     found = []
     for _ in range(_DRAWS):
         total = np.concatenate([[0.0], np.cumsum(rng.chisquare(many, blocks))])
-        found.append(np.sqrt(2.0 * np.max(_gains(total, edges))))
+        found.append(np.sqrt(2.0 * np.max(_gains(total, edges) - _price(len(edges)))))
     return np.array(found)
 
 
-def scan_p_value(gain: float, blocks: int) -> float:
-    """Probability that equal noise has so large a gain in some interval."""
-    return extrapolated(_null(blocks), float(np.sqrt(2.0 * gain)))
+def scan_p_value(score: float, blocks: int) -> float:
+    """Probability that equal noise has so large a score in some interval."""
+    return extrapolated(_null(blocks), float(np.sqrt(2.0 * score)))
 
 
 def _held_out(kind: _Kind) -> float:
@@ -244,7 +258,7 @@ def _held_out(kind: _Kind) -> float:
     for part in folds(len(squares), _FOLD_BLOCK):
         fold = ~part
         counted = np.concatenate([[0.0], np.cumsum(fold)])[edges.astype(int)]
-        gains = interval_gains(squares[fold], counted)
+        gains = kind.worth * interval_gains(squares[fold], counted) - _price(len(edges))
         i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
         inside = (place >= edges[i]) & (place < edges[j])
         whole = squares[fold].mean()
