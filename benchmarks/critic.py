@@ -53,7 +53,6 @@ OF_PAIRS = 3.0
 PAIRED = [c for c in CAUSES if c not in TERMS]
 SWEPT = ("sinusoid", "bias_step", "warm_up", "temperature", "variance_change")
 SWEEP = (0.6, 0.8, 1.0, 1.25, 1.5, 1.9, 2.4)
-FALSE_ALARMS = {"confusion": 0.005, "pairs": 0.005, "sensitivity": 0.01, "white": 0.01}
 #: Seeds of one multiple of a sweep are apart from those of the next.
 APART = 10_000
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -91,7 +90,7 @@ def examine(*task: Any) -> Row:
     begun = time.perf_counter()
     try:
         fit = aj.fit(recording, model) if model is not None else None
-        found = critique(recording, fit, false_alarms=FALSE_ALARMS[t.study])
+        found = critique(recording, fit)
     except (aj.AllanjaxError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         return row | {"error": f"{type(error).__name__}: {error}"}
     row["seconds"] = time.perf_counter() - begun

@@ -178,7 +178,7 @@ def examine(study: str, cause: str, multiple: float, seed: int) -> dict[str, Any
     if study == "hidden":
         recording, model = recording_of(hidden), model_without(hidden)
         fit = aj.fit(recording, model) if model is not None else None
-        found = critique(recording, fit, false_alarms=0.005)
+        found = critique(recording, fit)
         row["right"] = right(found, hidden.effects[0]) is not None
     return row
 

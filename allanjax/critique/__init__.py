@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from allanjax.cache import release_programs
 from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival
-from allanjax.critique.view import Candidate, Cause, Quantity, View
+from allanjax.critique.view import FALSE_ALARMS, Candidate, Cause, Quantity, View
 
 if TYPE_CHECKING:
     from allanjax.recording import Recording
@@ -32,7 +32,7 @@ def critique(
     fit: Fit | None = None,
     *,
     causes: Sequence[Cause] | None = None,
-    false_alarms: float = 0.005,
+    false_alarms: float = FALSE_ALARMS,
     progress: Callable[[str], None] | None = None,
 ) -> Critique:
     """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
@@ -48,8 +48,8 @@ def critique(
         fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
             are causes too; if they were chosen, the choice is made anew with every finding.
         causes: what to look for; by default `allanjax.critique.causes.CAUSES`.
-        false_alarms: probability that a recording without any effect has a finding. Basic terms that a
-            given model lacks are judged by their evidence (`Cause.margin`, odds of ten to one).
+        false_alarms: probability that a recording without any effect has a finding; it is shared by its
+            axes. Basic terms that a given model lacks come on top (`Cause.margin`, as often again).
         progress: is told what is being done.
 
     Raises:

@@ -23,7 +23,7 @@ from allanjax.critique.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critique.search import Search, basic_model, extended, search, view_of
+from allanjax.critique.search import Accepted, Search, basic_model, extended, search, view_of
 from allanjax.critique.step import Step
 from allanjax.critique.view import Cause, Quantity, View
 from allanjax.errors import AllanjaxError, FitError
@@ -72,15 +72,13 @@ def criticize(
     for result in given or ():
         if not result.converged:
             raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
-    # One share for each kind of cause and axis, and one for what axes have in common.
-    kinds = len({type(cause) for cause in causes}) + 1
-    alpha = false_alarms / (len(recording.axes) * kinds)
+    per_axis = false_alarms / len(recording.axes)
 
     def searched(k: int) -> Search:
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
         view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
-        return search(view, causes, alpha, tell)
+        return search(view, causes, per_axis, tell)
 
     # The work is in transforms and compiled functions, which run beside each other. Where the terms are
     # chosen the search needs no fit: it is for the report.
@@ -99,7 +97,11 @@ def criticize(
     )
     shared = tuple(
         common_mode(
-            recording.names, [w.z for w in last], [w.share(WHITE) for w in last], recording.rate, alpha
+            recording.names,
+            [w.z for w in last],
+            [w.share(WHITE) for w in last],
+            recording.rate,
+            Accepted.of(per_axis, causes).share,
         )
     )
 

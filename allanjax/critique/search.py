@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from allanjax.critique.noise import RAMP, family_of
 from allanjax.critique.refit import refitted
 from allanjax.critique.step import Step, strung
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, in_time
+from allanjax.critique.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, Quantity, View, in_time
 from allanjax.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.model import Model
 from allanjax.recording import Axis
@@ -49,19 +50,49 @@ class Search:
     restored: bool = False
 
 
-def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable[[str], None]) -> Search:
+class Accepted(NamedTuple):
+    """False findings that are accepted in one axis.
+
+    Attributes:
+        share: probability of one, for each kind of cause.
+        ratio: of all of them to those that margins and levels are for.
+    """
+
+    share: float
+    ratio: float
+
+    @classmethod
+    def of(cls, false_alarms: float, causes: Sequence[Cause]) -> Accepted:
+        """One share for each kind of cause, and one for what axes have in common."""
+        kinds = len({type(cause) for cause in causes}) + 1
+        return cls(false_alarms / kinds, false_alarms / FALSE_ALARMS)
+
+    def by(self, candidate: Candidate, cause: Cause) -> bool:
+        """Whether that is significant: with fewer accepted, the odds for it must be so much longer."""
+        level = self.share if cause.level is None else cause.level * self.ratio
+        return bool(candidate.gain >= cause.margin - np.log(self.ratio) and candidate.p_value < level)
+
+
+def search(
+    view: View, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
+) -> Search:
     """Find all causes in one axis.
 
     Args:
         view: the axis.
         causes: what to look for.
-        alpha: probability of a false finding, for each cause.
+        false_alarms: probability of a false finding.
         progress: is told what is being done.
     """
+    accepted = Accepted.of(false_alarms, causes)
     start, steps = view, []
     for cause in (c for c in causes if c.of_samples):
         candidate = cause.detect(view)
-        if candidate is not None and candidate.p_value < alpha and (gain := candidate.held_out()) > 0.0:
+        if (
+            candidate is not None
+            and candidate.p_value < accepted.share
+            and (gain := candidate.held_out()) > 0.0
+        ):
             steps.append(Step.of(candidate, gain, (), view))
             view = candidate.after
     restored = bool(steps)
@@ -76,11 +107,11 @@ def search(view: View, causes: Sequence[Cause], alpha: float, progress: Callable
     while len(steps) < _MOST and rounds < 2 * _MOST:
         rounds += 1
         candidates, left = _candidates(view, others, offered, progress)
-        step = _chosen(candidates, view, alpha)
+        step = _chosen(candidates, view, accepted)
         if step is None and left:
             more, left = _candidates(view, left, {}, progress)
             candidates += more
-            step = _chosen(candidates, view, alpha)
+            step = _chosen(candidates, view, accepted)
         if step is None:
             texts = (_undecided(candidate, view) for _, candidate in candidates)
             notes = tuple(text for text in texts if text)
@@ -135,13 +166,12 @@ def _undecided(candidate: Candidate, view: View) -> str:
     return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
 
 
-def _chosen(candidates: Sequence[tuple[Cause, Candidate]], view: View, alpha: float) -> Step | None:
+def _chosen(candidates: Sequence[tuple[Cause, Candidate]], view: View, accepted: Accepted) -> Step | None:
     """The candidate that explains most, if it is significant and holds on data that it has not seen."""
     by_gain = sorted(candidates, key=lambda pair: -pair[1].gain)
     ranked = [candidate for _, candidate in by_gain]
     for cause, candidate in by_gain:
-        level = alpha if cause.level is None else cause.level
-        if candidate.gain < cause.margin or not candidate.p_value < level:
+        if not accepted.by(candidate, cause):
             continue
         gain = candidate.held_out()
         if not gain > 0.0:

@@ -26,6 +26,8 @@ _STEADY: tuple[tuple[str, ...], ...] = (
 )
 #: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one.
 MARGIN = 3.0
+#: Probability of a false finding in a record of one axis, for which margins and levels are.
+FALSE_ALARMS = 0.01
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 
@@ -329,9 +331,9 @@ class Cause(ABC):
     name: str
     #: Whether it is read off the samples themselves and must be undone before anything else is looked at.
     of_samples: ClassVar[bool] = False
-    #: Log-evidence that it must gain beyond the basic terms [nats], all prices paid.
+    #: Log-evidence that it must gain beyond the basic terms [nats], all prices paid, at `FALSE_ALARMS`.
     margin: ClassVar[float] = MARGIN
-    #: Probability of a false finding that is accepted; None for a share of what the critique may have.
+    #: Its own probability of a false finding at these; None for a share of what the critique may have.
     level: ClassVar[float | None] = None
     #: Whether it is fitted again when later findings change what it was fitted beside: at once, since others
     #: would be taken for what it lacks, or at last.

@@ -1,0 +1,130 @@
+"""The odds of an effect, against sums over all levels that the noise may have and all its shapes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.fft import dct
+from scipy.stats import kstest
+from test_critique_parts import AXIS, POWERS, N, covariances, simulated, view_of
+
+from allanjax.critique.bank import step_bank
+from allanjax.critique.causes.bias_step import BiasStep
+from allanjax.critique.causes.variance_change import VarianceChange
+from allanjax.critique.marginal import _products, log_evidence
+from allanjax.critique.noise import family_of
+from allanjax.critique.search import Accepted
+from allanjax.critique.view import EVERYTHING, FALSE_ALARMS, Candidate, View
+from allanjax.critique.weighing import Sets
+
+DECADES = np.log1p(1e4)
+#: Amplitudes that such records hardly tell from none: below, the prior is uniform.
+KNEES = {"angle_random_walk": 0.25, "rate_random_walk": 0.12}
+LEVELS, LARGEST = 30, 300.0
+
+
+def levels(name):
+    """Coefficients, and the logarithms of their prior probabilities, half of which is that of none."""
+    top = np.log1p(LARGEST)
+    y = (np.arange(LEVELS) + 0.5) * top / LEVELS
+    return [(0.0, 0.0), *((KNEES[name] * np.expm1(u), np.log(top / LEVELS / DECADES)) for u in y)]
+
+
+def summed_odds(x, steps):
+    """By dense matrices: a sum over white noise, random walk, steps and amplitudes of both signs."""
+    D = dct(np.eye(N), norm="ortho", axis=0)[1:]
+    c, h = D @ x, steps @ D.T
+    white, walk = (D @ covariances(N)[name] @ D.T for name in POWERS)
+    units, width = np.linspace(-40.0, 40.0, 1001, retstep=True)
+    prior = -np.log(2.0 * DECADES * (1.0 + abs(units))) + np.log(width)
+    without, with_step = [], []
+    for a, price in levels("angle_random_walk"):
+        for b, other in levels("rate_random_walk"):
+            if a == b == 0.0:
+                continue
+            L = np.linalg.cholesky(a**2 * white + b**2 * walk)
+            z, H = np.linalg.solve(L, c), np.linalg.solve(L, h.T)
+            snr = (H.T @ z) / np.linalg.norm(H, axis=0)
+            each = np.logaddexp.reduce(np.outer(units, snr) + (prior - 0.5 * units**2)[:, None], axis=0)
+            without.append(price + other - 0.5 * z @ z - np.log(np.diag(L)).sum())
+            with_step.append(without[-1] + np.logaddexp.reduce(each) - np.log(len(each)))
+    return np.logaddexp.reduce(with_step) - np.logaddexp.reduce(without)
+
+
+def odds(x):
+    """As the search finds them: from the best of steps in each noise, which is chosen anew without it."""
+    view = dataclasses.replace(view_of(x), allowed=tuple(POWERS))
+    bank, places = step_bank(N)
+    found = []
+    for noise in view.noises:
+        for _ in range(2):
+            scan = bank.scan(view, noise)
+            k, a = scan.best, float(scan.amplitude[scan.best])
+            after = view.with_x(x - a * (np.arange(N) >= places[k]))
+            noise = after.noise
+        found.append(log_evidence(view, after, bank, k, a) - view.total)
+    return max(found), summed_odds(x, (np.arange(N) >= places[:, None]).astype(float))
+
+
+def test_the_odds_of_a_step_are_those_of_all_noise_and_all_steps():
+    """That of the best noise with the best step to the best one without is off by 0.7 nats rms."""
+    heights, seeds = (0.0, 1.5, 3.0, 6.0), range(4)
+    found = np.array(
+        [
+            odds(simulated(N, 1, np.random.default_rng(seed))[0] + height * (np.arange(N) >= 50))
+            for height in heights
+            for seed in seeds
+        ]
+    )
+    error = found[:, 0] - found[:, 1]
+    # Laplace's integral over coefficients of which one may be nought, in 128 samples.
+    assert np.sqrt(np.mean(error**2)) < 0.5
+    assert np.max(abs(error)) < 1.0
+    # There are steps among these, and records without one.
+    assert found[:, 1].min() < -1.0
+    assert found[:, 1].max() > 10.0
+
+
+def test_products_leave_out_what_is_free():
+    """A ramp in one set of two, and another step: as the matched filters do, which are least squares."""
+    rng = np.random.default_rng(7)
+    x = simulated(N, 1, rng)[0] + 0.05 * np.arange(N) + 2.0 * (np.arange(N) >= 90)
+    bank, places = step_bank(N)
+    beside = bank.shapes[len(places) // 4]
+    view = dataclasses.replace(view_of(x), beside=(beside,))
+    noise = view.weighing.best(("angle_random_walk", "rate_random_walk", "drift_ramp"), ("drift_ramp",))
+    level = sum(p * view.family.unit(name, 0)[0] for name, p in noise.power.items())
+    sets = Sets(np.zeros(2), np.stack([level, level]), np.array([True, False]))
+    cross, gram = _products(view, bank, sets)
+    for row, ramp in enumerate(sets.ramp):
+        scan = bank.scan(view, dataclasses.replace(noise, ramp=bool(ramp)))
+        others = abs(gram[row]) > 1e-6 * gram[row].max()
+        # Levels of bins and of single coefficients differ by less than a percent.
+        assert (cross / np.sqrt(gram))[row, others] == pytest.approx(scan.snr[others], abs=0.02)
+        assert cross[row, others] / gram[row, others] == pytest.approx(scan.amplitude[others], abs=0.02)
+
+
+def test_the_p_value_of_a_change_of_variance_is_uniform():
+    """Changes that last and those that do not are counted, each as often as it may be there."""
+    rng, n, rate = np.random.default_rng(11), 8192, 10.0
+    found = []
+    for _ in range(200):
+        x = rng.standard_normal(n)
+        view = View(AXIS, 1.0, rate, x, x, None, {}, EVERYTHING, family_of(n, rate), np.zeros(n, bool))
+        found.append(VarianceChange().p_value(view))
+    # One in a thousand sets of uniform values is rejected.
+    assert kstest(found, "uniform").pvalue > 1e-3
+
+
+def test_of_six_axes_each_may_have_a_sixth_of_the_false_findings():
+    """Odds that an axis has by chance once in a hundred records are found in six axes six times as often."""
+    x = np.zeros(N)
+    step = Candidate("bias_step", {}, 2.0, 1e-3, view_of(x), lambda: 1.0, (0.0, 1.0), "time")
+    cause = BiasStep()
+    for axes in (1, 6):
+        accepted = Accepted.of(FALSE_ALARMS / axes, [cause])
+        least = cause.margin + float(np.log(axes))
+        for gain in (least - 0.01, least + 0.01):
+            assert accepted.by(dataclasses.replace(step, gain=gain), cause) is (gain > least)
+        probable = dataclasses.replace(step, gain=10.0, p_value=1.01 * cause.level / axes)
+        assert not accepted.by(probable, cause)
