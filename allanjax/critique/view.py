@@ -107,6 +107,11 @@ class View:
         return self.weighing.sets(self.allowed).total
 
     @functools.cached_property
+    def basic_total(self) -> float:
+        """The same whichever basic terms there are, also those that the model lacks."""
+        return self.weighing.sets({*EVERYTHING, *self.allowed}).total
+
+    @functools.cached_property
     def _behind(self) -> Behind:
         return Behind.of(self.family, self.factor)
 

@@ -140,7 +140,8 @@ class Weighing:
         values, powers, near = self._weighed(allowed, required)
         near = near[values[near] > values[near].max() - _FAR_LESS]
         jobs, grid = self.family.jobs, self._columns(_grid(allowed))
-        shaped, optional = jobs.terms[near, -1], len(set(allowed) - set(required))
+        names = {name for name, _ in self._members(_grid(allowed))}
+        shaped, optional = jobs.terms[near, -1], len(names & set(allowed) - set(required))
         level = powers[near, :-1] @ self.family.columns[: len(FIXED)]
         level += powers[near, -1:] * grid[jobs.column[near]]
         weighed = values[near] - np.where(shaped, np.log(GRID), 0.0) - optional * np.log(2.0)

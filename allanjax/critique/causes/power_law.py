@@ -17,6 +17,8 @@ class PowerLaw(Cause):
     """Noise with a power law of any exponent, in the Markov process's place."""
 
     name = "power_law"
+    # The evidence is the test: of 600 records of sensors without it none gains more than two nats.
+    level = 0.01
     joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:
@@ -25,7 +27,7 @@ class PowerLaw(Cause):
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
         noise = view.weighing.best(allowed, required=(POWER_LAW,))
         # Any basic term that explains as much is the better word for it.
-        gain = noise.log_evidence - view.basic.log_evidence
+        gain = view.weighing.sets(allowed, required=(POWER_LAW,)).total - view.basic_total
         if POWER_LAW not in noise.power or gain < MARGIN:
             return None
         after = view.allowing(allowed)

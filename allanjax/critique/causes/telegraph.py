@@ -13,7 +13,7 @@ from allanjax import terms
 from allanjax.critique.bank import Bank, folds
 from allanjax.critique.causes.additive import additive
 from allanjax.critique.noise import centred
-from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, in_time
+from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
 _BLOCKS = 2048
 _LEAST_JUMPS = 3
@@ -68,7 +68,7 @@ class Telegraph(Cause):
         if candidate is None:
             return None
         # Any basic term that the model lacks and that explains as much is the better word for it.
-        gain = candidate.gain + view.total - view.weighing.sets([*EVERYTHING, *view.allowed]).total
+        gain = candidate.gain + view.total - view.basic_total
         p_value = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
         return dataclasses.replace(candidate, gain=gain, p_value=p_value, held_out=held_out)

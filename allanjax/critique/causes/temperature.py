@@ -22,8 +22,8 @@ class Temperature(Cause):
     """coefficient · channel(t − lag), for every auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"
-    # Units do feel the temperature: even odds with the noise that would do as well.
-    margin = 0.5
+    # Units do feel the temperature: shorter odds than of other causes will do.
+    margin = 1.5
     joint = "at once"
 
     def detect(self, view: View) -> Candidate | None:

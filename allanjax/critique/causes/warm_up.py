@@ -20,7 +20,7 @@ class WarmUp(Cause):
     """a·exp(−t/T), T from a five hundredth of the record to its half: beyond, it is a ramp."""
 
     name = "warm_up"
-    # Units do warm up.
+    # Units do warm up: shorter odds than of other causes will do.
     margin = 1.0
     joint = "at once"
 
