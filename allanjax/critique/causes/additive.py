@@ -50,7 +50,6 @@ def additive(
         k = scan.best
         if abs(scan.snr[k]) < _WORTH or k in tried:
             continue
-        taken, a = k, 0.0
         # At first the noise is chosen without what the bank has of the shape, which costs no transform.
         for exact in (False, True):
             for _ in range(_ROUNDS):

@@ -106,9 +106,8 @@ class VarianceChange(Cause):
         i, j = np.unravel_index(int(np.argmax(score)), score.shape)
         # The mean over those that last to an end, of which each counts fully, and the others together.
         count = 2.0 * len(kinds) * np.sum(_lasting(len(score)))
-        mean = float(
-            np.logaddexp.reduce(np.concatenate([s[_intervals(len(s))] for s in scores])) - np.log(count)
-        )
+        each = np.concatenate([s[_intervals(len(s))] for s in scores])
+        mean = float(np.logaddexp.reduce(each) - np.log(count))
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
         louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
@@ -175,7 +174,7 @@ def _price(edges: int) -> Float[np.ndarray, "k k"]:
     """What an interval costs that does not last to an end: there are so many more of these [nats]."""
     lasting = _lasting(edges)
     others = _intervals(edges) & ~lasting
-    return np.where(others, np.log(max(others.sum(), 1) / lasting.sum()), 0.0)
+    return np.where(others, np.log(others.sum() / lasting.sum()), 0.0)
 
 
 def interval_gains(
