@@ -18,6 +18,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from allanjax.cosine import SpectralDesign
 from allanjax.design import AllanDesign, Design
 from allanjax.deterministic import LINE_REACH, AxisSpectrum, line_columns
+from allanjax.errors import FitError
 from allanjax.linalg import whiten
 from allanjax.model import Model, ModelParameter
 from allanjax.result import AxisFit, Fit

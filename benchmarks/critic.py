@@ -46,6 +46,7 @@ from hidden_verdict import (
 
 import allanjax as aj
 from allanjax.critique import critique
+from allanjax.critique.view import FALSE_ALARMS
 
 MULTIPLES = (2.0, 5.0)
 #: Two effects in one record; basic terms, which a fit must lack to hide them, are not among these.
@@ -215,7 +216,7 @@ def alarm_text(clean: list[Row]) -> str:
     text = (
         f"{len(clean)} records, share with any finding: {share(np.array([bool(r['named']) for r in clean]))}"
     )
-    text += f" (asked for: {FALSE_ALARMS['confusion']})."
+    text += f" (asked for: {FALSE_ALARMS:g})."
     if alarms:
         text += f" Found: {', '.join(f'{cause} {count}' for cause, count in which)}."
         text += f" Seeds: {', '.join(str(row['seed']) for row in alarms)}."
@@ -349,7 +350,7 @@ def report(rows: list[Row], seconds: float) -> str:
         parts += [
             "## How small effects may be\n",
             "Multiple of the limit at which half are found and rightly named (probit regression), and the "
-            f"share found at each, in %; false alarms {FALSE_ALARMS['sensitivity']:g}.\n",
+            f"share found at each, in %; false alarms {FALSE_ALARMS:g}.\n",
             sensitivity_table(swept) + "\n",
         ]
     if clean:

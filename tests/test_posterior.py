@@ -10,6 +10,7 @@ from gamma_levels import K, Likelihood, N, quadrature, spectral_levels
 
 from allanjax.absent import absent_amplitude
 from allanjax.errors import AllanjaxError, FitError
+from allanjax.likelihood import likelihood
 from allanjax.posterior import PosteriorWarning, sample
 from allanjax.priors import LogUniform, ModifiedLogUniform, Uniform, default_priors
 from allanjax.sampling import LogPosterior, Options, Target, first_walkers, run, split_r_hat
@@ -191,6 +192,8 @@ def test_what_cannot_be_done_is_refused(two_terms, arguments, complaint):
 def test_an_axis_without_a_fit_has_no_posterior(half_failed_fit):
     with pytest.raises(FitError, match="gyro_y: no posterior, the start was hopeless"):
         sample(half_failed_fit)
+    with pytest.raises(FitError, match="gyro_y: no result to sample around, the start was hopeless"):
+        likelihood(half_failed_fit, "gyro_y")
 
 
 # --- Terms that are absent ----------------------------------------------------------------------------------
