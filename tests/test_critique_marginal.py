@@ -95,7 +95,8 @@ def test_products_leave_out_what_is_free():
     noise = view.weighing.best(("angle_random_walk", "rate_random_walk", "drift_ramp"), ("drift_ramp",))
     level = sum(p * view.family.unit(name, 0)[0] for name, p in noise.power.items())
     sets = Sets(np.zeros(2), np.stack([level, level]), np.array([True, False]))
-    cross, gram = _products(view, bank, sets)
+    # What was found twice is no reason to fail.
+    cross, gram = _products(dataclasses.replace(view, beside=(beside, beside)), bank, sets)
     for row, ramp in enumerate(sets.ramp):
         scan = bank.scan(view, dataclasses.replace(noise, ramp=bool(ramp)))
         others = abs(gram[row]) > 1e-6 * gram[row].max()

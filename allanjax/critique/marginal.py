@@ -67,8 +67,8 @@ def _products(view: View, bank: Bank, sets: Sets) -> _Products:
         mixed = np.stack([sums(bank.shapes * (weight * h))[:, some].T for h in free], axis=-1)
         with_record = sums(free * (weight * view.c[:J]))[:, some].T
         among = np.moveaxis(sums(free[:, None] * free * weight)[..., some], -1, 0)
-        inverse = np.linalg.inv(among)
-        along = mixed @ inverse
+        # Not the inverse: two of them may be the same.
+        along = mixed @ np.linalg.pinv(among, hermitian=True)
         cross[some] -= np.einsum("skf,sf->sk", along, with_record)
         gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), _NOTHING * gram[some])
     return _Products(cross, gram)
