@@ -29,8 +29,9 @@ class Telegraph(Cause):
     """Two levels. How likely the record is is summed over all paths between them (a hidden Markov chain)."""
 
     name = "telegraph"
-    # The evidence is the test: noise alone gains as much less often than this.
-    level = 0.01
+    # The evidence is the test, and what it holds on other data: of 600 records of sensors without an effect
+    # none has both.
+    level = 0.05
 
     def detect(self, view: View) -> Candidate | None:
         blocks = min(_BLOCKS, view.n // 8)
