@@ -27,7 +27,7 @@ from allanjax.critique.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critique.story import sentence, telling
+from allanjax.critique.story import left, sentence, telling
 from allanjax.critique.view import Quantity
 from allanjax.critique.words import describe, filled, parameters, quantity, suited
 from allanjax.errors import AllanjaxError
@@ -242,6 +242,20 @@ def test_sizes(measured, simulated, text):
     d = Discrepancy("allan_deviation", 0.7, "s", measured, simulated, "mg", 1e-30)
     assert text in describe(d)
     assert describe(d).endswith("(p = 1e-30)")
+
+
+@pytest.mark.parametrize(
+    ("simulated", "p", "text"),
+    [
+        (1.38, 0.3, "within 38 %"),
+        (2.42, 0.3, "within 140 %"),
+        (1.0001, 0.3, "within 0.1 %"),
+        (1.38, 1e-30, "38 % high"),
+    ],
+)
+def test_what_is_left(simulated, p, text):
+    d = Discrepancy("psd", 0.5, "Hz", 1.0, simulated, "mg²/Hz", 1e-30)
+    assert left(d, dataclasses.replace(d, p_value=p)) == text
 
 
 # --- Pictures -----------------------------------------------------------------------------------------------

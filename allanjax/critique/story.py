@@ -14,7 +14,7 @@ from allanjax.critique.result import (
     DriftChange,
     Finding,
 )
-from allanjax.critique.words import describe, factor_off, filled, p_value, parameters, what
+from allanjax.critique.words import describe, factor_off, filled, p_value, parameters, percent, what
 from allanjax.recording import Axis
 from allanjax.result import title_of
 
@@ -96,8 +96,9 @@ def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
 def left(before: Discrepancy, after: Discrepancy) -> str:
     """What remains of a discrepancy, e.g. "within 0.5 %"."""
     if before.statistic in _RATIOS and np.isfinite(after.size):
-        within = max(abs(100.0 * after.size), 0.1)
-        return f"within {within:.2g} %" if after.p_value > UNEXPLAINED else factor_off(after.size)
+        if after.p_value < UNEXPLAINED:
+            return factor_off(after.size)
+        return f"within {percent(max(abs(after.size), 1e-3))}"
     return "gone" if after.p_value > UNEXPLAINED else f"still there ({p_value(after.p_value)})"
 
 

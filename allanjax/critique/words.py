@@ -127,9 +127,13 @@ def factor_off(size: float) -> str:
         return f"{_factor(1.0 + size)} times too high"
     if size < -0.95:
         return f"{_factor(1.0 / max(1.0 + size, 1e-300))} times too low"
-    percent = abs(100.0 * size)
-    number = f"{percent:.2g}" if percent < 99.5 else f"{round(percent, -1):.0f}"
-    return f"{number} % {'low' if size < 0.0 else 'high'}"
+    return f"{percent(size)} {'low' if size < 0.0 else 'high'}"
+
+
+def percent(size: float) -> str:
+    """E.g. "38 %", "160 %"."""
+    size = abs(100.0 * size)
+    return f"{size:.2g} %" if size < 99.5 else f"{round(size, -1):.0f} %"
 
 
 def _factor(x: float) -> str:
