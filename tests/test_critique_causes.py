@@ -86,7 +86,7 @@ def test_two_steps_that_undo_each_other_are_both_found():
     k = np.arange(n)
     there, back = 0.46, 0.51
     x = rng.standard_normal(n) + 0.35 * ((k >= there * n) & (k < back * n))
-    found = search(view_of(x), [BiasStep()], 0.01, lambda text: None)
+    found = search(view_of(x), [BiasStep()], 2e-3, lambda text: None)
     assert [step.candidate.cause for step in found.steps] == ["bias_step", "bias_step"]
     steps = sorted(found.steps, key=lambda step: step.candidate.span)
     for step, time, amplitude in zip(steps, (there, back), (0.35, -0.35), strict=True):

@@ -27,7 +27,7 @@ def view_of(x):
 
 
 def searched(x, *causes):
-    return search(view_of(x), causes, 0.01, lambda text: None)
+    return search(view_of(x), causes, 2e-3, lambda text: None)
 
 
 def numbers(candidate):

@@ -24,8 +24,8 @@ from allanjax.critique.view import View
 _DRAWS = 400
 _GROWTH = 0.6
 _FOLD_BLOCK = 8
-# Share of a shape's square below which nothing of it is left beside what is free.
-_NOTHING = 1e-12
+#: Share of a shape's square below which nothing of it is left beside what is free.
+NOTHING = 1e-12
 #: Parts of a record, each held out in turn.
 PARTS = 8
 #: Effects that are slow: so many of the lowest coefficients have all of them that noise leaves.
@@ -126,7 +126,7 @@ class Bank:
         if columns:
             free = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
         common = self.shapes @ (free / root[:, None])
-        left = np.maximum(own - np.sum(common**2, axis=1), _NOTHING * own)
+        left = np.maximum(own - np.sum(common**2, axis=1), NOTHING * own)
         return Matched(self.shapes, root, e - free @ (e @ free), free, common, np.sqrt(left))
 
     def scan(self, view: View, noise: Noise) -> Scan:

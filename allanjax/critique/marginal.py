@@ -7,12 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.critique.bank import Bank, amplitude_price
+from allanjax.critique.bank import NOTHING, Bank, amplitude_price
 from allanjax.critique.view import View
 from allanjax.critique.weighing import Sets
-
-# Share of a shape's square below which nothing of it is left beside what is free.
-_NOTHING = 1e-12
 
 
 class _Products(NamedTuple):
@@ -48,8 +45,7 @@ def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: flo
 def _products(view: View, bank: Bank, sets: Sets) -> _Products:
     """What is free beside the shapes (a set's ramp, shapes that were taken out) being projected out."""
     J = bank.shapes.shape[1]
-    size = view.family.size.astype(int)
-    first = np.cumsum(size) - size
+    first = view.family.bins.first[view.family.keep] - 1
     first = first[first < J]
     weight = np.ones(J) if view.factor is None else 1.0 / view.factor[:J]
 
@@ -70,5 +66,5 @@ def _products(view: View, bank: Bank, sets: Sets) -> _Products:
         # Not the inverse: two of them may be the same.
         along = mixed @ np.linalg.pinv(among, hermitian=True)
         cross[some] -= np.einsum("skf,sf->sk", along, with_record)
-        gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), _NOTHING * gram[some])
+        gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), NOTHING * gram[some])
     return _Products(cross, gram)

@@ -147,8 +147,21 @@ class Weighing:
         weighed = values[near] - np.where(shaped, np.log(GRID), 0.0) - optional * np.log(2.0)
         return Sets(weighed + self.constant, level, jobs.ramp[near])
 
-    def _weighed(self, allowed: Collection[str], required: Sequence[str] = ()) -> _Weighed:
-        """Of all sets, −∞ if they are not possible; only those that may be best are at their maximum."""
+    def _weighed(self, allowed: Collection[str], required: Sequence[str]) -> _Weighed:
+        """Of all sets, −∞ if they are not possible; only those that may be best are at their maximum.
+
+        The best set, the likely ones and all of them are asked for in turn.
+        """
+        asked = frozenset(allowed), frozenset(required)
+        if asked not in self._known:
+            self._known[asked] = self._carried(allowed, required)
+        return self._known[asked]
+
+    @functools.cached_property
+    def _known(self) -> dict[tuple[frozenset[str], frozenset[str]], _Weighed]:
+        return {}
+
+    def _carried(self, allowed: Collection[str], required: Sequence[str]) -> _Weighed:
         grid = _grid(allowed)
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()

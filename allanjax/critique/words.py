@@ -111,8 +111,8 @@ def what(d: Discrepancy) -> str:
         "tails": f"residuals have an excess kurtosis of {value}",
         "largest_residual": f"a residual of {value} σ at {place}, simulations reach {simulated} σ",
         "lattice": "samples are multiples of one step",
-        "repeated_values": f"{_share(d.measured)} of samples repeat the one before, "
-        f"simulated {_share(d.simulated)}",
+        "repeated_values": f"{percent(d.measured)} of samples repeat the one before, "
+        f"simulated {percent(d.simulated)}",
         "window_mean": f"residuals have a mean of {value} σ around {place}",
         "cross_correlation": f"residuals correlate by {value} with those of {d.channel}",
         "auxiliary_correlation": f"{value} {unit} follow {d.channel}, {simulated} by chance",
@@ -138,10 +138,6 @@ def percent(size: float) -> str:
 
 def _factor(x: float) -> str:
     return f"{x:.2g}" if x < 10.0 else f"{x:,.0f}" if x < 1e6 else f"{x:.0e}"
-
-
-def _share(x: float) -> str:
-    return f"{100.0 * x:.2g} %"
 
 
 def filled(text: str, width: int, first: str = "", rest: str = "") -> str:
