@@ -2,44 +2,33 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from allanjax import cli_critique, cli_fleet
+from allanjax.accumulator import accumulate
 from allanjax.cli_common import (
     RESULTS,
-    AccelUnit,
-    Columns,
     Files,
-    GyroUnit,
-    ObjectiveName,
     Out,
-    Rate,
-    Regressors,
-    Sensor,
-    Start,
-    Stop,
-    Terms,
-    Time,
-    TimeUnit,
     epilog,
     exit_if_failed,
-    fit_model,
-    names_in,
-    parsed_model,
     prepare,
     print_error,
     result_names,
     stage,
 )
+from allanjax.cli_options import Sensor, parsed_model, with_options
+from allanjax.io import read_recording
+from allanjax.io.chunks import open_chunks
+from allanjax.options import FitOptions
 
 if TYPE_CHECKING:
-    from allanjax.model import Model
     from allanjax.recording import Recording
     from allanjax.result import Fit
     from allanjax.spectrum import PowerSpectrum
@@ -93,19 +82,10 @@ def _common(
         "allanjax characterize week.parquet --stream",
     ),
 )
+@with_options
 def characterize(
     files: Files,
-    rate: Rate = None,
-    gyro_unit: GyroUnit = None,
-    accel_unit: AccelUnit = None,
-    columns: Columns = None,
-    time: Time = None,
-    time_unit: TimeUnit = None,
-    start: Start = None,
-    stop: Stop = None,
-    terms: Terms = None,
-    objective: ObjectiveName = "allan",
-    regressors: Regressors = None,
+    options: FitOptions,
     stream: Annotated[
         bool,
         typer.Option(
@@ -122,15 +102,6 @@ def characterize(
     from allanjax.errors import AllanjaxError
     from allanjax.export import SCHEMA_VERSION, to_dict, write_results
 
-    model = None if terms is None else fit_model(terms)
-    options = {
-        "rate": rate,
-        "gyro_unit": gyro_unit,
-        "accel_unit": accel_unit,
-        "columns": columns,
-        "time": time,
-    }
-    options |= {"time_unit": time_unit, "start": start, "stop": stop}
     directory = out if as_json else out or RESULTS
     prepare()
     fits: list[dict[str, Any]] = []
@@ -139,9 +110,9 @@ def characterize(
         try:
             spectrum: Future[PowerSpectrum] | None = None
             if stream:
-                fit = _accumulate_and_fit(file, options, model, objective, names_in(regressors))
+                fit = _accumulate_and_fit(file, options)
             else:
-                spectrum, fit = _read_and_fit(file, options, model, objective, names_in(regressors))
+                spectrum, fit = _read_and_fit(file, options)
             if directory is not None:
                 with stage(f"{file}: writing results"):
                     drawn = None if spectrum is None else spectrum.result()
@@ -257,7 +228,7 @@ def demo(
             recording = demo_recording()
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        spectrum, fit = _read_and_fit(file, {}, None)
+        spectrum, fit = _read_and_fit(file, FitOptions())
         with stage("writing results"):
             paths = write_results(fit, spectrum.result(), out, file.stem)
     comparisons = compare(fit)
@@ -270,53 +241,35 @@ def demo(
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
 
 
-def _read_and_fit(
-    file: Path,
-    options: dict[str, Any],
-    model: "Model | None",
-    objective: Literal["allan", "whittle"] = "allan",
-    regressors: Sequence[str] = (),
-) -> "tuple[Future[PowerSpectrum], Fit]":
+def _read_and_fit(file: Path, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
     """The fit of a file's recording, and its spectrum, which is estimated while the fit compiles."""
-    with stage(f"{file}: loading allanjax"):
-        from allanjax.fit import fit
-        from allanjax.io import read
     with stage(f"{file}: reading"):
-        recording = read(file, **options)
+        recording = read_recording(file, options.reading)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
     with (
         stage(f"{file}: fitting {size} (the first run on a machine also compiles)"),
         ThreadPoolExecutor(1) as pool,
     ):
         spectrum = pool.submit(_spectrum, recording)
-        return spectrum, fit(recording, model, objective, regressors=regressors)
+        return spectrum, options.fit(recording)
 
 
-def _accumulate_and_fit(
-    file: Path,
-    options: dict[str, Any],
-    model: "Model | None",
-    objective: Literal["allan", "whittle"],
-    regressors: Sequence[str],
-) -> "Fit":
+def _accumulate_and_fit(file: Path, options: FitOptions) -> "Fit":
     """The fit of a file that is never in memory as a whole."""
     from allanjax.errors import AllanjaxError
 
-    if regressors:
+    if options.regressors:
         raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
-    with stage(f"{file}: loading allanjax"):
-        from allanjax.accumulator import accumulate
-        from allanjax.io import read_chunks
     with stage(f"{file}: reading") as say:
 
         def progress(done: int, total: int | None) -> None:
             share = f" of {total:,} ({100.0 * done / total:.0f} %)" if total else ""
             say(f"{file}: {done:,}{share} samples read")
 
-        accumulator = accumulate(read_chunks(file, **options), progress=progress)
+        accumulator = accumulate(open_chunks(file, options.reading), progress=progress)
     size = f"{accumulator.n:,} samples of {len(accumulator.axes)} axes"
     with stage(f"{file}: fitting {size} (the first run on a machine also compiles)"):
-        return accumulator.fit(model, objective)
+        return options.fit_accumulated(accumulator)
 
 
 def _spectrum(recording: "Recording") -> "PowerSpectrum":

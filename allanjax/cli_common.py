@@ -1,63 +1,19 @@
-"""What commands share: options of reading and fitting, progress, errors, and names of results."""
+"""What commands share: files, progress, errors, and names of results."""
 
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from allanjax.model import Model
-
-Sensor = Literal["gyro", "accel"]
 
 RESULTS = Path("allanjax-results")
 
 Files = Annotated[
     list[Path],
     typer.Argument(help="Recordings: CSV and other text, Parquet, .npy, .npz or .mat.", metavar="FILE"),
-]
-Rate = Annotated[float | None, typer.Option(help="Sample rate in Hz; needed if the file has no time stamps.")]
-GyroUnit = Annotated[
-    str | None,
-    typer.Option(
-        help="Unit of the gyros if the header has none: deg/s, rad/s, deg/h, ...; rad for increments."
-    ),
-]
-AccelUnit = Annotated[
-    str | None,
-    typer.Option(
-        help="Unit of the accelerometers if the header has none: m/s^2, g, mg, ...; m/s for increments."
-    ),
-]
-Columns = Annotated[
-    str | None,
-    typer.Option(
-        help="Columns to read, or a name for each in order, - to skip one, e.g. time,gyro_x,-,gyro_z."
-    ),
-]
-Time = Annotated[str | None, typer.Option(help="Column of time stamps; none to ignore them.")]
-TimeUnit = Annotated[str | None, typer.Option(help="Unit of the time stamps: s, ms, us or ns.")]
-Start = Annotated[float | None, typer.Option(help="Leave out what is before this time, in s.")]
-Stop = Annotated[float | None, typer.Option(help="Leave out what is from this time on, in s.")]
-Terms = Annotated[
-    str | None,
-    typer.Option(
-        help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
-        "markov(correlation_time=100 s held)'. Without: those of the five basic terms and a Markov "
-        "process that the data call for, by their evidence."
-    ),
-]
-ObjectiveName = Annotated[
-    Literal["allan", "whittle"],
-    typer.Option(help="Fit the Allan variances, or the spectrum by Whittle's likelihood: better for lines."),
-]
-Regressors = Annotated[
-    str | None,
-    typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
 ]
 Out = Annotated[
     Path | None,
@@ -69,33 +25,6 @@ def epilog(*examples: str) -> str:
     """Examples and exit codes, a line each: typer breaks lines at empty ones only."""
     codes = "Exit codes: 0 success; 1 bad input, or an axis without result; 2 a wrong command line."
     return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
-
-
-def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
-    """The model that --terms writes down; a wrong command line if it writes down none."""
-    from allanjax.errors import AllanjaxError
-    from allanjax.notation import parse_model
-
-    try:
-        return parse_model(terms, sensor)
-    except AllanjaxError as error:
-        raise typer.BadParameter(str(error), param_hint="--terms") from error
-
-
-def fit_model(terms: str) -> "Model":
-    """The model that a fit is to start from: without amplitudes, which are what it estimates."""
-    model = parsed_model(terms)
-    for p in model.parameters:
-        if p.parameter.kind == "amplitude" and p.start is not None:
-            raise typer.BadParameter(
-                f"{p.label} is what the fit estimates; leave out its value", param_hint="--terms"
-            )
-    return model
-
-
-def names_in(text: str | None) -> list[str]:
-    """The names of a comma-separated list."""
-    return [] if text is None else [name.strip() for name in text.split(",")]
 
 
 def prepare() -> None:

@@ -10,16 +10,8 @@ import typer
 
 from allanjax.cli_common import (
     RESULTS,
-    AccelUnit,
-    Columns,
     Files,
-    GyroUnit,
     Out,
-    Rate,
-    Start,
-    Stop,
-    Time,
-    TimeUnit,
     epilog,
     exit_if_failed,
     prepare,
@@ -27,6 +19,8 @@ from allanjax.cli_common import (
     result_names,
     stage,
 )
+from allanjax.cli_options import with_options
+from allanjax.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
     from allanjax.critique.result import Critique
@@ -44,16 +38,10 @@ EPILOG = epilog(
 )
 
 
+@with_options
 def critique_command(
     files: Files,
-    rate: Rate = None,
-    gyro_unit: GyroUnit = None,
-    accel_unit: AccelUnit = None,
-    columns: Columns = None,
-    time: Time = None,
-    time_unit: TimeUnit = None,
-    start: Start = None,
-    stop: Stop = None,
+    reading: ReadOptions,
     out: Out = None,
     as_json: Annotated[
         bool,
@@ -67,15 +55,13 @@ def critique_command(
     from allanjax.critique.export import SCHEMA_VERSION, to_dict
     from allanjax.errors import AllanjaxError
 
-    options = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "columns": columns}
-    options |= {"time": time, "time_unit": time_unit, "start": start, "stop": stop}
     directory = out if as_json else out or RESULTS
     prepare()
     critiques: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []
     for file, name in zip(files, result_names(files), strict=True):
         try:
-            found = _read_and_criticize(file, options)
+            found = _read_and_criticize(file, reading)
             paths = [] if directory is None else _write(found, directory, name, file)
         except (AllanjaxError, OSError) as error:
             errors.append({"file": str(file), "message": str(error)})
@@ -101,12 +87,11 @@ def critique_command(
     exit_if_failed(errors, files)
 
 
-def _read_and_criticize(file: Path, options: dict[str, Any]) -> "Critique":
+def _read_and_criticize(file: Path, reading: ReadOptions) -> "Critique":
     with stage(f"{file}: loading allanjax"):
         from allanjax.critique import critique
-        from allanjax.io import read
     with stage(f"{file}: reading"):
-        recording = read(file, **options)
+        recording = read_recording(file, reading)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
     with stage(f"{file}: fitting {size} (the first run on a machine also compiles)") as tell:
         return critique(recording, progress=lambda text: tell(f"{file}: {text}"))

@@ -9,25 +9,14 @@ import typer
 
 from allanjax.cli_common import (
     RESULTS,
-    AccelUnit,
-    Columns,
-    GyroUnit,
-    ObjectiveName,
-    Rate,
-    Regressors,
-    Start,
-    Stop,
-    Terms,
-    Time,
-    TimeUnit,
     epilog,
     exit_if_failed,
-    fit_model,
-    names_in,
     prepare,
     print_error,
     stage,
 )
+from allanjax.cli_options import with_options
+from allanjax.options import FitOptions
 
 if TYPE_CHECKING:
     from allanjax.fleet import Progress
@@ -46,6 +35,7 @@ EPILOG = epilog(
 )
 
 
+@with_options
 def fleet_command(
     patterns: Annotated[
         list[str],
@@ -54,17 +44,7 @@ def fleet_command(
             metavar="PATTERN",
         ),
     ],
-    rate: Rate = None,
-    gyro_unit: GyroUnit = None,
-    accel_unit: AccelUnit = None,
-    columns: Columns = None,
-    time: Time = None,
-    time_unit: TimeUnit = None,
-    start: Start = None,
-    stop: Stop = None,
-    terms: Terms = None,
-    objective: ObjectiveName = "allan",
-    regressors: Regressors = None,
+    options: FitOptions,
     out: Annotated[
         Path, typer.Option(help="Folder for the results, from which a later run goes on.")
     ] = RESULTS,
@@ -81,7 +61,6 @@ def fleet_command(
 ) -> None:
     from allanjax.errors import AllanjaxError
 
-    model = None if terms is None else fit_model(terms)
     prepare()
     with stage("loading allanjax"):
         from allanjax.fleet import characterize_fleet
@@ -90,21 +69,11 @@ def fleet_command(
             result = characterize_fleet(
                 patterns,
                 out,
-                model,
-                objective,
-                regressors=names_in(regressors),
                 workers=workers,
                 scheduler=scheduler,
                 piece=piece,
                 progress=progress,
-                rate=rate,
-                gyro_unit=gyro_unit,
-                accel_unit=accel_unit,
-                columns=columns,
-                time=time,
-                time_unit=time_unit,
-                start=start,
-                stop=stop,
+                **options.arguments(),
             )
     except (AllanjaxError, OSError) as error:
         print_error(str(error))

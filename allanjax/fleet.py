@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any
 from allanjax.accumulator import AllanAccumulator, accumulate
 from allanjax.errors import AllanjaxError
 from allanjax.export import to_dict
-from allanjax.fit import Objective, fit
+from allanjax.fit import Objective
 from allanjax.fleet_cluster import Call, connected, outcomes, submitted
 from allanjax.fleet_files import matching_files, recording_names
 from allanjax.fleet_table import fleet_table, rows_of, write_table
-from allanjax.io import read, read_chunks
+from allanjax.io import ReadOptions, read_recording
+from allanjax.io.chunks import open_chunks
 from allanjax.model import Model
+from allanjax.options import FitOptions
 from allanjax.recording import Axis, rows_between
 from allanjax.result import Fit, title_of
 from allanjax.terms import NoiseTerm
@@ -42,32 +44,6 @@ _NAMED_UNITS = 5
 _SHORTEST_PIECE = 100_000
 # Of text, which does not say how many rows it has.
 _ROW_BYTES = 40
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """How each recording of a fleet is read and fitted.
-
-    Attributes:
-        reading: arguments of `read`: rate, gyro_unit, accel_unit, columns, time, ...
-        model, objective, regressors: as `fit` takes them.
-    """
-
-    reading: Mapping[str, Any] = field(default_factory=dict)
-    model: Model | None = None
-    objective: Objective = "allan"
-    regressors: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The options in JSON's types; equal if, and only if, the options are."""
-        # As text: JSON has no infinity.
-        model = self.model and [[p.label, p.free, repr(p.start)] for p in self.model.parameters]
-        return {
-            "reading": {key: value for key, value in sorted(self.reading.items()) if value is not None},
-            "model": model,
-            "objective": self.objective,
-            "regressors": list(self.regressors),
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +159,8 @@ def characterize_fleet(
         raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
     out = Path(out)
     paths = matching_files(files, out)
-    options = FitOptions(reading, None if model is None else Model(()) + model, objective, tuple(regressors))
+    added = None if model is None else Model(()) + model
+    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors))
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
@@ -215,8 +192,7 @@ def characterize_recording(path: str | os.PathLike[str], options: FitOptions) ->
     Raises:
         AllanjaxError: as `read` and `fit` do.
     """
-    recording = read(path, **options.reading)
-    return fit(recording, options.model, options.objective, regressors=options.regressors)
+    return options.fit(read_recording(path, options.reading))
 
 
 def _check_workers(workers: int | None, scheduler: str | None) -> None:
@@ -243,40 +219,40 @@ def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Ca
     return _characterize_pieces, (pieces, options)
 
 
-def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, dict[str, Any]]]:
-    """First sample, and arguments of `read_chunks`, of each piece of a long recording; none of another."""
+def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, ReadOptions]]:
+    """First sample, and how to read it, of each piece of a long recording; none of another."""
     try:
         size = path.stat().st_size
         # A sample takes a byte at least.
         if size < piece or options.regressors:
             return []
-        recording = read_chunks(path, **options.reading)
+        recording = open_chunks(path, options.reading)
     except (AllanjaxError, OSError):
         # The worker that reads it as a whole will say what is wrong.
         return []
     # Time stamps would give each piece a rate of its own.
-    reading = {**options.reading, "rate": recording.rate}
+    reading = replace(options.reading, rate=recording.rate)
     if recording.n is None:
         return [(0, reading)] if size > _ROW_BYTES * piece else []
     if recording.n <= piece:
         return []
-    begin, end = reading.get("start"), reading.get("stop")
+    begin, end = reading.start, reading.stop
     firsts = range(0, recording.n, piece)
     origin = rows_between(sys.maxsize, recording.rate, begin, None).start
     # Half-way between two samples: time stamps need not be exact.
     times = [(origin + first - 0.5) / recording.rate for first in firsts[1:]]
     stretches = zip(firsts, [begin, *times], [*times, end], strict=True)
-    return [(first, {**reading, "start": start, "stop": stop}) for first, start, stop in stretches]
+    return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in stretches]
 
 
-def _accumulate(path: Path, reading: Mapping[str, Any], first: int) -> AllanAccumulator:
+def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulator:
     """What a worker does with a piece of a recording."""
-    return accumulate(read_chunks(path, **reading), start=first)
+    return accumulate(open_chunks(path, reading), start=first)
 
 
 def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> dict[str, Any]:
     """What a worker does with all pieces of a recording."""
-    return to_dict(reduce(AllanAccumulator.merge, pieces).fit(options.model, options.objective))
+    return to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))
 
 
 def _key(path: Path, options: FitOptions) -> dict[str, Any] | None:

@@ -109,7 +109,7 @@ def test_files_of_one_name_do_not_overwrite_each_other(recorded, small_recording
 def test_an_axis_without_result_is_an_error_and_the_results_are_written(
     recorded, half_failed_fit, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", lambda *args, **options: half_failed_fit)
+    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: half_failed_fit)
     result = run("characterize", recorded)
     assert result.exit_code == 1
     assert f"error: {recorded}: gyro_y: no result, the start was hopeless" in result.stderr
@@ -148,7 +148,7 @@ def test_bad_input_exits_with_1_and_says_why(content, options, message):
 
 
 def test_a_folder_of_results_that_cannot_be_made_is_an_error(recorded, half_failed_fit, monkeypatch):
-    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", lambda *args, **options: half_failed_fit)
+    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: half_failed_fit)
     result = run("characterize", recorded, "--out", recorded / "inside")
     assert result.exit_code == 1
     assert str(recorded) in result.stderr
@@ -158,7 +158,7 @@ def test_a_bug_is_not_dressed_up_as_bad_input(recorded, monkeypatch):
     def broken(*args, **options):
         raise KeyError("bug")
 
-    monkeypatch.setattr(sys.modules["allanjax.fit"], "fit", broken)
+    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", broken)
     with pytest.raises(KeyError):
         run("characterize", recorded)
 

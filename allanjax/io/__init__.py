@@ -9,12 +9,12 @@ from allanjax.io.binary import read_mat, read_npy, read_npz, read_parquet
 from allanjax.io.chunks import ChunkedRecording, read_chunks
 from allanjax.io.formats import format_of, name_of
 from allanjax.io.hdf5 import read_hdf5
-from allanjax.io.layout import TimeChoice
+from allanjax.io.options import ReadOptions, TimeChoice
 from allanjax.io.text import read_text
 from allanjax.io.writers import write
 from allanjax.recording import Recording
 
-__all__ = ["ChunkedRecording", "read", "read_chunks", "write"]
+__all__ = ["ChunkedRecording", "ReadOptions", "read", "read_chunks", "read_recording", "write"]
 
 _READERS = {
     "parquet": read_parquet,
@@ -62,16 +62,16 @@ def read(
         RecordingError: the file or the arguments are not usable; the message says where and what to do.
         UnitError: a unit is missing, unknown or contradictory.
     """
-    path = Path(path)
-    return assemble(
-        _READERS[format_of(path)](path, str(path)),
-        name_of(path),
-        rate=rate,
-        gyro_unit=gyro_unit,
-        accel_unit=accel_unit,
-        columns=columns,
-        time=time,
-        time_unit=time_unit,
-        start=start,
-        stop=stop,
+    return read_recording(
+        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop)
     )
+
+
+def read_recording(path: str | os.PathLike[str], options: ReadOptions) -> Recording:
+    """What `read` does with these options.
+
+    Raises:
+        RecordingError, UnitError: as `read`.
+    """
+    path = Path(path)
+    return assemble(_READERS[format_of(path)](path, str(path)), name_of(path), options)

@@ -1,12 +1,11 @@
 """From a file's columns to a recording."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from allanjax.columns import Column
 from allanjax.errors import RecordingError
-from allanjax.io.layout import TimeChoice, find_layout
+from allanjax.io.layout import find_layout
+from allanjax.io.options import ReadOptions
 from allanjax.io.table import Table, as_float, is_numeric
 from allanjax.io.timestamps import (
     MAX_RATE_DIFFERENCE,
@@ -18,35 +17,23 @@ from allanjax.recording import Recording, build, rows_between
 from allanjax.validation import Source, check_length, check_rate
 
 
-def assemble(
-    table: Table,
-    name: str,
-    *,
-    rate: float | None,
-    gyro_unit: str | None,
-    accel_unit: str | None,
-    columns: str | Sequence[str] | None,
-    time: TimeChoice,
-    time_unit: str | None,
-    start: float | None,
-    stop: float | None,
-) -> Recording:
-    """Make a recording of a table; the arguments are those of `allanjax.io.read`.
+def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
+    """Make a recording of a table.
 
     Raises:
         RecordingError, UnitError: the table or the arguments are not usable.
     """
     source = table.source
-    layout = find_layout(table, columns, time, gyro_unit, accel_unit)
+    layout = find_layout(table, options)
     notes = [*table.notes, *layout.notes]
-    rate = stated_rate(table, rate)
+    rate = stated_rate(table, options.rate)
     samples = len(table.columns[0])
     check_length(samples, source)
     if layout.time:
         stamps = [(column, table.columns[i]) for i, column in layout.time]
-        times, _, time_notes = seconds_from_first(stamps, time_unit, rate, source)
+        times, _, time_notes = seconds_from_first(stamps, options.time_unit, rate, source)
         notes += time_notes
-        rows = rows_of_times(times, start, stop)
+        rows = rows_of_times(times, options.start, options.stop)
         source = source.after(rows.start)
         check_length(rows.stop - rows.start, source)
         label = " + ".join(column.label for column, _ in stamps)
@@ -55,7 +42,7 @@ def assemble(
     elif rate is None:
         raise no_rate_error(source)
     else:
-        rows = rows_between(samples, rate, start, stop)
+        rows = rows_between(samples, rate, options.start, options.stop)
         source = source.after(rows.start)
     if rows != slice(0, samples):
         notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} taken")
@@ -71,8 +58,8 @@ def assemble(
         values,
         rate,
         [column for _, column in layout.axes],
-        gyro_unit,
-        accel_unit,
+        options.gyro_unit,
+        options.accel_unit,
         auxiliary,
         name,
         notes,

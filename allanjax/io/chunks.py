@@ -13,7 +13,8 @@ from allanjax.io.assembly import no_rate_error, rows_of_times, stated_rate
 from allanjax.io.binary import chunked_npy, chunked_parquet
 from allanjax.io.formats import format_of, name_of
 from allanjax.io.hdf5 import chunked_hdf5
-from allanjax.io.layout import Layout, TimeChoice, find_layout
+from allanjax.io.layout import Layout, find_layout
+from allanjax.io.options import ReadOptions, TimeChoice
 from allanjax.io.table import ChunkedTable, as_float
 from allanjax.io.text import chunked_text
 from allanjax.io.timestamps import gap_in_stream, rate_from_times, seconds_from_first
@@ -110,6 +111,17 @@ def read_chunks(
         RecordingError: the file or the arguments are not usable, as far as the first chunk shows.
         UnitError: a unit is missing, unknown or contradictory.
     """
+    return open_chunks(
+        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop), chunk
+    )
+
+
+def open_chunks(path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20) -> ChunkedRecording:
+    """What `read_chunks` does with these options.
+
+    Raises:
+        RecordingError, UnitError: as `read_chunks`.
+    """
     path = Path(path)
     source = Source(str(path))
     if chunk < 1:
@@ -125,16 +137,17 @@ def read_chunks(
     if first is None:
         raise source.error("the file has no rows; give a file with one row of numbers per sample")
     head = table.head(first)
-    layout = find_layout(head, columns, time, gyro_unit, accel_unit)
+    layout = find_layout(head, options)
     notes = [*table.notes, *layout.notes]
-    rate = stated_rate(head, rate)
-    axes, axis_notes = axes_of([column for _, column in layout.axes], gyro_unit, accel_unit, source)
-    n = table.n
+    rate = stated_rate(head, options.rate)
+    columns = [column for _, column in layout.axes]
+    axes, axis_notes = axes_of(columns, options.gyro_unit, options.accel_unit, source)
+    n, start, stop = table.n, options.start, options.stop
     if layout.time:
         stamps = [(column, first[i]) for i, column in layout.time]
-        unit, time_notes = seconds_from_first(stamps, time_unit, rate, table.source)[1:]
+        unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)[1:]
         notes += time_notes
-        stretch = _Stretch(table, layout, unit or time_unit, start, stop, chunk)
+        stretch = _Stretch(table, layout, unit or options.time_unit, start, stop, chunk)
         times, place = stretch.first_times()
         check_length(len(times), place)
         rate, note = rate_from_times(times, stretch.time_label, rate, place, gap_in_stream)

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from allanjax.columns import Column, recognise, split_unit
+from allanjax.io.options import ReadOptions, TimeChoice
 from allanjax.io.table import Table
 from allanjax.recording import check_axes, default_names
 from allanjax.units import SENSORS
 
-TimeChoice = str | Literal[False] | None
 Indexed = tuple[int, Column]
 
 _SKIP = ("-", "_", "")
@@ -25,26 +24,21 @@ class Layout:
     notes: tuple[str, ...]
 
 
-def find_layout(
-    table: Table,
-    columns: str | Sequence[str] | None,
-    time: TimeChoice,
-    gyro_unit: str | None,
-    accel_unit: str | None,
-) -> Layout:
-    """Tell what each column is, by the user's `columns`, else by the labels, else by the units given.
+def find_layout(table: Table, options: ReadOptions) -> Layout:
+    """Tell what each column is, by the user's columns, else by the labels, else by the units given.
 
     Raises:
         RecordingError: that can not be told, two columns are the same axis, or a triad lacks one.
     """
     notes: list[str] = []
-    if columns is not None:
-        found = _chosen(table, columns)
+    if options.columns is not None:
+        found = _chosen(table, options.columns)
     elif table.labels is not None:
         _check_labels(table)
         found = [(i, recognise(label)) for i, label in enumerate(table.labels)]
     else:
-        names = default_names(len(table.columns), gyro_unit, accel_unit, "columns= (--columns)", table.source)
+        units = options.gyro_unit, options.accel_unit
+        names = default_names(len(table.columns), *units, "columns= (--columns)", table.source)
         found = [(i, recognise(name)) for i, name in enumerate(names)]
         notes.append(f"the file has no header; column order taken as {', '.join(names)}")
     found = [
@@ -53,7 +47,7 @@ def find_layout(
         else (i, column)
         for i, column in found
     ]
-    chosen_time = _chosen_time(table, found, time, notes)
+    chosen_time = _chosen_time(table, found, options.time, notes)
     taken = {i for i, _ in chosen_time}
     axes = tuple((i, column) for i, column in found if column.role == "axis" and i not in taken)
     if not axes:
@@ -62,7 +56,7 @@ def find_layout(
             "name the columns by columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
         )
     check_axes([column for _, column in axes], table.source)
-    if columns is None:
+    if options.columns is None:
         _check_triads(table, [column for _, column in axes])
     renamed = [
         f"{column.name} from {column.label!r}"
