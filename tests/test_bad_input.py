@@ -231,6 +231,15 @@ def test_gap(text, noise):
     _fails(path, "gap of 0.36 s", rate=100)
 
 
+def test_one_lost_sample_is_a_gap(text, noise):
+    """It makes an interval twice as long; a late stamp that makes one 1.4 times as long does not."""
+    times = np.arange(N) / 100
+    lost = text(_timed(np.delete(noise, 20, axis=0), np.delete(times, 20)))
+    _fails(lost, "gap of 0.02 s (2 intervals)", "line 22", "the only gap")
+    late = text(_timed(noise, times + np.where(np.arange(N) < 20, 0.0, 0.004)))
+    assert read(late).n == N
+
+
 @pytest.mark.parametrize(("time", "said"), [(0.09, "repeats"), (0.02, "is earlier than")])
 def test_stamps_that_do_not_increase(text, noise, time, said):
     times = np.arange(N) / 100

@@ -243,9 +243,10 @@ def test_time_is_ignored_on_request(tmp_path, noise):
 @pytest.mark.parametrize("with_time", [True, False])
 def test_start_and_stop(tmp_path, noise, with_time):
     columns, header = ([9.0 + STEP / RATE], ["time [s]"]) if with_time else ([], [])
-    path = _text(tmp_path / "imu.csv", [*columns, *noise.T], [*header, *HEADER])
+    path = _text(tmp_path / "imu.csv", [*columns, *noise.T, 20.0 + STEP], [*header, *HEADER, "temperature"])
     recording = read(path, rate=RATE, start=0.1, stop=0.4)
     np.testing.assert_allclose(recording.own_values, noise[10:40])
+    np.testing.assert_array_equal(recording.auxiliary["temperature"], 20.0 + STEP[10:40])
     assert "samples 10 to 39 of 50 taken" in recording.notes
 
 

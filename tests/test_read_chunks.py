@@ -149,14 +149,15 @@ def test_hdf5_of_matrices_groups_and_scalars(tmp_path, noise):
     check(path, 1000)
 
 
-def test_matlab_7_3_is_transposed(tmp_path, noise):
-    """As MATLAB writes it: columns are rows, text is numbers, a header of 512 bytes."""
+@pytest.mark.parametrize("shape", [(1, ROWS), (ROWS, 1)])
+def test_matlab_7_3_is_transposed(tmp_path, noise, shape):
+    """As MATLAB writes it: columns are rows, vectors either way, text as numbers, a header of 512 bytes."""
     path = tmp_path / "imu.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in (
             ("gyro", noise[:, :3].T),
             ("accel", noise[:, 3:].T),
-            ("t", np.arange(ROWS)[None] / RATE),
+            ("t", np.arange(ROWS).reshape(shape) / RATE),
         ):
             file[name] = values
             file[name].attrs["MATLAB_class"] = np.bytes_("double")
@@ -254,6 +255,13 @@ def test_gap_of_the_stamps(tmp_path, frame, row):
     assert sum(map(len, read_chunks(path, chunk=1000, stop=stop))) == row - 1
     assert sum(map(len, read_chunks(path, chunk=1000, start=start))) == ROWS - row
     assert sum(map(len, read_chunks(path, chunk=1000, time=False, rate=RATE))) == ROWS
+
+
+def test_one_lost_sample_is_a_gap(tmp_path, frame):
+    """In the first chunk and in a later one."""
+    for row in (20, 2020):
+        path = save(frame.drop(index=row), tmp_path / "imu.parquet")
+        fails(path, "gap of 0.02 s (2 intervals)", f"row {row} ")
 
 
 def test_stamps_that_go_wrong(tmp_path, frame):
