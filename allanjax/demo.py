@@ -78,8 +78,8 @@ def comparison_table(comparisons: Iterable[Comparison]) -> "Table":
     for heading in ("axis", "coefficient", "found", "put in", "95 %"):
         table.add_column(heading)
     for comparison in comparisons:
-        c = comparison.found
-        truth = replace(c, value=comparison.truth).in_unit().value
+        c = comparison.found.in_unit()
+        truth = replace(comparison.found, value=comparison.truth).in_unit().value
         table.add_row(
             c.axis.name,
             c.title,

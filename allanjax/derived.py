@@ -11,73 +11,71 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.estimate import Estimate
 from allanjax.model import Model
 from allanjax.recording import Axis
-from allanjax.result import format_interval, format_with_error
-from allanjax.units import convert, unit_scale
+from allanjax.wording import format_interval
 
 # Draws whose curves are evaluated at once: terms without a closed form need room.
 _AT_ONCE = 16
 
 
-@dataclasses.dataclass(frozen=True)
-class Derived:
-    """The posterior of something that follows from the coefficients, in SI.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Derived(Estimate):
+    """The posterior of something that follows from the coefficients, in SI; `in_unit` converts.
 
     Attributes:
         name: what it is.
-        axis: whose it is.
-        unit: its usual unit, e.g. "deg/h" or "s".
-        median, std: median and standard deviation.
+        value, std: median and standard deviation.
         interval_68, interval: hold 68 and 95 % of the posterior, as much of the rest on either side.
+        usual: its `usual_unit`.
         remark: what to bear in mind, e.g. that it lies beyond the record; "" if nothing.
+        axis, unit: see `Estimate`.
     """
 
     name: str
-    axis: Axis
-    unit: str
-    median: float
-    std: float
-    interval_68: tuple[float, float]
-    interval: tuple[float, float]
+    usual: str
     remark: str = ""
 
     @classmethod
     def of(
-        cls, name: str, axis: Axis, unit: str, draws: Float[np.ndarray, " draws"], remark: str = ""
+        cls, name: str, axis: Axis, usual_unit: str, draws: Float[np.ndarray, " draws"], remark: str = ""
     ) -> Derived:
         """From draws [SI]."""
         low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
         # Draws that agree to rounding do not scatter.
         std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0
-        return cls(name, axis, unit, median, std, (low_68, high_68), (low, high), remark)
-
-    def in_unit(self, unit: str | None = None) -> Derived:
-        """A copy whose numbers are in this unit (by default the usual one) instead of SI.
-
-        Raises:
-            UnitError: for an unknown unit or one of another dimension.
-        """
-        chosen = unit or self.unit
-        factor = convert(1.0, self.unit, chosen, self.axis.sensor) / unit_scale(self.unit, self.axis.sensor)
-        return dataclasses.replace(
-            self,
-            unit=chosen,
-            median=self.median * factor,
-            std=self.std * factor,
-            interval_68=(self.interval_68[0] * factor, self.interval_68[1] * factor),
-            interval=(self.interval[0] * factor, self.interval[1] * factor),
+        return cls(
+            name=name,
+            axis=axis,
+            value=median,
+            std=std,
+            interval=(low, high),
+            interval_68=(low_68, high_68),
+            usual=usual_unit,
+            remark=remark,
         )
 
-    def describe(self, unit: str | None = None) -> str:
-        """E.g. "2.31 ± 0.12 deg/h (95 %: 2.094 … 2.561)", with the remark."""
-        shown = self.in_unit(unit)
-        text = f"{format_with_error(shown.median, shown.std)} {shown.unit}"
-        text += f" (95 %: {format_interval(*shown.interval)})"
-        return f"{text}; {self.remark}" if self.remark else text
+    @property
+    def median(self) -> float:
+        """Half of the posterior lies below it."""
+        return self.value
 
-    def __str__(self) -> str:
-        return f"{self.axis.name} {self.name}: {self.describe()}"
+    @property
+    def title(self) -> str:
+        """Its name."""
+        return self.name
+
+    @property
+    def usual_unit(self) -> str:
+        """Its unit for people, e.g. "deg/h"."""
+        return self.usual
+
+    def _amount(self) -> str:
+        return f"{super()._amount()} (95 %: {format_interval(*self.interval)})"
+
+    def _sentence(self, amount: str) -> str:
+        return f"{amount}; {self.remark}" if self.remark else amount
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,8 +83,8 @@ class BiasMinimum:
     """The lowest point of the Allan deviation's curve.
 
     Attributes:
-        deviation: its height [rad/s or m/s²].
-        cluster_time: where it lies [s].
+        deviation: its height.
+        cluster_time: where it lies.
         at_start, at_end: share of the draws whose curve is lowest at one sample, or at half the record.
     """
 
@@ -96,7 +94,7 @@ class BiasMinimum:
     at_end: float
 
     def __str__(self) -> str:
-        return f"{self.deviation}\n{self.cluster_time}"
+        return f"{self.deviation.in_unit()}\n{self.cluster_time.in_unit()}"
 
 
 def with_draw(

@@ -15,14 +15,10 @@ from allanjax.recording import Axis
 from allanjax.result import AxisFit, Coefficient, Fit
 from allanjax.selection import AxisSelection, TermSelection
 from allanjax.spectrum import PowerSpectrum
-from allanjax.units import Sensor, default_coefficient_unit, parse_sample_unit, unit_scale
+from allanjax.units import Sensor, parse_sample_unit, unit_scale
 
 SCHEMA_VERSION = 1
 
-_SI_UNITS: dict[Sensor, dict[float, str]] = {
-    "gyro": {1.0: "rad", 0.5: "rad/√s", 0.0: "rad/s", -0.5: "rad/s/√s", -1.0: "rad/s²"},
-    "accel": {1.0: "m/s", 0.5: "m/s/√s", 0.0: "m/s²", -0.5: "m/s²/√s", -1.0: "m/s³"},
-}
 _SI_RATE: dict[Sensor, str] = {"gyro": "rad/s", "accel": "m/s²"}
 
 
@@ -83,10 +79,11 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
             rows.append([result.axis.name, *[""] * len(header), result.reason])
             continue
         for c in result.coefficients.values():
-            n = _numbers(c.in_unit())
+            shown = c.in_unit()
+            n = _numbers(shown)
             numbers = [n["value"], n["std"], *n["interval_95"]]
             flags = [str(c.detected).lower(), str(c.held).lower()]
-            rows.append([result.axis.name, c.label, *numbers, c.unit, *flags, n["upper_limit_95"], ""])
+            rows.append([result.axis.name, c.label, *numbers, shown.unit, *flags, n["upper_limit_95"], ""])
     _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
 
 
@@ -132,7 +129,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {
             "labels": [c.label for c in coefficients],
-            "units": [_si_unit(c) for c in coefficients],
+            "units": [c.si_unit for c in coefficients],
             "values": [[_finite(x) for x in row] for row in covariance],
         },
         "selection": None if selection is None else _ranking(selection[result.axis.name]),
@@ -156,6 +153,7 @@ def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
 
 
 def _coefficient(c: Coefficient) -> dict[str, Any]:
+    shown, si = c.in_unit(), c.in_unit(c.si_unit)
     return {
         "label": c.label,
         "term": c.term,
@@ -163,9 +161,9 @@ def _coefficient(c: Coefficient) -> dict[str, Any]:
         "kind": c.parameter.kind,
         "detected": c.detected,
         "held": c.held,
-        "unit": c.unit,
-        **_numbers(c.in_unit()),
-        "si": {"unit": _si_unit(c), **_numbers(c)},
+        "unit": shown.unit,
+        **_numbers(shown),
+        "si": {"unit": si.unit, **_numbers(si)},
     }
 
 
@@ -177,14 +175,6 @@ def _numbers(c: Coefficient) -> dict[str, Any]:
         "interval_95": [_finite(x) for x in c.interval],
         "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
     }
-
-
-def _si_unit(c: Coefficient) -> str:
-    if c.parameter.kind != "amplitude":
-        return c.unit
-    exponent = float(c.parameter.time_exponent)
-    usual = _SI_UNITS[c.axis.sensor].get(exponent)
-    return usual or default_coefficient_unit(c.axis.sensor, exponent)
 
 
 def _rate_unit(axis: Axis) -> tuple[str, float]:

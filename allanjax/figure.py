@@ -235,7 +235,7 @@ def set_scales(
 
 def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEntry:
     """A term with its coefficients, detected or not."""
-    found = [c for c in result.coefficients.values() if c.term == term]
+    found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
     amplitude, name = found[0], title_of(term, result.axis)
     if amplitude.detected and len(found) > 1:
         text = f"{name}: " + ", ".join(f"{c.parameter.symbol} = {c.describe()}" for c in found)

@@ -5,8 +5,8 @@ frequency. Its mean is above the white noise's density by what these contribute,
 alone can tell. So a rough sum of white and other noise is fitted to the whole spectrum, to know how much.
 """
 
-from dataclasses import dataclass, replace
-from typing import cast
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
@@ -112,7 +112,7 @@ def flattest(
     return int(first[best]), int(last[best])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpectralRandomWalk(Coefficient):
     """N from a flat part of a power spectral density, Hou (2004) eq. (3.41); a `Coefficient` with its band.
 
@@ -122,13 +122,11 @@ class SpectralRandomWalk(Coefficient):
         excess: what other noise seems to add to N; part of `std` and of the intervals, not of `value`.
     """
 
+    NUMBERS: ClassVar[tuple[str, ...]] = (*Coefficient.NUMBERS, "excess")
+
     band: tuple[float, float] = (0.0, 0.0)
     degrees_of_freedom: float = 0.0
     excess: float = 0.0
-
-    def in_unit(self, unit: str | None = None) -> "SpectralRandomWalk":
-        shown = cast(SpectralRandomWalk, super().in_unit(unit))
-        return replace(shown, excess=self.excess * shown.value / self.value)
 
 
 def spectral_random_walk(

@@ -12,8 +12,9 @@ from jaxtyping import Float
 from allanjax.allan import AllanDeviation
 from allanjax.errors import AllanjaxError
 from allanjax.posterior import AxisPosterior, Posterior
-from allanjax.result import Coefficient, Fit, format_with_error
+from allanjax.result import Coefficient, Fit
 from allanjax.units import unit_scale
+from allanjax.wording import format_with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,7 +59,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     import matplotlib.pyplot as plt
 
     marginals = [posterior.coefficients[label] for label in posterior.labels]
-    scales = np.array([unit_scale(m.unit, m.axis.sensor) if m.unit != "1" else 1.0 for m in marginals])
+    scales = np.array([unit_scale(m.usual_unit, m.axis.sensor) for m in marginals])
     draws = posterior.draws / scales
     count = len(marginals)
     side = count * _CORNER_PANEL + (count - 1) * _CORNER_GAP
@@ -121,7 +122,7 @@ def _label(panel: Axes, marginals: Sequence[Coefficient], row: int, column: int)
 
 def _name(m: Coefficient) -> str:
     """E.g. "bias instability\nB [deg/h]"."""
-    unit = "" if m.unit == "1" else f" [{m.unit}]"
+    unit = "" if m.usual_unit == "1" else f" [{m.usual_unit}]"
     return f"{_wrapped(m.title)}\n{m.parameter.symbol}{unit}"
 
 

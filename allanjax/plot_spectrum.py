@@ -252,7 +252,7 @@ def _key(
                 entries.append(term_entry(fit, result, label, remark))
     if walk is not None:
         low, high = walk.band
-        text = f"N by eq. (3.41): {walk.describe()} ({low:.3g} to {high:.3g} Hz)"
+        text = f"N by eq. (3.41): {walk.in_unit().describe()} ({low:.3g} to {high:.3g} Hz)"
         entries.append(KeyEntry(wrapped(text), {"color": _BAND, "linewidth": 7.0, "solid_capstyle": "butt"}))
     elif spectrum.axes is not None:
         entries.append(KeyEntry(wrapped("N by eq. (3.41): nowhere flat over an octave")))

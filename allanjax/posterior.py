@@ -16,9 +16,10 @@ from allanjax.marginals import Marginal
 from allanjax.model import Model
 from allanjax.priors import Prior
 from allanjax.recording import Axis
-from allanjax.result import Fit, format_interval
+from allanjax.result import Fit
 from allanjax.text_table import html_table, text_table
 from allanjax.units import default_coefficient_unit
+from allanjax.wording import format_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -277,7 +278,7 @@ class Posterior:
                         "upper_68": shown.interval_68[1],
                         "lower_95": shown.interval[0],
                         "upper_95": shown.interval[1],
-                        "unit": m.unit,
+                        "unit": shown.unit,
                         "detected": m.detected,
                         "upper_limit_95": shown.upper_limit,
                     }
@@ -310,9 +311,10 @@ class Posterior:
         rows = []
         for result in self.results:
             for m in result.coefficients.values():
+                shown = m.in_unit()
                 known = m.detected and not m.held
-                interval = format_interval(*m.in_unit().interval) if known else ""
-                rows.append((result.axis.name, m.title, m.describe(), interval))
+                interval = format_interval(*shown.interval) if known else ""
+                rows.append((result.axis.name, m.title, shown.describe(), interval))
             rows.append((result.axis.name, "", result.verdict(), ""))
         return rows
 

@@ -6,17 +6,19 @@ import dataclasses
 import html
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.allan import AllanDeviation
 from allanjax.errors import FitError
+from allanjax.estimate import Estimate
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.terms import Parameter
-from allanjax.units import Sensor, convert, default_coefficient_unit, unit_scale
+from allanjax.units import Sensor, default_coefficient_unit
+from allanjax.wording import format_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,83 +28,58 @@ if TYPE_CHECKING:
     from allanjax.selection import TermSelection
 
 
-@dataclasses.dataclass(frozen=True)
-class Coefficient:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Coefficient(Estimate):
     """One estimated parameter of the model of one axis.
 
-    All numbers are in SI; `in_unit` gives them in a unit for people.
+    In a fit all numbers are in SI; `in_unit` gives them in a unit for people.
 
     Attributes:
         label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time".
         term: name of its term.
         parameter: what it is.
-        axis: whose it is.
         value: the estimate; zero for an amplitude that the data do not call for.
-        std: its standard deviation.
         interval: 95 % interval; its lower end is zero where zero is not excluded.
-        interval_68: 68 % interval.
         upper_limit: one-sided 95 % limit, of an amplitude.
         detected: whether zero is excluded.
         held: whether the value was given and not estimated.
+        axis, std, interval_68, unit: see `Estimate`.
     """
+
+    NUMBERS: ClassVar[tuple[str, ...]] = (*Estimate.NUMBERS, "upper_limit")
 
     label: str
     term: str
     parameter: Parameter
-    axis: Axis
-    value: float
-    std: float
-    interval: tuple[float, float]
-    interval_68: tuple[float, float]
     upper_limit: float | None
     detected: bool
     held: bool = False
-
-    @property
-    def unit(self) -> str:
-        """The usual unit of such a coefficient, e.g. "deg/√h"."""
-        return usual_unit(self.parameter, self.axis.sensor)
 
     @property
     def title(self) -> str:
         """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
         return title_of(self.label, self.axis)
 
-    def in_unit(self, unit: str | None = None) -> Coefficient:
-        """A copy whose numbers are in this unit (by default the usual one) instead of SI.
+    @property
+    def usual_unit(self) -> str:
+        """The unit of such a coefficient for people, e.g. "deg/√h"."""
+        return usual_unit(self.parameter, self.axis.sensor)
 
-        Raises:
-            UnitError: for an unknown unit or one of another dimension.
-        """
-        if unit is None:
-            factor = 1.0 / unit_scale(self.unit, self.axis.sensor)
-        else:
-            factor = convert(1.0, self.unit, unit, self.axis.sensor)
-            factor /= unit_scale(self.unit, self.axis.sensor)
-        limit = None if self.upper_limit is None else self.upper_limit * factor
-        return dataclasses.replace(
-            self,
-            value=self.value * factor,
-            std=self.std * factor,
-            interval=(self.interval[0] * factor, self.interval[1] * factor),
-            interval_68=(self.interval_68[0] * factor, self.interval_68[1] * factor),
-            upper_limit=limit,
-        )
-
-    def describe(self, unit: str | None = None) -> str:
-        """E.g. "0.512 ± 0.007 deg/√h", or "not detectable, below 3.2 deg/h (95 %)"."""
-        shown = self.in_unit(unit)
-        name = "" if (unit or self.unit) == "1" else f" {unit or self.unit}"
+    def _amount(self) -> str:
         if self.held:
-            return f"{shown.value:.6g}{name} (held)"
+            return self._with_unit(f"{self.value:.6g}")
         if not self.detected:
-            if shown.upper_limit is None or not np.isfinite(shown.upper_limit):
-                return "not determined by these data"
-            return f"not detectable, below {shown.upper_limit:.3g}{name} (95 %)"
-        return f"{format_with_error(shown.value, shown.std)}{name}"
+            return "" if self.upper_limit is None else self._with_unit(f"{self.upper_limit:.3g}")
+        return super()._amount()
 
-    def __str__(self) -> str:
-        return f"{self.axis.name} {self.label}: {self.describe()}"
+    def _sentence(self, amount: str) -> str:
+        if self.held:
+            return f"{amount} (held)"
+        if self.detected:
+            return amount
+        if self.upper_limit is None or not np.isfinite(self.upper_limit):
+            return "not determined by these data"
+        return f"not detectable, below {amount} (95 %)"
 
 
 def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
@@ -116,29 +93,6 @@ def title_of(label: str, axis: Axis) -> str:
     """A term's or a coefficient's name for people, e.g. "velocity random walk" on an accelerometer."""
     words = label.replace("_", " ")
     return words.replace("angle random walk", "velocity random walk") if axis.sensor == "accel" else words
-
-
-def format_with_error(value: float, std: float) -> str:
-    """Value and 1-σ to two digits of the latter, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05"."""
-    if not (np.isfinite(std) and std > 0.0 and np.isfinite(value)):
-        return f"{value:.6g}"
-    exponent = int(np.floor(np.log10(max(abs(value), std))))
-    scale = 10.0**exponent if not -4 <= exponent < 6 else 1.0
-    digits = max(0, 1 - int(np.floor(np.log10(std / scale))))
-    text = f"{value / scale:.{digits}f} ± {std / scale:.{digits}f}"
-    return text if scale == 1.0 else f"({text})e{exponent:+03d}"
-
-
-def format_interval(lower: float, upper: float) -> str:
-    """Both ends with as many digits as it takes to tell them apart, at least four."""
-    width = upper - lower
-    digits = 4
-    if np.isfinite(width) and width > 0.0:
-        digits = max(4, 3 + int(np.ceil(np.log10(max(abs(lower), abs(upper)) / width))))
-    largest = max(abs(lower), abs(upper))
-    if 1e4 <= largest < 1e9:
-        digits = max(digits, 1 + int(np.log10(largest)))  # rather than an exponent
-    return f"{lower:.{digits}g} … {upper:.{digits}g}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -293,7 +247,7 @@ class Fit:
                         "std": shown.std,
                         "lower_95": shown.interval[0],
                         "upper_95": shown.interval[1],
-                        "unit": c.unit,
+                        "unit": shown.unit,
                         "detected": c.detected,
                         "upper_limit_95": shown.upper_limit,
                     }
@@ -311,7 +265,7 @@ class Fit:
                 shown = c.in_unit()
                 known = c.detected and not c.held
                 interval = format_interval(*shown.interval) if known else ""
-                cells.append((result.axis.name, c.title, c.describe(), interval))
+                cells.append((result.axis.name, c.title, shown.describe(), interval))
             cells.append((result.axis.name, "", result.verdict(), ""))
         return cells
 

@@ -72,6 +72,12 @@ _COEFFICIENT_UNITS: dict[Sensor, dict[float, str]] = {
     "accel": {1.0: "m/s", 0.5: "m/s/√h", 0.0: "µg", -0.5: "m/s/h/√h", -1.0: "m/s/h²"},
 }
 
+_SI_UNITS = (
+    *("rad", "rad/√s", "rad/s", "rad/s/√s", "rad/s²"),
+    *("m/s", "m/s/√s", "m/s²", "m/s²/√s", "m/s³"),
+    *("s", "Hz", "1"),
+)
+
 # Words whose case carries no meaning. Not m, g and what begins with a prefix: M and G could be mega, giga.
 _ANY_CASE = {
     word.lower(): word
@@ -135,7 +141,28 @@ def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
     usual = _COEFFICIENT_UNITS[sensor].get(float(time_exponent))
     if usual is not None:
         return usual
-    base, exponent = ("rad", time_exponent - 1.0) if sensor == "gyro" else ("m", time_exponent - 2.0)
+    return _per_time("rad", time_exponent - 1.0) if sensor == "gyro" else _per_time("m", time_exponent - 2.0)
+
+
+@functools.cache
+def si_unit(unit: str) -> str:
+    """The SI unit of the same dimension, e.g. `rad/√s` for `deg/√h`.
+
+    Raises:
+        UnitError: the unit is unknown.
+    """
+    known = _known(unit, None)
+    usual = next((label for label in _SI_UNITS if _known(label, None).dimension == known.dimension), None)
+    if usual is not None:
+        return usual
+    bases = {"[angle]": "rad", "[length]": "m"}
+    powers = ((bases[name], power) for name, power in known.dimension.items() if name in bases)
+    base = "·".join(name if power == 1.0 else f"{name}^{power:.12g}" for name, power in powers)
+    return _per_time(base or "1", known.dimension.get("[time]", 0.0))
+
+
+def _per_time(base: str, exponent: float) -> str:
+    """E.g. `rad/s^0.75`."""
     if exponent == 0.0:
         return base
     power = "s" if abs(exponent) == 1.0 else f"s^{abs(exponent):.12g}"

@@ -43,9 +43,8 @@ def rows(recording: aj.Recording, shown: str) -> list[list[str]]:
             sigma = np.hypot(a.std, w.std)
             apart = f"{(w.value - a.value) / sigma:+.2f}" if a.detected and w.detected else "–"
             off = f"{100 * allan.discrepancy:.1f}, {100 * whittle.discrepancy:.1f}"
-            found.append(
-                [recording.name, shown, allan.axis.name, a.title, a.describe(), w.describe(), apart, off]
-            )
+            told = [c.in_unit().describe() for c in (a, w)]
+            found.append([recording.name, shown, allan.axis.name, a.title, *told, apart, off])
     return found
 
 

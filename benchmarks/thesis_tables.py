@@ -22,7 +22,7 @@ from machine import describe
 
 from allanjax.allan import AllanDeviation, allan_deviation
 from allanjax.fit import fit
-from allanjax.result import Coefficient, format_with_error
+from allanjax.result import Coefficient
 from allanjax.sensors import SENSORS, Tabulated
 from allanjax.terms import (
     AngleRandomWalk,
@@ -33,6 +33,7 @@ from allanjax.terms import (
     RateRandomWalk,
 )
 from allanjax.units import unit_scale
+from allanjax.wording import format_with_error
 
 RESULT = Path(__file__).parent / "results" / "thesis_tables.md"
 

@@ -83,7 +83,7 @@ def test_without_a_model_the_supported_basic_terms_remain() -> None:
         assert ramp.value == 0.0
         assert 0.0 < ramp.upper_limit < np.inf
         assert "not detectable, below" in ramp.describe()
-        assert "deg/h²" in ramp.describe()
+        assert "deg/h²" in ramp.in_unit().describe()
 
 
 def test_upper_limits_hold_for_a_random_walk_below_detection() -> None:

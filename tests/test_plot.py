@@ -81,7 +81,7 @@ def test_the_key_names_every_term_with_its_coefficient_or_limit(small_fit):
             name = label.replace("_", " ")
             if result.axis.sensor == "accel":
                 name = name.replace("angle random walk", "velocity random walk")
-            assert f"{name}{'' if c.detected else ':'} {c.describe()}" in shown
+            assert f"{name}{'' if c.detected else ':'} {c.in_unit().describe()}" in shown
     assert any(not c.detected for c in small_fit["gyro_x"].coefficients.values())
     assert "small" in shown
     assert "200 s" not in shown
@@ -143,7 +143,8 @@ def test_a_users_own_term_is_drawn_with_all_its_parameters():
     deviation = np.sqrt((6 * G[0] - 8 * G[1] + 2 * G[2]) / (2 * time**2))
     np.testing.assert_allclose(lines["white angle"].get_ydata(), deviation * 180 / np.pi * 3600, rtol=1e-6)
     key = " ".join(" ".join(texts(figure)).split())
-    assert f"white angle: P = {fitted['gyro']['white_angle_amplitude'].describe()}, s = 0.05 s (held)" in key
+    white = fitted["gyro"]["white_angle_amplitude"].in_unit()
+    assert f"white angle: P = {white.describe()}, s = 0.05 s (held)" in key
 
 
 def test_saves_a_small_file(small_fit, tmp_path):

@@ -49,7 +49,13 @@ def fit_of_truth(fitted, model, recording):
     some = next(c for c in fitted["gyro_x"].coefficients.values() if c.detected)
     coefficients = {
         p.label: dataclasses.replace(
-            some, label=p.label, term=p.term_label, parameter=p.parameter, value=p.start, std=p.start / 100
+            some,
+            label=p.label,
+            term=p.term_label,
+            parameter=p.parameter,
+            value=p.start,
+            std=p.start / 100,
+            unit="",
         )
         for p in model.parameters
     }
@@ -119,9 +125,10 @@ def test_the_key_names_terms_and_n_with_its_band(spectrum, small_fit):
     shown = " ".join(" ".join(texts(figure)).split())
     for result in small_fit:
         walk = spectrum.random_walk(result.axis.name)
-        assert f"N by eq. (3.41): {walk.describe()} ({walk.band[0]:.3g} to {walk.band[1]:.3g} Hz)" in shown
+        low, high = walk.band
+        assert f"N by eq. (3.41): {walk.in_unit().describe()} ({low:.3g} to {high:.3g} Hz)" in shown
         for c in result.coefficients.values():
-            assert c.describe() in shown
+            assert c.in_unit().describe() in shown
     (flat,) = [p for p in panels(figure)["gyro_x"].patches if p.get_label() == "flat part"]
     band = spectrum.random_walk("gyro_x").band
     assert (flat.get_x(), flat.get_x() + flat.get_width()) == pytest.approx(band)

@@ -213,7 +213,8 @@ def test_upper_limit_of_an_absent_term_is_that_of_quadrature(two_terms, truth):
     assert not marginal.detected
     assert marginal.interval == (0.0, marginal.upper_limit)
     assert (
-        marginal.describe() == f"not detectable, below {marginal.in_unit().upper_limit:.3g} deg/h/√h (95 %)"
+        marginal.in_unit().describe()
+        == f"not detectable, below {marginal.in_unit().upper_limit:.3g} deg/h/√h (95 %)"
     )
 
 

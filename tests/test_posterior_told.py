@@ -32,7 +32,7 @@ def test_derived_quantities_follow_from_the_draws(posterior):
         exact = np.sqrt(2.0) * t * np.sqrt(N**2 / t + K**2 * t / 3.0)
         assert drift.median == pytest.approx(exact, rel=1e-9)
         assert drift.in_unit().median == pytest.approx(np.degrees(exact), rel=1e-9)
-        assert drift.unit == "deg"
+        assert (drift.unit, drift.usual_unit, drift.in_unit().unit) == ("rad", "deg", "deg")
         assert ("extrapolated" in drift.describe()) == (2.0 * t > 200.0)
     # Quantiles of a monotonic function of draws; the duration is 200 s.
     t = 60.0
@@ -56,14 +56,14 @@ def test_the_minimum_of_the_curve_and_its_place(posterior):
     minimum = fixed.bias_instability_minimum()
     assert minimum.deviation.median == pytest.approx(np.sqrt(2.0 * N * walk / np.sqrt(3.0)), rel=1e-4)
     assert minimum.cluster_time.median == pytest.approx(np.sqrt(3.0) * 5.0, rel=1e-2)
-    assert minimum.deviation.unit == "deg/h"
+    assert minimum.deviation.usual_unit == "deg/h"
     assert minimum.cluster_time.unit == "s"
     assert minimum.deviation.remark == ""
     falling = dataclasses.replace(axis, draws=np.tile([N, 1e-3 * K], (20, 1))).bias_instability_minimum()
     assert falling.at_end == 1.0
     assert falling.cluster_time.median == pytest.approx(100.0)
     assert "upper bound" in falling.deviation.describe()
-    assert posterior["accel_z"].bias_instability_minimum().deviation.unit == "µg"
+    assert posterior["accel_z"].bias_instability_minimum().deviation.usual_unit == "µg"
 
 
 def test_models_curves_and_correlations_are_of_the_draws(posterior):

@@ -206,8 +206,8 @@ def test_units_of_both_sensors(small_recording):
     np.testing.assert_allclose(table["accel_z [µg²/Hz]"], spectrum.density[:, 3] / 9.80665e-6**2, rtol=1e-12)
     walk = spectrum.random_walk("accel_z")
     assert walk.title == "velocity random walk"
-    assert walk.unit == "m/s/√h"
-    assert walk.describe().endswith("m/s/√h")
+    assert (walk.unit, walk.usual_unit) == ("m/s/√s", "m/s/√h")
+    assert walk.in_unit().describe().endswith("m/s/√h")
     assert walk.in_unit("m/s/√h").excess == pytest.approx(60 * walk.excess)
     assert walk.in_unit("m/s/√h").value == pytest.approx(0.05, abs=4 * 60 * walk.std)
     with pytest.raises(UnitError):

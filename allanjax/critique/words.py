@@ -10,7 +10,7 @@ import numpy as np
 
 from allanjax.critique.result import Discrepancy
 from allanjax.critique.view import Quantity
-from allanjax.result import format_with_error
+from allanjax.wording import format_with_error
 
 # Statistics whose two values compare as a ratio: their name, and what stands before a place.
 _RELATIVE = {
