@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
 from allanjax.columns import recognise
+from allanjax.equality import equal
 from allanjax.errors import AllanjaxError, RecordingError
 from allanjax.fit import (
     Objective,
@@ -225,8 +226,19 @@ class AllanAccumulator:
         self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
         self._gathered = []
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, AllanAccumulator):
+            return NotImplemented
+        for each in (self, other):
+            each._look()
+        return equal(vars(self), vars(other))
+
+    __hash__ = None  # type: ignore[assignment]  # It grows.
+
     def __repr__(self) -> str:
-        return f"<AllanAccumulator {self.name!r}: {_described(self)}; {self.n} samples from {self.start}>"
+        title = f" {self.name!r}" if self.name else ""
+        start = f" from sample {self.start} on" if self.start else ""
+        return f"<AllanAccumulator{title}: {_described(self)}; {self.n} samples{start}>"
 
 
 def _described(accumulator: AllanAccumulator) -> str:

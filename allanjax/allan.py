@@ -15,19 +15,22 @@ from jaxtyping import ArrayLike, Float, Int
 
 from allanjax.clusters import Kind, Spacing, check_member, cluster_sizes, difference_count, too_few
 from allanjax.covariance import equivalent_degrees_of_freedom
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.estimators import DataType, allan_variance_estimates
 from allanjax.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.recording import Axis, Recording
+from allanjax.units import default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 Estimator = Literal["exact", "pyramid"]
 
 
 @dataclass(frozen=True, eq=False)
-class AllanDeviation:
+class AllanDeviation(ByValue):
     """Estimated Allan (or modified, or Hadamard) deviation of each axis against the cluster time.
 
     Attributes:
@@ -123,6 +126,29 @@ class AllanDeviation:
         upper = self.deviation * np.sqrt(self.edf / chi2.ppf((1 - level) / 2, self.edf))
         return lower, upper
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes; "0", "1", … for an array."""
+        if self.axes is None:
+            return tuple(str(k) for k in range(self.deviation.shape[1]))
+        return tuple(axis.name for axis in self.axes)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """One row a cluster time: every axis's deviation, its 68 % interval and its degrees of freedom.
+
+        Headers state the units, deg/h or µg; without them, of an array, deviations are in its own.
+        """
+        import pandas as pd
+
+        columns = {"cluster time [s]": self.cluster_time, "cluster size": self.cluster_size}
+        lower, upper = self.confidence_interval(0.68)
+        for k, name in enumerate(self.names):
+            unit, scale = ("", 1.0) if self.axes is None else rate_unit(self.axes[k])
+            for label, x in (("", self.deviation), (" lower_68", lower), (" upper_68", upper)):
+                columns[f"{name}{label}" + (f" [{unit}]" if unit else "")] = x[:, k] / scale
+            columns[f"{name} degrees of freedom"] = self.edf[:, k]
+        return pd.DataFrame(columns)
+
     def plot(self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None) -> "Figure":
         """Draw the deviations with their 68 % intervals; see `plot_allan`."""
         from allanjax.plot import plot_allan
@@ -132,12 +158,18 @@ class AllanDeviation:
     def __repr__(self) -> str:
         overlap = "overlapping" if self.overlapping else "non-overlapping"
         overlap = "pyramid" if self.estimator == "pyramid" else overlap
-        names = ", ".join(axis.name for axis in self.axes) if self.axes else f"{self.deviation.shape[1]} axes"
+        names = ", ".join(self.names) if self.axes else f"{self.deviation.shape[1]} axes"
         first, last = self.cluster_time[[0, -1]]
         return (
             f"AllanDeviation({self.kind}, {overlap}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
             f"{len(self.cluster_time)} cluster times from {first:.4g} s to {last:.4g} s)"
         )
+
+
+def rate_unit(axis: Axis) -> tuple[str, float]:
+    """Unit for people of an axis's Allan deviation, and its factor to SI."""
+    unit = default_coefficient_unit(axis.sensor, 0.0)
+    return unit, unit_scale(unit, axis.sensor)
 
 
 def allan_deviation(

@@ -21,6 +21,7 @@ from allanjax.clusters import Spacing
 from allanjax.coefficients import estimates_of, reported
 from allanjax.design import AllanDesign
 from allanjax.deterministic import needs_record
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.fit import check_length, estimated, solve_and_infer
 from allanjax.gls import Solution
@@ -41,7 +42,7 @@ _BLOCK = 64
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class BulkFit:
+class BulkFit(ByValue):
     """The fit of one model to many axes: arrays [axes] or [axes, coefficients], in SI.
 
     Axes that did not converge have NaN for their coefficients and detect nothing.
@@ -87,8 +88,8 @@ class BulkFit:
     def __len__(self) -> int:
         return len(self.value)
 
-    def table(self) -> pd.DataFrame:
-        """One row an axis and coefficient, with the columns of `Fit.table`.
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row an axis and coefficient, with the columns of `Fit.to_dataframe`.
 
         Numbers are in the usual units; where the curve is that of an array, whose sensor is not known, in the
         array's own unit and seconds, with an empty `unit`.
@@ -122,7 +123,7 @@ class BulkFit:
 
     def __str__(self) -> str:
         rows = []
-        for (label, unit), of_label in self.table().groupby(["coefficient", "unit"], sort=False):
+        for (label, unit), of_label in self.to_dataframe().groupby(["coefficient", "unit"], sort=False):
             seen = of_label["value"][of_label["detected"]]
             ends = [f"{x:.4g}" for x in seen.quantile([0.05, 0.5, 0.95])] if len(seen) else [""] * 3
             rows.append([str(label), str(unit), *ends, f"{len(seen)} of {len(of_label)} axes"])

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.equality import ByValue
 from allanjax.estimate import Estimate
 from allanjax.model import Model
 from allanjax.recording import Axis
@@ -20,7 +21,7 @@ from allanjax.wording import format_interval
 _AT_ONCE = 16
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Derived(Estimate):
     """The posterior of something that follows from the coefficients, in SI; `in_unit` converts.
 
@@ -78,8 +79,8 @@ class Derived(Estimate):
         return f"{amount}; {self.remark}" if self.remark else amount
 
 
-@dataclasses.dataclass(frozen=True)
-class BiasMinimum:
+@dataclasses.dataclass(frozen=True, eq=False)
+class BiasMinimum(ByValue):
     """The lowest point of the Allan deviation's curve.
 
     Attributes:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.cosine import Bins, CosineBins, cosine_transform
+from allanjax.equality import ByValue
 from allanjax.errors import FitError
 from allanjax.model import Model
 from allanjax.terms import DriftRamp, NoiseTerm
@@ -245,7 +246,7 @@ class Projection:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class AxisSpectrum:
+class AxisSpectrum(ByValue):
     """Sufficient statistics of one axis: sums over bins of products of coefficients.
 
     Attributes:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, ClassVar, Self
 
+from allanjax.equality import ByValue
 from allanjax.recording import Axis
 from allanjax.units import convert, si_unit
 from allanjax.wording import format_with_error
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Estimate:
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate(ByValue):
     """A value with its error, in a unit.
 
     Attributes:

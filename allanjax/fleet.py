@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from allanjax.accumulator import AllanAccumulator, accumulate
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.export import to_dict
 from allanjax.fit import Objective
@@ -47,7 +48,7 @@ _ROW_BYTES = 40
 
 
 @dataclass(frozen=True, eq=False)
-class FleetResult:
+class FleetResult(ByValue):
     """The coefficients of a fleet.
 
     Attributes:
@@ -65,6 +66,10 @@ class FleetResult:
     def outlying(self) -> pd.DataFrame:
         """The rows of values that are unlike those of the other units."""
         return self.table[self.table["outlying"]]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table, as the other results give theirs."""
+        return self.table
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""

@@ -59,6 +59,9 @@ class Model(eqx.Module):
             f"cannot add {other!r} to a model; add instances of noise terms, e.g. AngleRandomWalk()"
         )
 
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.terms)) or "Model(())"
+
     def __iter__(self) -> Iterator[NoiseTerm]:
         return iter(self.terms)
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.derived import BiasMinimum, Derived, curves, lowest_point, with_draw
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.marginals import Marginal
 from allanjax.model import Model
@@ -40,7 +41,7 @@ class PosteriorWarning(UserWarning):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class AxisPosterior:
+class AxisPosterior(ByValue):
     """The posterior of one axis.
 
     Attributes:
@@ -216,7 +217,7 @@ class AxisPosterior:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Posterior:
+class Posterior(ByValue):
     """The posteriors of a fit's axes; a mapping from axis names to `AxisPosterior`.
 
     Attributes:
@@ -260,8 +261,8 @@ class Posterior:
         """Both."""
         return tuple(zip(self.axes, self.results, strict=True))
 
-    def table(self) -> pd.DataFrame:
-        """One row a coefficient, in its usual unit; columns as in `Fit.table`, and 68 % intervals."""
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a coefficient, in its usual unit; columns as in `Fit.to_dataframe`, and 68 % intervals."""
         import pandas as pd
 
         rows = []

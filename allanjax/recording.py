@@ -4,14 +4,19 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.columns import Column, recognise
+from allanjax.equality import ByValue
 from allanjax.errors import RecordingError, UnitError
 from allanjax.units import SENSORS, Sensor, parse_sample_unit
 from allanjax.validation import Source, check_length, check_rate, check_values
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Slack, in samples, within which a time counts as a sample's own.
 _TIME_SLACK = 1e-6
@@ -33,7 +38,7 @@ class Axis:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(ByValue):
     """Samples of one or more axes, at one rate.
 
     Attributes:
@@ -151,6 +156,22 @@ class Recording:
     def own_values(self) -> Float[np.ndarray, "samples axes"]:
         """Samples, each axis in its own unit."""
         return self.values / self.own_scales
+
+    @property
+    def columns(self) -> dict[str, Float[np.ndarray, " samples"]]:
+        """Times, samples in each axis's own unit, and auxiliary channels, by labels that state the units."""
+        samples = zip(self.axes, self.own_values.T, strict=True)
+        return {
+            "time [s]": self.time,
+            **{f"{axis.name} [{axis.unit}]": values for axis, values in samples},
+            **self.auxiliary,
+        }
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """One row a sample: `columns` as a pandas table, which `fit` and the like take again."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns)
 
     def select(self, *keys: str) -> "Recording":
         """The axes named, in that order; `gyro` or `accel` stands for all axes of that sensor.

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.allan import AllanDeviation
+from allanjax.equality import ByValue
 from allanjax.errors import FitError
 from allanjax.estimate import Estimate
 from allanjax.model import Model
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from allanjax.selection import TermSelection
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Coefficient(Estimate):
     """One estimated parameter of the model of one axis.
 
@@ -96,7 +97,7 @@ def title_of(label: str, axis: Axis) -> str:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class AxisFit:
+class AxisFit(ByValue):
     """The fit of one axis.
 
     Attributes:
@@ -167,7 +168,7 @@ class AxisFit:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(ByValue):
     """The fit of a model to every axis of a recording.
 
     Attributes:
@@ -231,7 +232,7 @@ class Fit:
 
         return plot_allan(self, axes, path)
 
-    def table(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pd.DataFrame:
         """One row a coefficient: axis, coefficient, value, std, lower, upper, unit, detected, upper_limit."""
         import pandas as pd
 

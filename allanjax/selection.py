@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.cosine import Bins, CosineBins, bins_per_octave, cosine_transform, cube_root_score
 from allanjax.design import unit
 from allanjax.deterministic import ramp_column, term_column
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.evidence import Evidence, Job, Levels, evidences, taken_out
 from allanjax.model import Model
@@ -71,9 +72,12 @@ class TermSet:
     def __str__(self) -> str:
         return " + ".join(self.terms)
 
+    def __repr__(self) -> str:
+        return f"<TermSet {self}: {100.0 * self.probability:.3g} %, {self.parameters} parameters>"
 
-@dataclasses.dataclass(frozen=True)
-class AxisSelection:
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisSelection(ByValue):
     """The ranking of one axis.
 
     Attributes:
@@ -111,6 +115,14 @@ class AxisSelection:
         names = max((s.terms for s in self.ranking), key=len)
         return {name: sum(s.probability for s in self.ranking if name in s.terms) for name in names}
 
+    def __repr__(self) -> str:
+        chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
+        close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets"
+        return (
+            f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n"
+            f" the data do not tell {close} apart>"
+        )
+
     def ambiguities(self) -> tuple[str, ...]:
         """What the data leave open next to the chosen set, a phrase each, the most probable first."""
         found = []
@@ -128,8 +140,8 @@ class AxisSelection:
         return tuple(found[:3])
 
 
-@dataclasses.dataclass(frozen=True)
-class TermSelection:
+@dataclasses.dataclass(frozen=True, eq=False)
+class TermSelection(ByValue):
     """The ranking of sets of noise terms, for every axis of a recording."""
 
     name: str
@@ -148,7 +160,7 @@ class TermSelection:
             raise FitError(f"{self.name or 'the selection'} has no axis {axis!r}; it has {', '.join(names)}")
         return self.axes[names.index(axis)]
 
-    def table(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pd.DataFrame:
         """One row a set; its log-evidence is that less the best's [nats]."""
         import pandas as pd
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import jax
 from jaxtyping import PRNGKeyArray
 
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.model import Model
 from allanjax.recording import Recording
@@ -39,8 +40,8 @@ class Tabulated:
         return self.value * unit_scale(self.unit)
 
 
-@dataclass(frozen=True)
-class AxisPreset:
+@dataclass(frozen=True, eq=False)
+class AxisPreset(ByValue):
     """One axis.
 
     Attributes:
@@ -59,9 +60,13 @@ class AxisPreset:
         amplitudes = ((term, term.parameters()[0].name, c.si) for term, c in self.coefficients.items())
         return Model(tuple(term().replace(**{name: value}) for term, name, value in amplitudes))
 
+    def __repr__(self) -> str:
+        values = (f"{term.name()} {c.value:g} {c.unit}" for term, c in self.coefficients.items())
+        return f"<AxisPreset {self.name} at {self.rate:g} Hz: {', '.join(values)}>"
 
-@dataclass(frozen=True)
-class SensorPreset:
+
+@dataclass(frozen=True, eq=False)
+class SensorPreset(ByValue):
     """A tested unit.
 
     Attributes:
@@ -73,6 +78,10 @@ class SensorPreset:
     name: str
     description: str
     axes: tuple[AxisPreset, ...]
+
+    def __repr__(self) -> str:
+        axes = ", ".join(axis.name for axis in self.axes)
+        return f"<SensorPreset {self.name}: {self.description}; {axes}>"
 
     def __getitem__(self, axis: str) -> AxisPreset:
         """The axis of that name; AllanjaxError if there is none."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.flat_band import (
     SpectralRandomWalk,
@@ -68,7 +69,7 @@ def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
 
 
 @dataclass(frozen=True, eq=False)
-class PowerSpectrum:
+class PowerSpectrum(ByValue):
     """Estimated one-sided power spectral density of each axis against frequency.
 
     Attributes:
@@ -213,7 +214,7 @@ class PowerSpectrum:
         coloured = coloured_density(s.frequency, s.density[:, k], s.dof, s.rate)
         return coloured if s is self else np.interp(self.frequency, s.frequency, coloured)
 
-    def table(self) -> "pd.DataFrame":
+    def to_dataframe(self) -> "pd.DataFrame":
         """One row a frequency: it, its degrees of freedom, and every axis's density in (deg/h)²/Hz or µg²/Hz.
 
         Headers state the units; without them, of an array, densities are in its own.

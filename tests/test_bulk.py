@@ -65,7 +65,9 @@ def test_each_axis_gets_what_a_fit_of_it_gives(truth: aj.Model, model: aj.Model)
     # To rounding, which the iteration's last steps may amplify.
     close = {"rtol": 1e-6, "atol": 1e-15}
     fit = aj.Fit("unit", model, curve, tuple(results))
-    pd.testing.assert_frame_equal(many.table(), fit.table().astype({"upper_limit_95": float}), **close)
+    pd.testing.assert_frame_equal(
+        many.to_dataframe(), fit.to_dataframe().astype({"upper_limit_95": float}), **close
+    )
     for name in ("chi2", "p_value", "discrepancy"):
         np.testing.assert_allclose(getattr(many, name), [getattr(r, name) for r in fit], **close)
     assert {many.dof} == {r.dof for r in fit}
@@ -102,13 +104,13 @@ def test_recordings_are_stacked() -> None:
     alone = aj.fit_many(aj.allan_deviation(x, RATE), model)
     assert alone.names == ("0", "1", "2")
     np.testing.assert_allclose(many.value, alone.value, rtol=1e-6)
-    table = many.table()
+    table = many.to_dataframe()
     assert list(table["unit"][::2]) == ["deg/√h", "deg/√h", "m/s/√h"]
     # 1 rad/√s is 180/π · 60 deg/√h, 1 m/s/√s is 60 m/s/√h.
     to_usual = np.array([3437.7467707849, 3437.7467707849, 60.0])
     np.testing.assert_allclose(table["value"][::2], alone.value[:, 0] * to_usual, rtol=1e-6)
-    assert (alone.table()["unit"] == "").all()
-    np.testing.assert_array_equal(alone.table()["value"], alone.value.ravel())
+    assert (alone.to_dataframe()["unit"] == "").all()
+    np.testing.assert_array_equal(alone.to_dataframe()["value"], alone.value.ravel())
     assert "3 axes of 4,096 samples" in str(many)
     assert "angle_random_walk" in str(many)
 
@@ -122,7 +124,7 @@ def test_an_axis_without_result_says_so_and_spoils_no_other() -> None:
     many = aj.fit_many(aj.allan_deviation(x, RATE), model)
     np.testing.assert_array_equal(many.converged, [True, False, True])
     np.testing.assert_allclose(many.value[[0, 2]], expected.value[[0, 2]], rtol=1e-6)
-    assert np.isnan(many.table()["value"][2:4]).all()
+    assert np.isnan(many.to_dataframe()["value"][2:4]).all()
     assert not many.detected[1].any()
     assert "2 converged" in str(many)
 

@@ -128,7 +128,7 @@ def test_curve_of_increments_is_in_si_rates(small_fit, tmp_path):
 
 def test_coefficients_are_the_table(small_fit, half_failed_fit, tmp_path):
     write_coefficients_csv(small_fit, tmp_path / "c.csv")
-    written, table = pd.read_csv(tmp_path / "c.csv"), small_fit.table()
+    written, table = pd.read_csv(tmp_path / "c.csv"), small_fit.to_dataframe()
     for column in table:
         if table[column].dtype == float:
             np.testing.assert_allclose(written[column], table[column].to_numpy(float), rtol=1e-12)

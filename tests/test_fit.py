@@ -156,7 +156,7 @@ def test_an_unconverged_fit_is_no_result() -> None:
         lambda: failed.model,
         lambda: failed["angle_random_walk"],
         lambda: refused.coefficients,
-        lambda: refused.table(),
+        lambda: refused.to_dataframe(),
     ):
         with pytest.raises(aj.FitError, match="did not converge"):
             ask()
@@ -192,7 +192,7 @@ def test_prints_with_units_in_terminal_and_notebook() -> None:
         assert "angle random walk" in text
         assert "deg/√h" in text
         assert "not detectable, below" in text
-    table = fit.table().set_index("coefficient")
+    table = fit.to_dataframe().set_index("coefficient")
     row = table.loc["angle_random_walk"]
     assert row["unit"] == "deg/√h"
     assert row["value"] == pytest.approx(fit["gyro_0"]["angle_random_walk"].value * 180.0 / np.pi * 60.0)

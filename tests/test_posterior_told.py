@@ -111,7 +111,7 @@ def test_the_posterior_is_a_mapping_and_a_table(posterior):
         posterior["gyro_q"]
     with pytest.raises(AllanjaxError, match="angle_random_walk, rate_random_walk"):
         posterior["gyro_x"]["bias"]
-    table = posterior.table()
+    table = posterior.to_dataframe()
     row = table[(table.axis == "gyro_x") & (table.coefficient == "angle_random_walk")].iloc[0]
     quantiles = np.quantile(posterior["gyro_x"].draws[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975])
     shown = row[["lower_95", "lower_68", "median", "upper_68", "upper_95"]].to_numpy(float)

@@ -236,7 +236,7 @@ def test_units_and_a_bias_do_not_matter(known):
 
 def test_a_table_and_a_print(known):
     selection = known[1]
-    table = selection.table()
+    table = selection.to_dataframe()
     assert list(table.columns) == [
         "axis",
         "rank",

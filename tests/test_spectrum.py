@@ -154,7 +154,7 @@ def test_white_noise_by_eq_3_41(method):
         low, high = walk.band
         assert high > 2 * low
         inside = (low <= spectrum.frequency) & (spectrum.frequency <= high)
-        table = spectrum.table()
+        table = spectrum.to_dataframe()
         density = np.average(table[f"{name} [(deg/h)²/Hz]"][inside], weights=spectrum.count[inside])
         assert walk.in_unit("deg/√h").value == pytest.approx(np.sqrt(density / 2) / 60, rel=1e-12)
         assert walk.interval[0] < walk.interval_68[0] < walk.value < walk.interval_68[1] < walk.interval[1]
@@ -200,7 +200,7 @@ def test_what_is_nowhere_flat_is_refused(text):
 
 def test_units_of_both_sensors(small_recording):
     spectrum = power_spectrum(small_recording)
-    table = spectrum.table()
+    table = spectrum.to_dataframe()
     names = [f"gyro_{a} [(deg/h)²/Hz]" for a in "xyz"]
     assert list(table.columns) == ["frequency [Hz]", "degrees of freedom", *names, "accel_z [µg²/Hz]"]
     np.testing.assert_allclose(table["accel_z [µg²/Hz]"], spectrum.density[:, 3] / 9.80665e-6**2, rtol=1e-12)
@@ -219,7 +219,7 @@ def test_axes_together_and_alone_agree():
     data = white(3001, 2)
     together = power_spectrum(data, 10.0).density
     np.testing.assert_allclose(power_spectrum(data[:, 1], 10.0).density[:, 0], together[:, 1], rtol=1e-12)
-    assert list(power_spectrum(data, 10.0).table().columns[2:]) == ["0", "1"]
+    assert list(power_spectrum(data, 10.0).to_dataframe().columns[2:]) == ["0", "1"]
 
 
 def test_bad_input(small_recording):

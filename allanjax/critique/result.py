@@ -11,17 +11,19 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critique.view import Quantity
+from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import Fit
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 
-@dataclasses.dataclass(frozen=True)
-class Discrepancy:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Discrepancy(ByValue):
     """One respect in which the measurement was compared with its simulation.
 
     Attributes:
@@ -62,8 +64,8 @@ class Rival:
     odds: float
 
 
-@dataclasses.dataclass(frozen=True)
-class CoefficientChange:
+@dataclasses.dataclass(frozen=True, eq=False)
+class CoefficientChange(ByValue):
     """A basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
 
     label: str
@@ -72,8 +74,8 @@ class CoefficientChange:
     unit: str
 
 
-@dataclasses.dataclass(frozen=True)
-class DriftChange:
+@dataclasses.dataclass(frozen=True, eq=False)
+class DriftChange(ByValue):
     """Drift over a time: its root mean square on held-out stretches, and as predicted before and after.
 
     The drift is the integrated rate less that of the mean rate of the stretch before, of equal length.
@@ -87,7 +89,7 @@ class DriftChange:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Finding:
+class Finding(ByValue):
     """A cause that was found, and what is gained by taking it into the model.
 
     Attributes:
@@ -122,9 +124,16 @@ class Finding:
 
         return sentence(self)
 
+    def __repr__(self) -> str:
+        from allanjax.critique.story import nats
+        from allanjax.critique.words import parameters
+
+        found = ", ".join([f"{self.cause} in {' and '.join(self.axes)}", *parameters(self.parameters)])
+        return f"<Finding {found}; gain {nats(self.gain)} on held-out data>"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Snapshot:
+class Snapshot(ByValue):
     """An axis at one stage of the critique: for pictures, and to simulate from.
 
     Attributes:
@@ -142,9 +151,12 @@ class Snapshot:
     shape: float
     ramp: float
 
+    def __repr__(self) -> str:
+        return f"<Snapshot: {len(self.x)} samples less what was found; noise {' + '.join(self.terms)}>"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class AxisCritique:
+class AxisCritique(ByValue):
     """The critique of one axis.
 
     Attributes:
@@ -165,9 +177,14 @@ class AxisCritique:
     baseline: Model
     model: Model
 
+    def __repr__(self) -> str:
+        causes = ", ".join(f.cause for f in self.findings) or "nothing found"
+        terms = " + ".join(self.model.term_labels)
+        return f"<AxisCritique {self.axis.name}: {causes};\n extended model {terms}>"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Critique:
+class Critique(ByValue):
     """What the simulation of a recording gets wrong, why, and what mending it gains.
 
     Attributes:
@@ -221,6 +238,31 @@ class Critique:
         from allanjax.critique.export import to_dict
 
         return to_dict(self)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a finding and parameter, in its `unit`; `gain` is in nats, on held-out data.
+
+        An unexplained finding has no parameters: one row, without name and numbers.
+        """
+        import pandas as pd
+
+        none = {"": Quantity(float("nan"), float("nan"), "")}
+        rows = [
+            {
+                "axes": ", ".join(f.axes),
+                "cause": f.cause,
+                "parameter": name,
+                "value": quantity.value,
+                "std": quantity.std,
+                "unit": quantity.unit,
+                "p_value": f.p_value,
+                "gain": f.gain,
+            }
+            for f in self.findings
+            for name, quantity in (f.parameters or none).items()
+        ]
+        columns = ["axes", "cause", "parameter", "value", "std", "unit", "p_value", "gain"]
+        return pd.DataFrame(rows, columns=columns)
 
     def plot(
         self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None

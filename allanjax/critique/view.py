@@ -15,6 +15,7 @@ from scipy.fft import dct, idct
 
 from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
 from allanjax.critique.weighing import Behind, Weighing
+from allanjax.equality import ByValue
 from allanjax.model import Model
 from allanjax.recording import Axis
 
@@ -31,8 +32,8 @@ FALSE_ALARMS = 0.01
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 
-@dataclasses.dataclass(frozen=True)
-class Quantity:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Quantity(ByValue):
     """A parameter of a finding: value (a number, or several), standard deviation, unit."""
 
     value: float | tuple[float, ...] | tuple[str, ...]
@@ -343,6 +344,9 @@ class Cause(ABC):
     #: Whether it is fitted again when later findings change what it was fitted beside: at once, since others
     #: would be taken for what it lacks, or at last.
     joint: ClassVar[Literal["", "at once", "at last"]] = ""
+
+    def __repr__(self) -> str:
+        return f"<Cause {self.name}>"
 
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:

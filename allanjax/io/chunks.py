@@ -59,6 +59,11 @@ class ChunkedRecording:
         """Names of the axes."""
         return tuple(axis.name for axis in self.axes)
 
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
+        size = "" if self.n is None else f"{self.n} samples "
+        return f"<ChunkedRecording {self.name!r}: {axes}; {size}at {self.rate:g} Hz, not read yet>"
+
     @property
     def own_scales(self) -> Float[np.ndarray, " axes"]:
         """Factor of each axis from its own unit to the SI rate."""

@@ -17,10 +17,7 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
         RecordingError: another suffix.
     """
     path = Path(path)
-    columns: dict[str, np.ndarray] = {"time [s]": recording.time}
-    for axis, values in zip(recording.axes, recording.own_values.T, strict=True):
-        columns[f"{axis.name} [{axis.unit}]"] = values
-    columns |= recording.auxiliary
+    columns = recording.columns
     match path.suffix.lower():
         case ".csv":
             _write_csv(columns, path)

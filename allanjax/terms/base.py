@@ -293,6 +293,16 @@ class NoiseTerm(eqx.Module):
         """A copy with these parameter values."""
         return dataclasses.replace(self, **values)
 
+    def __repr__(self) -> str:
+        """As it is written in Python, values in SI: `Markov(correlation_time=3).hold("correlation_time")`."""
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
+        shown = {p.name: _shown(getattr(self, p.name)) for p in self.parameters()}
+        names = [name for name, text in shown.items() if text != _shown(usual[name])]
+        values = [f"{name}={shown[name]}" for name in names]
+        arguments = ", ".join(values).removeprefix("coefficient=")
+        held = ", ".join(f'"{name}"' for name in names if name in self.held)
+        return f"{type(self).__name__}({arguments})" + (f".hold({held})" if held else "")
+
     def __add__(self, other: NoiseTerm | Model) -> Model:
         from allanjax.model import Model
 
@@ -311,6 +321,11 @@ class NoiseTerm(eqx.Module):
                     bound = f"< {p.upper:g}"
                 if bound:
                     raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, got {value!r}")
+
+
+def _shown(value: Value) -> str:
+    """Six digits of a number; of an array inside a compiled function, what it says of itself."""
+    return f"{value:.6g}" if isinstance(value, int | float | np.floating) else str(value)
 
 
 def _derivative(function: Callable[[Array], Array]) -> Callable[[Array], Array]:

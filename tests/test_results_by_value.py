@@ -1,0 +1,129 @@
+"""Results compare by value, pickles of them included, and are told in two lines."""
+
+import copy
+import dataclasses
+import pickle
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import allanjax as aj
+from allanjax.equality import equal
+
+
+@pytest.fixture(scope="module")
+def posterior(small_fit):
+    return aj.sample(small_fit, ["gyro_x"], max_steps=400, min_length=5.0, absent_draws=64)
+
+
+@pytest.fixture(scope="module")
+def critique():
+    noise = np.random.default_rng(4).normal(size=8192)
+    line = 0.5 * np.sin(2.0 * np.pi * 7.3 * np.arange(8192) / 100.0)
+    recording = aj.Recording.from_array(noise + line, 100.0, gyro_unit="deg/s", name="bench")
+    return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()))
+
+
+@pytest.fixture(scope="module")
+def objects(small_recording, small_fit, posterior, critique):
+    """One of every public kind, by the name of its class."""
+    curve, spectrum = aj.allan_deviation(small_recording), aj.power_spectrum(small_recording)
+    draws = posterior["gyro_x"]
+    accumulator = aj.AllanAccumulator(100.0, ["gyro_x"])
+    accumulator.update(small_recording.values[:, :1])
+    found = [
+        dataclasses.replace(small_recording, auxiliary={"temperature": small_recording.time}),
+        small_recording.between(0.0, 100.0),
+        *(small_recording.axes[0], curve, spectrum, spectrum.random_walk("gyro_x")),
+        *(small_fit, small_fit["gyro_x"], small_fit["gyro_x"]["quantization"]),
+        *(small_fit.selection, small_fit.selection["gyro_x"], small_fit.selection["gyro_x"].best),
+        *(small_fit.template, small_fit["gyro_x"].model, aj.Markov(correlation_time=3.0)),
+        *(posterior, draws, draws["angle_random_walk"], draws.bias_instability_minimum()),
+        draws.predicted_drift()[60.0],
+        *(critique, critique["gyro"], critique.findings[0], critique["gyro"].before[0]),
+        critique["gyro"].stages[0],
+        aj.fit_many([small_recording], aj.AngleRandomWalk() + aj.BiasInstability()),
+        aj.FleetResult(small_fit.to_dataframe(), (), (), 0),
+        *(aj.SENSORS["hg1700"], aj.SENSORS["hg1700"]["gyro_x"], aj.LogUniform(1e-6, 1e-3)),
+        accumulator,
+    ]
+    return {f"{k} {type(x).__name__}": x for k, x in enumerate(found)}
+
+
+def test_pickles_and_copies_are_equal_and_have_the_same_hash(objects):
+    for name, x in objects.items():
+        for other in (pickle.loads(pickle.dumps(x)), copy.deepcopy(x)):
+            assert (other == x) is True or bool(other == x), name
+            if not isinstance(x, aj.AllanAccumulator):
+                assert hash(other) == hash(x), name
+
+
+def test_what_differs_in_one_number_is_not_equal(small_recording, small_fit):
+    values = small_recording.values.copy()
+    values[-1, -1] += 1e-12
+    assert small_recording != dataclasses.replace(small_recording, values=values)
+    assert small_recording != dataclasses.replace(small_recording, name="other")
+    assert small_recording != small_recording.values.tolist()
+    edf = small_fit.curve.edf.copy()
+    edf[3, 1] *= 1.0 + 1e-12
+    other = dataclasses.replace(small_fit, curve=dataclasses.replace(small_fit.curve, edf=edf))
+    assert other != small_fit
+    assert len({small_fit, other, pickle.loads(pickle.dumps(small_fit))}) == 2
+    walk = small_fit["gyro_x"]["angle_random_walk"]
+    assert walk != dataclasses.replace(walk, interval=(walk.interval[0], walk.interval[1] * 1.0001))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "same"),
+    [
+        (float("nan"), float("nan"), True),
+        (np.array([1.0, np.nan]), np.array([1.0, np.nan]), True),
+        (np.array([1.0, np.nan]), np.array([1.0, 2.0]), False),
+        (np.array([1.0]), jnp.array([1.0]), True),
+        (np.ones(2), np.ones((2, 1)), False),
+        (np.ones(2), None, False),
+        (np.array(["a"]), np.array(["a"]), True),
+        ({"a": (1.0, [float("nan")])}, {"a": (1.0, [float("nan")])}, True),
+        ({"a": 1.0}, {"b": 1.0}, False),
+        ((1, 2), (1, 2, 3), False),
+        (1, 1.0, False),
+        (pd.DataFrame({"x": [np.nan]}), pd.DataFrame({"x": [np.nan]}), True),
+        (pd.DataFrame({"x": [1.0]}), pd.DataFrame({"x": [2.0]}), False),
+        (aj.Uniform(0.0, 1.0), aj.Uniform(0.0, 2.0), False),
+    ],
+)
+def test_equality_of_values(a, b, same):
+    assert equal(a, b) is equal(b, a) is same
+
+
+def test_a_model_is_told_as_it_is_written():
+    model = aj.Quantization(2e-6) + aj.BiasInstability(cutoff_frequency=None) + aj.AngleRandomWalk()
+    model += aj.Markov(amplitude=1e-5, correlation_time=3.0).hold("correlation_time")
+    assert repr(model) == (
+        "Quantization(2e-06) + BiasInstability(cutoff_frequency=None) + AngleRandomWalk() + "
+        'Markov(amplitude=1e-05, correlation_time=3).hold("correlation_time")'
+    )
+    assert eval(repr(model), vars(aj)) == model
+
+
+def test_tables_of_results_hold_their_numbers_in_the_units_they_name(small_recording, critique):
+    table = small_recording.to_dataframe()
+    assert list(table)[:2] == ["time [s]", "gyro_x [deg/s]"]
+    np.testing.assert_allclose(table["accel_z [g]"], small_recording.values[:, 3] / 9.80665)
+    curve = aj.allan_deviation(small_recording)
+    table = curve.to_dataframe()
+    hour = np.pi / 180.0 / 3600.0
+    np.testing.assert_allclose(table["gyro_y [deg/h]"], curve.deviation[:, 1] / hour)
+    lower, upper = curve.confidence_interval(0.68)
+    np.testing.assert_allclose(table["accel_z lower_68 [µg]"], lower[:, 3] / 9.80665e-6)
+    np.testing.assert_allclose(table["gyro_x upper_68 [deg/h]"], upper[:, 0] / hour)
+    assert list(aj.allan_deviation(np.arange(99.0) ** 2, 1.0).to_dataframe())[2] == "0"
+    table = critique.to_dataframe().set_index(["cause", "parameter"])
+    finding = critique.findings[0]
+    assert finding.cause == "sinusoid"
+    frequency = table.loc[("sinusoid", "frequency")]
+    assert (frequency["value"], frequency["unit"]) == (finding.parameters["frequency"].value, "Hz")
+    assert abs(frequency["value"] - 7.3) < 0.01
+    assert frequency["axes"] == "gyro"
