@@ -6,12 +6,13 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+import scipy.stats
 from scipy.fft import dct
 from scipy.linalg import toeplitz
 from scipy.special import sici
 
 import allanjax as aj
-from allanjax.cosine import CosineBins, cosine_transform, cube_root_score
+from allanjax.cosine import CosineBins, SpectralDesign, cosine_transform, cube_root_score
 
 RATE = 4.0
 SINGLE = 64
@@ -264,3 +265,28 @@ def test_scores_are_standardized(dof):
     z = np.asarray(cube_root_score(ratio, dof))
     assert abs(z.mean()) < 4.0 / np.sqrt(draws)
     assert abs(z.var() - 1.0) < 4.0 * np.sqrt(2.0 / draws)
+
+
+@pytest.mark.parametrize("discrepancy", [0.0, 0.3])
+def test_starts_are_chosen_by_the_likelihood_of_chi_square_levels(discrepancy):
+    """By scipy's Gamma law of as many degrees of freedom as a relative error of the model leaves.
+
+    A level of k coefficients has the relative variance 2/k; an error s of the spectrum adds s² for every bin
+    in the octave around it, of which the mean has s² then.
+    """
+    bins = CosineBins.of(500, RATE)
+    design = SpectralDesign.of(aj.AngleRandomWalk() + aj.RateRandomWalk(), bins, bins.size.astype(float))
+    real = bins.size > 0
+    f, size = bins.frequency[real], bins.size[real]
+    per_octave = np.sum(abs(np.log2(f[:, None] / f)) <= 0.5, axis=1)
+    dof = 2.0 / (2.0 / size + discrepancy**2 * per_octave)
+    none = jnp.zeros(0)
+    means, products = design.means(none), design.products(none)
+    V = np.where(real, np.random.default_rng(3).gamma(2.0, 2.0, len(real)), 1.0)
+    for power in (np.array([1.0, 0.0]), np.array([0.3, 0.05])):
+        mean = power @ means
+        cost = design.cost(
+            V, mean, design.covariance(power, products), jnp.asarray(discrepancy), jnp.asarray(0.0)
+        )
+        law = scipy.stats.gamma(dof / 2.0, scale=2.0 * np.asarray(mean)[real] / dof)
+        assert float(cost) == pytest.approx(-2.0 * np.sum(law.logpdf(V[real])), rel=1e-10)

@@ -103,6 +103,25 @@ def test_a_gaussian_with_other_kinds_of_parameters_is_recovered():
     np.testing.assert_allclose(jacobian, np.log([1.0, 100.0, 2.5]), atol=1e-12)
 
 
+def test_the_way_from_a_far_start_is_not_in_the_chain():
+    """Two standard normal coordinates, from a start ten standard deviations away.
+
+    Of the way there five autocorrelation times are left out: so much at least must be gone, for with it the
+    variance would be twice as large. Without, mean and variance are known by the number of independent draws.
+    """
+    random = np.random.RandomState(2)
+    start = 10.0 + random.standard_normal((32, 2))
+    options = Options(32, 20_000, 50.0, 0.05, 1.01)
+    chains = run(lambda y: -0.5 * np.sum(y**2, axis=1), start, random, options, lambda *_: None)
+    assert chains.converged
+    assert chains.steps - len(chains.y) == np.ceil(5.0 * chains.tau.max())
+    assert len(chains.log_density) == len(chains.y)
+    np.testing.assert_allclose(chains.log_density, -0.5 * np.sum(chains.y**2, axis=2), rtol=1e-12)
+    ess = chains.y.shape[0] * chains.y.shape[1] / chains.tau.max()
+    np.testing.assert_allclose(chains.y.mean(axis=(0, 1)), 0.0, atol=4.5 / np.sqrt(ess))
+    np.testing.assert_allclose(chains.y.var(axis=(0, 1)), 1.0, atol=4.5 * np.sqrt(2.0 / ess))
+
+
 def test_r_hat_sees_walkers_that_disagree_drift_or_differ_in_spread():
     random = np.random.default_rng(0)
     chain = random.standard_normal((4000, 8))

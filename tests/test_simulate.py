@@ -17,6 +17,7 @@ from allanjax.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,
+    LowPass,
     Markov,
     NoiseTerm,
     Quantization,
@@ -30,6 +31,8 @@ RATE = 50.0
 LENGTH = 1000
 RECORDS = 300
 SIZES = np.array([1, 2, 3, 5, 8, 16, 31, 64, 125, 250, 400])
+# Sample interval over a correlation time of 0.7 s.
+X = 1.0 / (RATE * 0.7)
 
 
 class GaussMarkov(NoiseTerm):
@@ -130,6 +133,37 @@ def test_long_records_of_a_users_term_gain_no_spurious_drift():
     estimates = brute_force_allan(x, m)
     error = estimates.std(ddof=1) / math.sqrt(len(x))
     assert abs(estimates.mean() - RATE / m) < 4 * error
+
+
+# Variance of each sample: that of a mean over the sample interval, or of the process at an instant.
+STATIONARY = {
+    "markov": (Markov(1e-4, 0.7), 1e-4**2 * 0.35 * 2.0 * (X + math.expm1(-X)) / X**2),
+    "resonance": (Resonance(1e-4, 0.5, 8.0).sampled(RATE), 1e-4**2),
+    "low pass": (LowPass(1e-4, 0.5).sampled(RATE), 1e-4**2 * math.pi * 0.5),
+    "low pass of order 2": (
+        LowPass(1e-4, 0.5, order=2).sampled(RATE),
+        1e-4**2 * math.pi * 0.5 / math.sqrt(2.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STATIONARY)
+def test_stationary_noise_is_stationary_from_the_first_sample_on(name):
+    """All of these remember for far longer than eight samples: a start at rest would show."""
+    term, variance = STATIONARY[name]
+    x = records(term, 8, 4000, seed=3)
+    error = variance * math.sqrt(2.0 / len(x))
+    assert np.all(np.abs(x.var(axis=0) - variance) < 4 * error)
+
+
+def test_the_power_of_a_resonance_scatters_as_it_says():
+    """Over 100 s of 600 periods its formula is good to 2 %; four standard errors of 800 records are 20 %."""
+    duration, sigma = 100.0, 3e-4
+    term = Resonance(sigma, 6.0, 8.0)
+    x = records(term.sampled(RATE), round(duration * RATE), 800, seed=4)
+    power = np.mean(x**2, axis=1) / sigma**2
+    assert power.mean() == pytest.approx(1.0, abs=4 * power.std() / math.sqrt(len(x)))
+    assert float(term.power_scatter(duration)) == pytest.approx(power.var(), rel=4 * math.sqrt(2.0 / len(x)))
 
 
 def test_one_sample_and_odd_lengths():

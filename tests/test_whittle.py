@@ -5,6 +5,8 @@ The dense likelihoods are restricted: of contrasts orthogonal to the mean (and t
 generalized covariance of a random walk or flicker a proper one.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -293,16 +295,46 @@ def test_errors_say_what_to_do(regressed):
 # --- Misfit, and the other objective ------------------------------------------------------------------------
 
 
-def test_a_hump_that_the_model_lacks_is_said_so():
+@pytest.fixture(scope="module")
+def humped():
+    """White noise, and the same with a hump that the model lacks, fitted with both objectives."""
     clean = draws("0", 0.0, 1, 9)[:, 0]
     hump = np.convolve(np.random.default_rng(10).normal(size=N_SAMPLES + 60), np.hanning(61), "valid")
-    fits = aj.fit(recording(np.column_stack([clean, clean + 0.3 * hump])), WHITE_ONLY, "whittle")
+    both = recording(np.column_stack([clean, clean + 0.3 * hump]))
+    return {objective: aj.fit(both, WHITE_ONLY, objective) for objective in ("whittle", "allan")}
+
+
+def test_a_hump_that_the_model_lacks_is_said_so(humped):
+    fits = humped["whittle"]
     good, bad = fits["gyro_0"], fits["gyro_1"]
     assert (good.discrepancy, good.p_value > 1e-6) == (0.0, True)
     assert bad.discrepancy > 0.05
     assert bad.p_value < 1e-6
     assert "model incomplete" in bad.verdict()
     assert bad["angle_random_walk"].std > 3.0 * good["angle_random_walk"].std
+
+
+@pytest.mark.parametrize("objective", ["whittle", "allan"])
+def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(humped, objective):
+    """The standard deviation under the likelihood, by quadrature, is the fit's to a fourth.
+
+    Both have the discrepancy in them, but the one is of a skew law and the other its curvature; of a model
+    taken for the truth it would be several times narrower.
+    """
+    fit = humped[objective]
+    c = fit["gyro_1"]["angle_random_walk"]
+    widths = {}
+    for discrepancy in (fit["gyro_1"].discrepancy, 0.0):
+        taken = dataclasses.replace(fit["gyro_1"], discrepancy=discrepancy)
+        ours = likelihood(dataclasses.replace(fit, results=(fit["gyro_0"], taken)), "gyro_1")
+        points = np.linspace(0.2, 4.0, 2001) * c.value
+        log_density = np.asarray(evaluate(ours, points[:, None]))
+        density = np.exp(log_density - log_density.max())
+        mean = points @ density / density.sum()
+        widths[discrepancy] = np.sqrt((points - mean) ** 2 @ density / density.sum())
+    with_it, without = widths.values()
+    assert with_it == pytest.approx(c.std, rel=0.25)
+    assert with_it > 3.0 * without
 
 
 @pytest.fixture(scope="module")
