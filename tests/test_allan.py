@@ -1,5 +1,6 @@
 """Allan deviation against allantools, published values, and the defining equations written out."""
 
+import os
 from pathlib import Path
 
 import allantools
@@ -129,6 +130,21 @@ def test_equals_the_definition_at_every_cluster_size(name, n):
     # One size more and there is no difference left.
     with pytest.raises(ZeroDivisionError):
         by_definition(rates[:, 0], ours.cluster_size[-1] + 1, name)
+
+
+@pytest.mark.parametrize(("kind", "weights"), [("allan", [1, -2, 1]), ("hadamard", [-1, 3, -3, 1])])
+def test_long_records_are_shared_out_among_the_cores(kind, weights, monkeypatch):
+    """From 131,072 samples on each of, here, three cores sums a share of the differences."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    n, sizes = 140_001, np.array([1, 7, 1000, 40_000])
+    x = 2.0 + np.random.default_rng(5).normal(size=(n, 2))
+    found = np.asarray(allan_variance_estimates(x, sizes, kind=kind))
+    phase = np.concatenate([np.zeros((1, 2)), np.cumsum(x - x.mean(axis=0), axis=0)])
+    for m, variance in zip(sizes, found, strict=True):
+        spans = len(weights) - 1
+        d = sum(w * phase[p * m : n + 1 - (spans - p) * m] for p, w in enumerate(weights))
+        scale = {"allan": 2.0, "hadamard": 6.0}[kind] * m**2.0
+        np.testing.assert_allclose(variance, np.mean(d**2, axis=0) / scale, rtol=1e-9)
 
 
 def test_equals_eq_4_9_on_phases():

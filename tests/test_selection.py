@@ -131,7 +131,8 @@ NAMES = {"N": "angle_random_walk", "K": "rate_random_walk", "R": "drift_ramp", "
 def test_evidence_is_the_integral_over_the_prior():
     """White noise (the others at their boundary), a walk, a ramp, and a walk hardly there: to 0.8 nats.
 
-    Laplace's approximation is good to a few tenths where an amplitude is known to a third only.
+    Laplace's approximation is good to a few tenths where an amplitude is known to a third only. A ramp is
+    integrated exactly: to 0.01 nats, the steps of the sum here.
     """
     records = [
         noise(20, SHORT, N=N),
@@ -149,7 +150,8 @@ def test_evidence_is_the_integral_over_the_prior():
         reference = found[(NAMES["N"],)] - exact["N"]
         for terms, value in exact.items():
             ours = found[tuple(NAMES[t] for t in terms)]
-            assert ours - value - reference == pytest.approx(0.0, abs=0.8), (axis.axis.name, terms)
+            tolerance = 0.01 if terms == "NR" else 0.8
+            assert ours - value - reference == pytest.approx(0.0, abs=tolerance), (axis.axis.name, terms)
 
 
 def test_a_grid_of_times_is_one_set():
@@ -220,9 +222,11 @@ def test_indistinguishable_are_those_with_odds_shorter_than_twenty():
 
 def test_ambiguities_name_what_is_swapped_or_doubtful():
     (swap,) = by_hand(N_K=1.0, N_B=0.5).ambiguities()
-    assert swap.startswith("rate random walk from bias instability (67 % against 33 %)")
+    assert swap == "rate random walk from bias instability (67 % against 33 %)"
     (doubt,) = by_hand(N=1.0, N_K=0.5).ambiguities()
-    assert doubt.startswith("whether there is rate random walk")
+    assert doubt == "whether there is rate random walk (67 % against 33 % with it)"
+    (doubt,) = by_hand(N_K=1.0, N=0.15).ambiguities()
+    assert doubt == "whether there is rate random walk (87 % against 13 % without it)"
     assert by_hand(N=1.0, N_K=0.06).ambiguities() == ()  # improbable, and no ambiguity worth a word
     assert by_hand(N=1.0, N_K=0.01).ambiguities() == ()
 
