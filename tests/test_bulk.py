@@ -129,6 +129,17 @@ def test_an_axis_without_result_says_so_and_spoils_no_other() -> None:
     assert "2 converged" in str(many)
 
 
+@pytest.mark.usefixtures("small_blocks")
+def test_an_incomplete_model_is_off_by_as_much_as_in_a_fit() -> None:
+    """White noise alone for a record with a random walk: to rounding, which the iteration may amplify."""
+    record = recording(samples(ARW + RRW, 2))
+    curve, model = aj.allan_deviation(record), aj.Model((aj.AngleRandomWalk(),))
+    many = aj.fit_many(curve, model)
+    results, _ = fit_allan(curve, record.axes, model, np.ones((2, 1), bool))
+    assert (many.discrepancy > 0.01).all()
+    np.testing.assert_allclose(many.discrepancy, [r.discrepancy for r in results], rtol=1e-6)
+
+
 def test_what_it_cannot_do_it_refuses() -> None:
     x = samples(ARW, 2)
     model = aj.AngleRandomWalk()

@@ -25,6 +25,24 @@ def test_programs_are_forgotten_when_there_are_too_many(monkeypatch, used):
     assert len(traced) == (1 if used == 100 else 2)
 
 
+@pytest.mark.parametrize("word", ["off", "OFF"])
+def test_the_cache_is_where_it_is_said_to_be_or_nowhere(monkeypatch, tmp_path, word):
+    set_to = {}
+    monkeypatch.setattr(jax.config, "update", set_to.__setitem__)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ALLANJAX_CACHE", word)
+    assert aj.enable_compilation_cache() is None
+    assert (set_to, list(tmp_path.iterdir())) == ({}, [])
+    for said in (str(tmp_path / "by name"), ""):
+        monkeypatch.setenv("ALLANJAX_CACHE", said)
+        monkeypatch.setattr(cache, "_user_cache", lambda: tmp_path / "user")
+        folder = aj.enable_compilation_cache()
+        assert folder == (tmp_path / "by name" if said else tmp_path / "user" / "allanjax" / "jax")
+        assert folder.is_dir()
+        assert set_to["jax_compilation_cache_dir"] == str(folder)
+    assert aj.enable_compilation_cache(tmp_path / "given") == tmp_path / "given"
+
+
 @pytest.mark.skipif(cache._mapped()[0] == 0, reason="only Linux has such a limit")
 def test_what_is_mapped_is_counted():
     used, limit = cache._mapped()
