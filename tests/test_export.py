@@ -50,6 +50,8 @@ def test_json_has_the_fits_numbers_in_both_units(small_fit, schema, tmp_path):
         assert axis["dof"] == result.dof
         assert axis["covariance"]["labels"] == list(result.coefficients)
         np.testing.assert_array_equal(axis["covariance"]["values"], result.covariance)
+        si_units = [USUAL[axis["sensor"], label][2] for label in result.coefficients]
+        assert axis["covariance"]["units"] == si_units
         for entry, c in zip(axis["coefficients"], result.coefficients.values(), strict=True):
             unit, scale, si_unit = USUAL[axis["sensor"], entry["label"]]
             assert (entry["unit"], entry["si"]["unit"]) == (unit, si_unit)

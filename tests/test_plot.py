@@ -1,5 +1,7 @@
 """The picture of a fit."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -72,6 +74,16 @@ def test_the_strip_shows_measured_over_model_in_percent(small_fit):
         len(line.get_xdata()) for line in strip.get_lines() if line.get_label() == "beyond the strip"
     )
     assert marked == (abs(points) > reach).sum()
+
+
+def test_the_models_own_error_is_a_band_in_the_strip(small_fit):
+    first, second, *others = small_fit.results
+    incomplete = dataclasses.replace(second, discrepancy=0.04)
+    figure = plot_allan(dataclasses.replace(small_fit, results=(first, incomplete, *others)), axes=["gyro_y"])
+    strip = next(axes for axes in figure.axes if "[%]" in axes.get_ylabel())
+    (band,) = strip.patches
+    np.testing.assert_allclose(band.get_path().get_extents(band.get_patch_transform()).intervaly, [-4.0, 4.0])
+    assert strip.get_ylim()[1] > 4.0
 
 
 def test_the_key_names_every_term_with_its_coefficient_or_limit(small_fit):
