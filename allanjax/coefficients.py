@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.deterministic import Line, amplitude_quantile
 from allanjax.gls import Solution
-from allanjax.inference import ESTIMATE, Inference
+from allanjax.inference import ABOVE, ESTIMATE, Inference
 from allanjax.model import Model, ModelParameter
 from allanjax.recording import Axis
 from allanjax.result import Coefficient
@@ -83,6 +83,7 @@ def estimates_of(
     power, shape = np.asarray(solution.power), np.asarray(solution.shape)
     covariance = np.asarray(inference.covariance)
     power_at, pivot_at = np.asarray(inference.power_at), np.asarray(inference.pivot_at)
+    ceiling = np.asarray(inference.ceiling)
     count = (len(power), len(parameters))
     value, std, limit = np.zeros(count), np.zeros(count), np.full(count, np.nan)
     interval, interval_68 = np.zeros((*count, 2)), np.zeros((*count, 2))
@@ -101,8 +102,8 @@ def estimates_of(
             value[:, row] = np.sqrt(power[:, column])
             present = power[:, column] > 0.0
             levels = (TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95)
-            grid = (power_at[:, column], pivot_at[:, column])
-            ends = np.stack([np.sqrt(_crossings(*grid, level, present)) for level in levels], axis=1)
+            at = (power_at[:, column], pivot_at[:, column], ceiling[:, column])
+            ends = np.stack([np.sqrt(_crossings(*at, level, present)) for level in levels], axis=1)
             interval[:, row], interval_68[:, row], limit[:, row] = ends[:, :2], ends[:, 2:4], ends[:, 4]
             found[:, column] = active[:, column] & (ends[:, 0] > 0.0)
             jacobian[:, row, column] = np.divide(
@@ -234,33 +235,33 @@ def _around(
 def _crossings(
     power: Float[np.ndarray, "axes grid"],
     pivot: Float[np.ndarray, "axes grid"],
+    ceiling: Float[np.ndarray, " axes"],
     level: float,
     present: Bool[np.ndarray, " axes"],
 ) -> Float[np.ndarray, " axes"]:
     """The hypothetical powers at which the data are `level` standard deviations away.
 
-    Positive levels are sought below the estimate (zero if none is reached), negative ones above (infinity).
+    Positive levels are sought below the estimate (zero if none is reached), negative ones above (the ceiling,
+    where a large model error lets the data refuse none of them).
     """
+    below = level > 0.0
+    side = slice(ESTIMATE, None, -1) if below else slice(ABOVE, None)
+    power, pivot = power[:, side], pivot[:, side]
     # Without this term the others may leave no noise at all: such a hypothesis is out of the question.
-    side = np.where(np.arange(pivot.shape[1]) < ESTIMATE, np.inf, -np.inf)
-    pivot = np.where(np.isfinite(pivot), pivot, side)
+    pivot = np.where(np.isfinite(pivot), pivot, np.inf if below else np.nan)
     # Where others' powers ended at zero the data may still pull at this one. It is taken as if they were
     # content with the estimate; so is an absent term of which they would like less than nothing, lest its
     # limit shrink.
-    at_estimate = np.where(np.isfinite(pivot[:, ESTIMATE]), pivot[:, ESTIMATE], 0.0)
+    at_estimate = np.where(np.isfinite(pivot[:, 0]), pivot[:, 0], 0.0)
     pivot = pivot - np.where(present, at_estimate, np.minimum(at_estimate, 0.0))[:, None]
     # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
-    if level > 0.0:
-        beyond, nowhere = pivot[:, ESTIMATE - 1 :: -1] >= level, 0.0
-        outer = ESTIMATE - 1 - np.argmax(beyond, axis=1)
-        inner = outer + 1
-    else:
-        beyond, nowhere = pivot[:, ESTIMATE:] <= level, np.inf
-        outer = ESTIMATE + np.argmax(beyond, axis=1)
-        inner = np.maximum(outer - 1, ESTIMATE)
+    beyond = pivot >= level if below else pivot <= level
+    outer = np.argmax(beyond, axis=1)
+    inner = np.maximum(outer - 1, 0)
     axis = np.arange(len(power))
     (from_, to), (near, far) = ((x[axis, inner], x[axis, outer]) for x in (power, pivot))
     between = np.isfinite(far) & (far != near)
     with np.errstate(invalid="ignore"):  # NaN where there is no distance at the estimate itself
         share = np.divide(level - near, far - near, out=np.zeros(len(power)), where=between)
+    nowhere = np.zeros(len(power)) if below else np.maximum(ceiling, power[:, 0])
     return np.where(beyond.any(axis=1), from_ + share * (to - from_), nowhere)

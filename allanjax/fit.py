@@ -19,7 +19,7 @@ from allanjax.design import AllanDesign
 from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.gls import Solution, solve
-from allanjax.inference import HYPOTHESES, Inference, infer
+from allanjax.inference import Inference, infer
 from allanjax.model import Model
 from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Fit
@@ -232,7 +232,7 @@ def solve_and_infer(
         other = solve(design, variance, free, active, starts.power[:, k], starts.shape[:, k])
         better = np.asarray(other.converged & ~(other.cost >= solution.cost) | ~solution.converged)
         solution = _choose(doubtful & better, other, solution)
-    inference = infer(design, variance, free, active, solution, np.asarray(HYPOTHESES))
+    inference = infer(design, variance, free, active, solution)
     return jax.device_get((solution, inference))
 
 

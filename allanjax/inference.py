@@ -8,24 +8,28 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jax.scipy.special import gammaln
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from allanjax.design import Design
 from allanjax.gls import Solution
-from allanjax.linalg import inverse
+from allanjax.linalg import inverse, non_negative_least_squares
 
 
 class Inference(NamedTuple):
     """What the data say about one axis around its estimate.
 
     `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
-    and the data's distance from each as a normal score, positive where the data want more.
+    and the data's distance from each as a normal score, positive where the data want more: up to `ESTIMATE`
+    those below the estimate, from `ABOVE` on those above. `ceiling` is, per term, a power that the term
+    alone rules out, see `_ceiling`.
     """
 
     covariance: Float[Array, "params params"]
     estimate_variance: Float[Array, " m"]
     power_at: Float[Array, "terms grid"]
     pivot_at: Float[Array, "terms grid"]
+    ceiling: Float[Array, " terms"]
 
 
 class _Linearized(NamedTuple):
@@ -52,12 +56,17 @@ def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Arra
 
 
 # Hypothetical powers, in standard deviations from the estimate; the first is zero power.
-_BELOW = [-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5]
-_ABOVE = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0]
-_GRID = np.array([*_BELOW, 0.0, *_ABOVE])
-HYPOTHESES = len(_GRID)
-#: Index of the estimate itself.
-ESTIMATE = len(_BELOW)
+_BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
+# Where the scatter grows with the power, as of few long clusters, limits may be far up.
+_NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
+_ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
+#: Indices of the estimate itself, of hypotheses below and above.
+ESTIMATE = len(_BELOW) - 1
+ABOVE = len(_BELOW)
+# Beyond this score no interval's end lies.
+_FAR_ENOUGH = -2.0
+# Of a ceiling: the chance that it is too low.
+_CHANCE = 0.025
 
 
 @eqx.filter_jit
@@ -67,18 +76,19 @@ def infer(
     free: Bool[ArrayLike, " terms"],
     active: Bool[ArrayLike, "axes terms"],
     solution: Solution,
-    hypotheses: Int[ArrayLike, ""],
 ) -> Inference:
     """Covariance of the parameters, and for each term the data's distance from hypothetical powers.
 
-    The first hypothesis is v = 0; only as many as asked for are looked at (`HYPOTHESES` are all).
+    The first hypothesis is v = 0. Upwards, hypotheses go on until the data refuse one, and the other powers
+    are fitted to the data anew at each: far away, where they would have gone along with the term under test
+    says nothing. What is not looked at is NaN.
 
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
     powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
     with v. It exists for inactive terms too, whose upper limits it gives.
     """
-    shared, count = jnp.asarray(free), jnp.asarray(hypotheses)
-    return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s, count))(V, active, solution)
+    shared = jnp.asarray(free)
+    return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s))(V, active, solution)
 
 
 def _infer(
@@ -87,7 +97,6 @@ def _infer(
     free: Bool[Array, " terms"],
     active: Bool[Array, " terms"],
     s: Solution,
-    count: Int[Array, ""],
 ) -> Inference:
     terms = len(s.power)
     owner = jnp.asarray([p.term for p in design.shapes], int)
@@ -128,33 +137,80 @@ def _infer(
     around = jax.vmap(lambda estimated: at_hypothesis(s.power, estimated))(every)
     found = jax.tree.map(lambda x: x[0], around)
 
+    def score(term: Array, v: Array, at: Array, fitted: Array) -> Array:
+        """Distance of the data from these powers, of which that of the term is v."""
+        there = at_hypothesis(at, fitted)
+        variance = there.covariance[term, term]
+        # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
+        # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
+        third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
+        # An estimate that cannot be negative is no more skew than a χ² of its own mean and variance.
+        skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
+        return _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
+
     def hypotheses(
         term: Array, alone: Array, own_shape: Array, estimated: Array, local: Array
     ) -> tuple[Array, Array]:
         sd = jnp.sqrt(local[term, term])
-        powers = jnp.maximum(s.power[term] + jnp.asarray(_GRID) * sd, 0.0)
+        # A term that is alone cannot vanish altogether.
+        least = 1e-9 * s.power[term]
         slope = jnp.where(estimated[:terms] > 0.0, local[:terms, term] / local[term, term], 0.0)
+        down = jnp.maximum(s.power[term] + jnp.asarray(_BELOW) * sd, 0.0)
+        up = s.power[term] + jnp.asarray(_ABOVE) * sd
 
-        def distance(k: Array, distances: Array) -> Array:
-            # A term that is alone cannot vanish altogether.
-            v = jnp.maximum(powers[k], 1e-9 * s.power[term])
+        def below(k: Array, scores: Array) -> Array:
+            v = jnp.maximum(down[k], least)
             others = jnp.maximum(s.power + slope * (v - s.power[term]), 0.05 * s.power)
             at = jnp.where(alone, v, jnp.where(active, others, 0.0))
             shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape)
             fitted = jnp.concatenate([estimated[:terms], shaped])
-            there = at_hypothesis(at, fitted)
-            variance = there.covariance[term, term]
-            # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
-            # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
-            third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
-            # An estimate that cannot be negative is no more skew than a χ² of its own mean and variance.
-            skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
-            score = _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
-            return distances.at[k].set(score)
+            return scores.at[k].set(score(term, v, at, fitted))
 
-        return powers, jax.lax.fori_loop(0, count, distance, jnp.zeros_like(powers))
+        def above(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            k, scores, others = state
+            v = jnp.maximum(up[k], least)
+            at = profiled(jnp.where(alone, v, others), active & free & ~alone)
+            # What has no power is not estimated: it could only be negative.
+            present = (estimated[:terms] > 0.0) & (alone | (at > 0.0))
+            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape & (at[owner] > 0.0))
+            fitted = jnp.concatenate([present, shaped]).astype(float)
+            return k + 1, scores.at[k].set(score(term, v, at, fitted)), at
+
+        def goes_on(state: tuple[Array, Array, Array]) -> Array:
+            k, scores, _ = state
+            reached = scores[k - 1] - jnp.minimum(scores[0], 0.0) < _FAR_ENOUGH
+            return (k == 0) | (~reached & (k < len(_ABOVE)))
+
+        nothing = jnp.full(len(_ABOVE), jnp.nan)
+        pivots = jax.lax.fori_loop(0, len(_BELOW), below, jnp.zeros_like(down))
+        _, further, _ = jax.lax.while_loop(goes_on, above, (jnp.asarray(0), nothing, s.power * active))
+        return jnp.concatenate([down, up]), jnp.concatenate([pivots, further])
+
+    def profiled(power: Array, allowed: Array) -> Array:
+        """The powers with those allowed to fitted to the data, weighted by the covariance at `power`."""
+        mean, covariance = power @ means, design.covariance(power, products)
+        W = design.whiten(covariance, mean, s.discrepancy, jnp.eye(len(V))).values
+        A = W @ (means / mean).T
+        target = W @ (V / mean) - A @ jnp.where(allowed, 0.0, power)
+        return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
 
     power_at, pivot_at = jax.vmap(hypotheses)(
         jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
     )
-    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at)
+    ceiling = _ceiling(design, V, means, products, s.discrepancy)
+    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, ceiling)
+
+
+def _ceiling(
+    design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, discrepancy: Array
+) -> Float[Array, " terms"]:
+    """For each term a power beyond which one of the estimates would be too small, whatever else there is.
+
+    Other terms can only add to an estimate, so that V ≥ v·mean·χ²/ν. With m estimates the chance of each is
+    `_CHANCE`/m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those of the term that scatters most.
+    """
+    each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
+    relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0) + discrepancy**2
+    half = 1.0 / jnp.maximum(relative, 1e-9)
+    least = (jnp.log(_CHANCE / len(V)) + gammaln(half + 1.0)) / half - jnp.log(half)
+    return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)

@@ -22,7 +22,7 @@ from allanjax.design import Design
 from allanjax.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines, term_column
 from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
-from allanjax.inference import HYPOTHESES, infer
+from allanjax.inference import infer
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import Coefficient
@@ -121,7 +121,7 @@ def fit_spectrum(
     design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
     free = _free(noise)
     V = projection.level[None]
-    inference = infer(design, V, free, active[random][None], solution, np.asarray(HYPOTHESES))
+    inference = infer(design, V, free, active[random][None], solution)
     (noise_found,) = coefficients_of(noise, [axis], active[random][None], solution, inference)
     solution = jax.tree.map(lambda x: np.asarray(x)[0], solution)
     variance = _expected(design, solution)
