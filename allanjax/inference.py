@@ -170,10 +170,8 @@ def _infer(
             k, scores, others = state
             v = jnp.maximum(up[k], least)
             at = profiled(jnp.where(alone, v, others), active & free & ~alone)
-            # What has no power is not estimated: it could only be negative.
-            present = (estimated[:terms] > 0.0) & (alone | (at > 0.0))
             shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape & (at[owner] > 0.0))
-            fitted = jnp.concatenate([present, shaped]).astype(float)
+            fitted = jnp.concatenate([estimated[:terms], shaped])
             return k + 1, scores.at[k].set(score(term, v, at, fitted)), at
 
         def goes_on(state: tuple[Array, Array, Array]) -> Array:
