@@ -213,7 +213,7 @@ def test_allan_deviation_by_the_pyramid():
 
 
 def test_its_degrees_of_freedom_are_those_of_every_so_manieth_start():
-    """Of white noise, by the products of the differences' weights: one to two per cent fewer than of all starts.
+    """Of white noise, by the products of the differences' weights: 1 to 2 % fewer than of all starts.
 
     2(Σ C_kk)²/(2 Σ C_kl²) is exact; the sum over lags is by quadrature, to 10⁻⁶.
     """
