@@ -129,6 +129,20 @@ def test_held_parameters_stay_and_starts_are_used() -> None:
     assert result["markov_amplitude"].std > 0.0
 
 
+@pytest.mark.parametrize("objective", ["allan", "whittle"])
+def test_an_amplitude_that_is_held_has_its_value(objective) -> None:
+    """White noise held at its true level: the model suffices, and the random walk is found beside it."""
+    walk = aj.RateRandomWalk(0.003)
+    asked = WHITE.hold("coefficient") + aj.RateRandomWalk()
+    result = aj.fit(recording(WHITE + walk, 8192, seed=7), asked, objective)["gyro_0"]
+    held, found = result["angle_random_walk"], result["rate_random_walk"]
+    assert (held.value, held.std, held.held) == (0.01, 0.0, True)
+    assert result.p_value > 1e-4
+    assert abs(found.value - 0.003) < K_SIGMA * found.std
+    deviation = np.sqrt(np.asarray(result.model.allan_variance(1.0)))
+    assert deviation == pytest.approx(np.sqrt(0.01**2 + found.value**2 / 3.0))
+
+
 def test_an_incomplete_model_is_said_so_and_widens_the_intervals() -> None:
     clean = recording(WHITE, 20_000, seed=6)
     line = 0.3 * np.sin(2 * np.pi * 5.0 * clean.time)[:, None]
