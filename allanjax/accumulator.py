@@ -23,7 +23,7 @@ from allanjax.fit import (
     check_length,
     fit_allan,
     terms_to_fit,
-    with_edf_under,
+    with_curve,
 )
 from allanjax.model import Model
 from allanjax.pyramid import Pyramid
@@ -162,7 +162,7 @@ class AllanAccumulator:
                 return Fit(self.name, template, fitted, results, notes, objective, selection)
             notes += (_TOO_FINE,)
         results = self._spectra.fit(template, self.axes, active)
-        curve = with_edf_under(curve, template, results)
+        results, curve = with_curve(curve, template, results)
         return Fit(self.name, template, curve, results, notes, "whittle", selection)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:

@@ -20,6 +20,7 @@ from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import Inference, infer
+from allanjax.misfit import Misfit, misfit_of
 from allanjax.model import Model
 from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Fit
@@ -81,7 +82,7 @@ def fit(
     else:
         axes = range(len(recording.axes))
         results = tuple(_fit_whittle(recording, k, template, active[k], given) for k in axes)
-        curve = with_edf_under(curve, template, results)
+        results, curve = with_curve(curve, template, results)
     notes = recording.notes + ambiguities(selection)
     return Fit(recording.name, template, curve, results, notes, objective, selection)
 
@@ -212,7 +213,9 @@ def fit_allan(
         dof = len(curve.cluster_size) - estimated(template, active[k])
         of_axis = jax.tree.map(lambda x, k=k: x[k], solution)
         results.append(_axis_fit(axis, template, active[k], coefficients, of_axis, dof))
-    return tuple(results), _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
+    curve = _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
+    mean = np.asarray(_means(design, *_parameters(design, results)))
+    return tuple(_with_allan_misfit(r, curve, k, mean[k]) for k, r in enumerate(results)), curve
 
 
 def solve_and_infer(
@@ -254,7 +257,35 @@ def result_of(found: WhittleFit, template: Model, axis: Axis, active: Bool[np.nd
     random = np.array([not term.deterministic for term in template.terms])
     dof = round(found.estimates) - estimated(template, active & random)
     result = _axis_fit(axis, template, active, found.coefficients, found.solution, dof)
-    return dataclasses.replace(result, regression=found.regression, spectrum=found.spectrum)
+    result = dataclasses.replace(result, regression=found.regression, spectrum=found.spectrum)
+    return with_misfit(result, found.misfit)
+
+
+def with_misfit(result: AxisFit, misfit: Misfit) -> AxisFit:
+    """The result, and how far its curve is off where the model does not suffice.
+
+    Where that is excessive no coefficient keeps a standard deviation, an interval or a limit.
+    """
+    if not result.converged or result.discrepancy == 0.0:
+        return result
+    if not misfit.excessive:
+        return dataclasses.replace(result, misfit=misfit)
+    return dataclasses.replace(
+        result,
+        misfit=misfit,
+        _coefficients={label: c.unmeasured() for label, c in result.coefficients.items()},
+        _covariance=np.full_like(result.covariance, np.nan),
+    )
+
+
+def _with_allan_misfit(
+    result: AxisFit, curve: AllanDeviation, k: int, mean: Float[np.ndarray, " m"]
+) -> AxisFit:
+    if not result.converged:
+        return result
+    misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / np.sqrt(mean), curve.edf[:, k], "s")
+    # Of a fitted spectrum that is the word on it, unless the Allan deviation is what is far off.
+    return result if result.misfit is not None and not misfit.excessive else with_misfit(result, misfit)
 
 
 def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
@@ -299,11 +330,21 @@ def _axis_fit(
     )
 
 
-def with_edf_under(curve: AllanDeviation, template: Model, results: Sequence[AxisFit]) -> AllanDeviation:
-    """The curve with degrees of freedom under fitted models, where the fit has not looked at it."""
+def with_curve(
+    curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
+) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
+    """Fits of spectra with what the Allan deviations say of them, and the curve's degrees of freedom."""
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
-    variance = np.asarray(_variances(design, *_parameters(design, results)))
-    return _with_model_edf(curve, design, results, variance)
+    place = _parameters(design, results)
+    curve = _with_model_edf(curve, design, results, np.asarray(_variances(design, *place)))
+    # What is profiled out of the spectrum is still in the Allan deviations.
+    if any(isinstance(term, Transient) for term in template.terms):
+        return tuple(results), curve
+    mean = np.asarray(_means(design, *place))
+    return tuple(
+        r if r.regression or not r.measured else _with_allan_misfit(r, curve, k, mean[k])
+        for k, r in enumerate(results)
+    ), curve
 
 
 def _with_model_edf(

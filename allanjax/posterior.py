@@ -383,6 +383,11 @@ def sample(
     for name in names:
         if not fit[name].converged:
             raise FitError(f"{name}: no posterior, {fit[name].reason}; name the other axes in axes=[…]")
+        if not fit[name].measured:
+            raise FitError(
+                f"{name}: no posterior, the model does not follow the data: {fit[name].misfit}; "
+                "allanjax.critique looks for the cause; name the other axes in axes=[…]"
+            )
     sampler = AxisSampler(
         fit=fit,
         priors=dict(priors or {}),

@@ -15,6 +15,7 @@ from allanjax.allan import AllanDeviation
 from allanjax.equality import ByValue
 from allanjax.errors import FitError
 from allanjax.estimate import Estimate
+from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.terms import Parameter
@@ -27,6 +28,13 @@ if TYPE_CHECKING:
 
     from allanjax.deterministic import AxisSpectrum
     from allanjax.selection import TermSelection
+
+
+#: What to do about a curve that is far off.
+NEXT = (
+    "Next: look at the picture; allanjax critique FILE looks for the cause; "
+    "--start and --stop cut off what was not at rest, --terms takes other terms"
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,6 +52,9 @@ class Coefficient(Estimate):
         upper_limit: one-sided 95 % limit, of an amplitude.
         detected: whether zero is excluded.
         held: whether the value was given and not estimated.
+        measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
+            `AxisFit.misfit`) it is not: the value is that of the curve; standard deviation and intervals are
+            nan, there is no limit, and nothing is detected.
         axis, std, interval_68, unit: see `Estimate`.
     """
 
@@ -55,6 +66,7 @@ class Coefficient(Estimate):
     upper_limit: float | None
     detected: bool
     held: bool = False
+    measured: bool = True
 
     @property
     def title(self) -> str:
@@ -66,9 +78,26 @@ class Coefficient(Estimate):
         """The unit of such a coefficient for people, e.g. "deg/√h"."""
         return usual_unit(self.parameter, self.axis.sensor)
 
+    def unmeasured(self) -> Coefficient:
+        """The same as the parameter of a curve only; what was held stays as it was given."""
+        if self.held:
+            return self
+        nowhere = (float("nan"), float("nan"))
+        return dataclasses.replace(
+            self,
+            std=float("nan"),
+            interval=nowhere,
+            interval_68=nowhere,
+            upper_limit=None,
+            detected=False,
+            measured=False,
+        )
+
     def _amount(self) -> str:
         if self.held:
             return self._with_unit(f"{self.value:.6g}")
+        if not self.measured:
+            return self._with_unit(f"{self.value:.3g}") if self.value > 0.0 else "none"
         if not self.detected:
             return "" if self.upper_limit is None else self._with_unit(f"{self.upper_limit:.3g}")
         return super()._amount()
@@ -76,6 +105,8 @@ class Coefficient(Estimate):
     def _sentence(self, amount: str) -> str:
         if self.held:
             return f"{amount} (held)"
+        if not self.measured:
+            return f"not a measurement of this sensor (fitted: {amount})"
         if self.detected:
             return amount
         if self.upper_limit is None or not np.isfinite(self.upper_limit):
@@ -108,6 +139,8 @@ class AxisFit(ByValue):
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`; 0 if the model suffices. Standard deviations and intervals
             include it.
+        misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
+            If it is excessive no coefficient is a measurement of the sensor (`measured`).
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics it was fitted to.
     """
@@ -123,11 +156,17 @@ class AxisFit(ByValue):
     _covariance: Float[np.ndarray, "params params"]
     _model: Model
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    misfit: Misfit | None = None
     spectrum: AxisSpectrum | None = None
 
     def _checked(self) -> None:
         if not self.converged:
             raise FitError(f"{self.axis.name}: no result, {self.reason}")
+
+    @property
+    def measured(self) -> bool:
+        """Whether the coefficients are a measurement of the sensor: not those of a curve that is far off."""
+        return self.converged and not (self.misfit is not None and self.misfit.excessive)
 
     @property
     def coefficients(self) -> Mapping[str, Coefficient]:
@@ -161,10 +200,12 @@ class AxisFit(ByValue):
         """One line on how well the model fits."""
         if not self.converged:
             return f"no result: {self.reason}"
-        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom (p = {self.p_value:.2g})"
-        if self.discrepancy > 0.0:
-            text += f"; model incomplete: its curve is off by about {100.0 * self.discrepancy:.2g} %"
-        return text
+        p = f"p = {self.p_value:.2g}" if self.p_value > 1e-300 else "p < 1e-300"
+        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom ({p})"
+        if not self.measured:
+            off = f"the model does not follow the data, {self.misfit}"
+            return f"not a measurement of this sensor: {off}; {text}. {NEXT}"
+        return text if self.misfit is None else f"{text}; model incomplete: {self.misfit}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

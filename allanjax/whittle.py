@@ -23,6 +23,7 @@ from allanjax.deterministic import AxisSpectrum, Projection, lines_of, take_out_
 from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import infer
+from allanjax.misfit import Misfit, spectral_misfit
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import Coefficient
@@ -43,6 +44,7 @@ class WhittleFit:
         estimates: degrees of freedom of χ² before the model's parameters are counted.
         spectrum: what the model was fitted to.
         regression: amplitude of each regressor and its standard deviation [rate per the regressor's unit].
+        misfit: how far the levels are off.
     """
 
     coefficients: Coefficients
@@ -50,6 +52,7 @@ class WhittleFit:
     estimates: float
     spectrum: AxisSpectrum
     regression: Mapping[str, tuple[float, float]]
+    misfit: Misfit
 
 
 def spectrum_of(
@@ -138,6 +141,7 @@ def fit_spectrum(
         float(design.count),
         spectrum,
         _regression(spectrum, projection),
+        spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof),
     )
 
 
