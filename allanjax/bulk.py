@@ -23,9 +23,10 @@ from allanjax.design import AllanDesign
 from allanjax.deterministic import needs_record
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
-from allanjax.fit import check_length, estimated, solve_and_infer
+from allanjax.fit import check_length, estimated, means_of, solve_and_infer
 from allanjax.gls import Solution
 from allanjax.inference import Inference
+from allanjax.misfit import misfit_of
 from allanjax.model import Model
 from allanjax.recording import Recording
 from allanjax.result import usual_unit
@@ -58,6 +59,9 @@ class BulkFit(ByValue):
         converged: whether the axis has a result.
         chi2, dof, p_value: misfit of the Allan variances to the model within their own scatter.
         discrepancy: as in `AxisFit`.
+        measured: whether the coefficients are a measurement: not where the fitted curve is far off (see
+            `AxisFit.misfit`), where they have no standard deviation, no interval and no limit, and nothing is
+            detected.
     """
 
     template: Model
@@ -73,6 +77,7 @@ class BulkFit(ByValue):
     dof: int
     p_value: Float[np.ndarray, " axes"]
     discrepancy: Float[np.ndarray, " axes"]
+    measured: Bool[np.ndarray, " axes"]
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -107,6 +112,7 @@ class BulkFit(ByValue):
             "unit": units,
             "detected": self.detected,
             "upper_limit_95": self.upper_limit,
+            "measured": np.broadcast_to(self.measured[:, None], self.value.shape),
         }
         flat = {key: (x / scale if x.dtype == float else x).reshape(len(names)) for key, x in numbers.items()}
         return pd.DataFrame({"axis": names, "coefficient": labels, **flat})
@@ -233,21 +239,43 @@ def _bulk_fit(curve: AllanDeviation, template: Model, solution: Solution, infere
     converged = np.asarray(solution.converged)
     dof = len(curve.cluster_size) - estimated(template, active[0])
 
-    def known(x: Float[np.ndarray, "axes coefficients"]) -> Float[np.ndarray, "axes coefficients"]:
-        return np.where(converged[:, None], x, np.nan)
+    measured = converged & ~_far_off(curve, template, solution, inference)
+
+    def known(
+        x: Float[np.ndarray, "axes coefficients"], where: Bool[np.ndarray, " axes"] = measured
+    ) -> Float[np.ndarray, "axes coefficients"]:
+        return np.where(where[:, None], x, np.nan)
 
     return BulkFit(
         template=template,
         curve=curve,
-        value=known(estimates.value),
+        value=known(estimates.value, converged),
         std=known(estimates.std),
         lower=known(estimates.interval[..., 0]),
         upper=known(estimates.interval[..., 1]),
         upper_limit=known(estimates.upper_limit),
-        detected=estimates.detected & converged[:, None],
+        detected=estimates.detected & measured[:, None],
         converged=converged,
         chi2=np.asarray(solution.chi2),
         dof=dof,
         p_value=chi2.sf(solution.chi2, dof),
         discrepancy=np.asarray(solution.discrepancy) / 2.0,
+        measured=measured,
     )
+
+
+def _far_off(
+    curve: AllanDeviation, template: Model, solution: Solution, inference: Inference
+) -> Bool[np.ndarray, " axes"]:
+    """Which curves' fits are off by so much that the coefficients are no measurement."""
+    found = np.zeros(len(solution.power), bool)
+    incomplete = np.flatnonzero(solution.converged & (solution.discrepancy > 0.0))
+    if len(incomplete):
+        design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
+        # Of all axes, so that a compiled program serves whatever their number.
+        mean = np.asarray(means_of(design, solution.power, solution.shape))
+    for k in incomplete:
+        ratio = curve.deviation[:, k] / np.sqrt(mean[k])
+        edf = 2.0 * mean[k] ** 2 / inference.estimate_variance[k]
+        found[k] = misfit_of(curve.cluster_time, ratio, edf, "s").excessive
+    return found

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from allanjax.misfit import Misfit
 from allanjax.recording import Axis
 from allanjax.result import AxisFit, Coefficient, Fit
 from allanjax.selection import AxisSelection, TermSelection
@@ -71,8 +72,12 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
 
 
 def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
-    """Write one row a coefficient, in its usual unit; an axis without result has one row with the reason."""
-    header = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "detected", "held"]
+    """Write one row a coefficient, in its usual unit; an axis without result has one row with the reason.
+
+    What is not a measurement (see `AxisFit.measured`) has no error and no interval, and a reason, too.
+    """
+    header = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit"]
+    header += ["detected", "held", "measured"]
     rows: list[list[Any]] = []
     for result in fit:
         if not result.converged:
@@ -82,8 +87,11 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
             shown = c.in_unit()
             n = _numbers(shown)
             numbers = [n["value"], n["std"], *n["interval_95"]]
-            flags = [str(c.detected).lower(), str(c.held).lower()]
-            rows.append([result.axis.name, c.label, *numbers, shown.unit, *flags, n["upper_limit_95"], ""])
+            flags = [str(x).lower() for x in (c.detected, c.held, c.measured)]
+            reason = "" if c.measured else f"not a measurement of this sensor: {result.misfit}"
+            rows.append(
+                [result.axis.name, c.label, *numbers, shown.unit, *flags, n["upper_limit_95"], reason]
+            )
     _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
 
 
@@ -126,6 +134,8 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "dof": int(result.dof),
         "p_value": _finite(result.p_value) if result.converged else None,
         "discrepancy": _finite(result.discrepancy) if result.converged else None,
+        "measured": result.measured,
+        "misfit": None if result.misfit is None else _misfit(result.misfit),
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {
             "labels": [c.label for c in coefficients],
@@ -136,6 +146,16 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "regression": {
             name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
         },
+    }
+
+
+def _misfit(misfit: Misfit) -> dict[str, Any]:
+    return {
+        "of": misfit.curve,
+        "largest_deviation": _finite(misfit.largest),
+        "at": _finite(misfit.at),
+        "at_unit": misfit.unit,
+        "rms_deviation": _finite(misfit.rms),
     }
 
 
@@ -161,6 +181,7 @@ def _coefficient(c: Coefficient) -> dict[str, Any]:
         "kind": c.parameter.kind,
         "detected": c.detected,
         "held": c.held,
+        "measured": c.measured,
         "unit": shown.unit,
         **_numbers(shown),
         "si": {"unit": si.unit, **_numbers(si)},

@@ -214,7 +214,7 @@ def fit_allan(
         of_axis = jax.tree.map(lambda x, k=k: x[k], solution)
         results.append(_axis_fit(axis, template, active[k], coefficients, of_axis, dof))
     curve = _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
-    mean = np.asarray(_means(design, *_parameters(design, results)))
+    mean = np.asarray(means_of(design, *_parameters(design, results)))
     return tuple(_with_allan_misfit(r, curve, k, mean[k]) for k, r in enumerate(results)), curve
 
 
@@ -340,7 +340,7 @@ def with_curve(
     # What is profiled out of the spectrum is still in the Allan deviations.
     if any(isinstance(term, Transient) for term in template.terms):
         return tuple(results), curve
-    mean = np.asarray(_means(design, *place))
+    mean = np.asarray(means_of(design, *place))
     return tuple(
         r if r.regression or not r.measured else _with_allan_misfit(r, curve, k, mean[k])
         for k, r in enumerate(results)
@@ -354,7 +354,7 @@ def _with_model_edf(
     variance: Float[np.ndarray, "axes m"],
 ) -> AllanDeviation:
     """The curve with degrees of freedom 2μ²/Var under the fitted models."""
-    mean = np.asarray(_means(design, *_parameters(design, results)))
+    mean = np.asarray(means_of(design, *_parameters(design, results)))
     edf = np.array(curve.edf)
     for k, result in enumerate(results):
         if result.converged:
@@ -379,9 +379,10 @@ def _parameters(
 
 
 @eqx.filter_jit
-def _means(
+def means_of(
     design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
 ) -> Float[Array, "axes m"]:
+    """Expected Allan variances of models with these powers and transformed shapes."""
     return jax.vmap(lambda v, u: v @ design.means(u))(jnp.asarray(power), jnp.asarray(shape))
 
 

@@ -160,7 +160,7 @@ def _residuals(strips: Mapping[int, Axes], fit: Fit) -> dict[int, Residual]:
             100.0 * (measured / model - 1.0),
             100.0 * np.maximum(spread, 0.0) / model,
             curve.edf[:, k] > 0.5 / _PRECISE**2,
-            result.discrepancy,
+            result.misfit.rms if result.measured and result.misfit else 0.0,
         )
     return found
 

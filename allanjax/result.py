@@ -274,7 +274,8 @@ class Fit(ByValue):
         return plot_allan(self, axes, path)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a coefficient: axis, coefficient, value, std, lower, upper, unit, detected, upper_limit."""
+        """One row a coefficient: axis, coefficient, value, std, lower_95, upper_95, unit, detected,
+        upper_limit_95, and whether it was measured."""
         import pandas as pd
 
         rows = []
@@ -292,6 +293,7 @@ class Fit(ByValue):
                         "unit": shown.unit,
                         "detected": c.detected,
                         "upper_limit_95": shown.upper_limit,
+                        "measured": c.measured,
                     }
                 )
         return pd.DataFrame(rows)
