@@ -25,12 +25,11 @@ from allanjax.fit import (
     terms_to_fit,
     with_curve,
 )
-from allanjax.model import Model
+from allanjax.notation import ModelLike
 from allanjax.pyramid import Pyramid
 from allanjax.recording import Axis, axes_of
 from allanjax.result import Fit
 from allanjax.segments import SegmentedLevel, SegmentSpectra, check_terms
-from allanjax.terms import NoiseTerm
 from allanjax.validation import Source
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ class AllanAccumulator:
         self._look()
         return AllanDeviation.of_pyramid(self._pyramid, self.rate, self.axes)
 
-    def fit(self, model: Model | NoiseTerm | None = None, objective: Objective = "allan") -> Fit:
+    def fit(self, model: ModelLike | None = None, objective: Objective = "allan") -> Fit:
         """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
 
         Without a model its terms are chosen by their evidence in the averaged spectra. "allan" fits the
@@ -152,7 +151,7 @@ class AllanAccumulator:
         """
         curve = self.result()
         selection = self._spectra.select(self.axes, name=self.name) if model is None else None
-        template, active = terms_to_fit(model, selection, len(self.axes), objective)
+        template, active = terms_to_fit(model, selection, self.axes, objective)
         check_terms(template)
         check_length(curve, template, self.name)
         notes = ambiguities(selection)

@@ -8,16 +8,17 @@ difference (Allan), the third (Hadamard), or the second averaged over one cluste
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 from allanjax.clusters import Kind, Spacing, check_member, cluster_sizes, difference_count, too_few
 from allanjax.covariance import equivalent_degrees_of_freedom
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.estimators import DataType, allan_variance_estimates
+from allanjax.io.given import RecordingLike, samples_of
 from allanjax.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.recording import Axis, Recording
 from allanjax.units import default_coefficient_unit, unit_scale
@@ -173,7 +174,7 @@ def rate_unit(axis: Axis) -> tuple[str, float]:
 
 
 def allan_deviation(
-    data: Recording | Float[ArrayLike, " samples"] | Float[ArrayLike, "samples axes"],
+    data: RecordingLike,
     rate: float | None = None,
     *,
     data_type: DataType = "rate",
@@ -181,11 +182,14 @@ def allan_deviation(
     overlapping: bool = True,
     cluster_times: Spacing = "octave",
     estimator: Estimator = "exact",
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> AllanDeviation:
     """Allan deviation of every axis, Hou (2004) eqs. (4.5) and (4.9), or its modified or Hadamard variant.
 
     Args:
-        data: a recording, or equally spaced samples of one or several axes.
+        data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
         rate: sample rate [Hz], for an array only: a recording has its own.
         data_type: "rate", or "phase" for an array of angles or velocities.
         kind: "allan", "modified" (always overlapping) or "hadamard".
@@ -193,6 +197,8 @@ def allan_deviation(
         cluster_times: spacing of the cluster times, or these times [s]; see `cluster_sizes`.
         estimator: "exact", or "pyramid" for long records: several times faster, and for all noise but strong
             quantization less than 1 % less precise. Overlapping Allan variances of rates at octaves only.
+        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
+            deviations are in the array's own, whatever that is.
 
     The degrees of freedom are those of white noise, the noise that most of the curve's short end shows.
 
@@ -202,22 +208,14 @@ def allan_deviation(
     """
     check_member(kind, Kind, "kind")
     check_member(data_type, DataType, "data_type")
+    if estimator in get_args(Kind):
+        raise AllanjaxError(f'the {estimator} variance is a kind, not an estimator: give kind="{estimator}"')
     check_member(estimator, Estimator, "estimator")
     if kind == "modified" and not overlapping:
         raise AllanjaxError("the modified Allan variance is defined for overlapping clusters only")
-    if isinstance(data, Recording):
-        if rate is not None or data_type != "rate":
-            raise AllanjaxError("a recording has its own rate and holds rates: leave out rate and data_type")
-        samples, rate, axes = data.values, data.rate, data.axes
-    else:
-        samples, axes = np.asarray(data, dtype=float), None
-    if rate is None:
-        raise AllanjaxError("an array needs its sample rate: give rate in Hz")
-    if not 0 < rate < np.inf:
-        raise AllanjaxError(f"the sample rate must be positive and finite, not {rate}")
-    values = samples[:, None] if samples.ndim == 1 else samples
-    if values.ndim != 2 or values.shape[1] == 0:
-        raise AllanjaxError(f"data must have the shape [samples] or [samples, axes], not {values.shape}")
+    if isinstance(data, Recording) and data_type != "rate":
+        raise AllanjaxError("a recording holds rates: leave out data_type")
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
     if estimator == "pyramid":
         plain = (kind, data_type, overlapping) == ("allan", "rate", True)
         if not (plain and isinstance(cluster_times, str) and cluster_times == "octave"):

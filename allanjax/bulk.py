@@ -28,10 +28,10 @@ from allanjax.gls import Solution
 from allanjax.inference import Inference
 from allanjax.misfit import misfit_of
 from allanjax.model import Model
+from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Recording
 from allanjax.result import usual_unit
 from allanjax.starts import find_starts
-from allanjax.terms import NoiseTerm
 from allanjax.text_table import text_table
 from allanjax.units import unit_scale
 
@@ -143,7 +143,7 @@ class BulkFit(ByValue):
 
 
 def fit_many(
-    data: AllanDeviation | Sequence[Recording], model: Model | NoiseTerm, *, cluster_times: Spacing = "octave"
+    data: AllanDeviation | Sequence[Recording], model: ModelLike, *, cluster_times: Spacing = "octave"
 ) -> BulkFit:
     """Estimate the coefficients of one noise model from each of many axes, thousands a second.
 
@@ -161,9 +161,9 @@ def fit_many(
         FitError: a line, a resonance or a transient, which need the record itself; too few cluster times.
         AllanjaxError: recordings that differ in length or rate, or none; a modified or Hadamard curve.
     """
-    template = Model(()) + model
-    _check_terms(template)
     curve = _curve_of(data, cluster_times)
+    template = as_model(model, curve.axes or ())
+    _check_terms(template)
     check_length(curve, template, "the curve")
     solution, inference = _in_blocks(curve, template)
     return _bulk_fit(curve, template, solution, inference)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -20,13 +20,15 @@ from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import Inference, infer
+from allanjax.io.given import RecordingLike, as_recording
 from allanjax.misfit import Misfit, misfit_of
 from allanjax.model import Model
+from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Fit
 from allanjax.selection import TermSelection, basic_terms, select_terms
 from allanjax.starts import Starts, find_starts
-from allanjax.terms import Markov, NoiseTerm
+from allanjax.terms import Markov
 from allanjax.terms.transient import Transient
 from allanjax.whittle import WhittleFit, fit_axis
 
@@ -37,11 +39,15 @@ Objective = Literal["allan", "whittle"]
 
 
 def fit(
-    recording: Recording,
-    model: Model | NoiseTerm | None = None,
+    recording: RecordingLike,
+    model: ModelLike | None = None,
     objective: Objective = "allan",
     *,
     regressors: Sequence[str] = (),
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> Fit:
     """Estimate the coefficients of a noise model from every axis of a recording.
 
@@ -52,15 +58,17 @@ def fit(
     lines by far. Ramps, lines and regressors are profiled out exactly.
 
     Args:
-        recording: what `read` returns, or `Recording.from_array`.
-        model: the terms, added up with `+`; parameters with a value start there, those held stay there. The
-            time of a step and the time constant of a warm-up must have a value and are held; such terms
-            need "whittle".
+        recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
+        model: the terms, added up with `+`, or written as on the command line, `"N + B + K"`; parameters
+            with a value start there, those held stay there. The time of a step and the time constant of a
+            warm-up must have a value and are held; such terms need "whittle".
             Without one, the terms are those that `select_terms` chooses for each axis among the five basic
             ones and a Markov process; for the basic terms not chosen there is an upper limit.
         objective: "allan" or "whittle".
         regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
             with "whittle" only.
+        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
+            and a file may state their own.
 
     Returns:
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
@@ -71,10 +79,13 @@ def fit(
     """
     if objective not in ("allan", "whittle"):
         raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
+    if model in get_args(Objective):
+        raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
     given = _regressors(recording, regressors, objective)
     release_programs(0.75)
     selection = select_terms(recording) if model is None else None
-    template, active = terms_to_fit(model, selection, len(recording.axes), objective)
+    template, active = terms_to_fit(model, selection, recording.axes, objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
     check_length(curve, template, recording.name)
     if objective == "allan":
@@ -88,7 +99,10 @@ def fit(
 
 
 def terms_to_fit(
-    model: Model | NoiseTerm | None, selection: TermSelection | None, axes: int, objective: Objective
+    model: ModelLike | None,
+    selection: TermSelection | None,
+    axes: Sequence[Axis],
+    objective: Objective,
 ) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
     """The model to fit, given or chosen, and which of its terms each axis has.
 
@@ -96,8 +110,9 @@ def terms_to_fit(
         FitError: a step or a warm-up without a time, or with "allan".
     """
     if selection is None:
-        template = _with_known_transients(Model(()) + (model or basic_terms()), objective)
-        return template, np.ones((axes, len(template)), bool)
+        template = basic_terms() if model is None else as_model(model, axes)
+        template = _with_known_transients(template, objective)
+        return template, np.ones((len(axes), len(template)), bool)
     sets = [axis.chosen.terms for axis in selection]
     # A Markov process is part of the template where it is needed only: it costs time.
     template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()

@@ -24,11 +24,10 @@ from allanjax.fleet_files import matching_files, recording_names
 from allanjax.fleet_table import fleet_table, rows_of, write_table
 from allanjax.io import ReadOptions, read_recording
 from allanjax.io.chunks import open_chunks
-from allanjax.model import Model
+from allanjax.notation import ModelLike, as_model
 from allanjax.options import FitOptions
 from allanjax.recording import Axis, rows_between
 from allanjax.result import Fit, title_of
-from allanjax.terms import NoiseTerm
 from allanjax.text_table import html_table, text_table
 
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ class FleetResult(ByValue):
 def characterize_fleet(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     out: str | os.PathLike[str],
-    model: Model | NoiseTerm | None = None,
+    model: ModelLike | None = None,
     objective: Objective = "allan",
     *,
     regressors: Sequence[str] = (),
@@ -164,7 +163,7 @@ def characterize_fleet(
         raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
     out = Path(out)
     paths = matching_files(files, out)
-    added = None if model is None else Model(()) + model
+    added = None if model is None else as_model(model)
     options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors))
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)

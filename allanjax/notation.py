@@ -1,13 +1,24 @@
 """Models written as text, e.g. on the command line: `N=0.1 deg/√h + markov(correlation_time=100 s held)`."""
 
+from __future__ import annotations
+
 import functools
 import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, TypeAlias
 
 from allanjax import terms as all_terms
 from allanjax.errors import AllanjaxError, UnitError
 from allanjax.model import Model
 from allanjax.terms import NoiseTerm, Parameter
 from allanjax.units import SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
+
+if TYPE_CHECKING:
+    from allanjax.columns import Column
+    from allanjax.recording import Axis
+
+#: What functions of a model take: a model, a term, or a text for `parse_model`.
+ModelLike: TypeAlias = Model | NoiseTerm | str
 
 _TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
 _ARGUMENT = re.compile(r"(?P<name>\w+)\s*=\s*(?P<value>.+)", re.DOTALL)
@@ -23,6 +34,32 @@ def term_classes() -> dict[str, type[NoiseTerm]]:
     found = (getattr(all_terms, name) for name in all_terms.__all__)
     classes = (c for c in found if isinstance(c, type) and issubclass(c, NoiseTerm) and c is not NoiseTerm)
     return {c.name(): c for c in classes}
+
+
+def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
+    """The model that is meant, written with `+` or as a text such as `"N + B + K"`.
+
+    Args:
+        model: the terms.
+        axes: those whose model it is, whose sensors' units amplitudes in a text must have.
+
+    Raises:
+        AllanjaxError: what is given is no model; amplitudes with values, which have the unit of one sensor,
+            for axes of both.
+        UnitError: as `parse_model`.
+    """
+    if not isinstance(model, str):
+        return Model(()) + model
+    sensors = {axis.sensor for axis in axes}
+    parsed = parse_model(model, next(iter(sensors)) if len(sensors) == 1 else None)
+    if len(sensors) > 1:
+        for p in parsed.parameters:
+            if p.parameter.kind == "amplitude" and p.start is not None:
+                raise AllanjaxError(
+                    f"{p.label} in {model!r} has a value in the unit of one sensor, and there are axes of "
+                    'both: leave out the value, or take those of one, recording["gyro"]'
+                )
+    return parsed
 
 
 def parse_model(text: str, sensor: Sensor | None = None) -> Model:

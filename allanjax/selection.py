@@ -19,8 +19,10 @@ from allanjax.deterministic import ramp_column, term_column
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.evidence import Evidence, Job, Levels, evidences, taken_out
+from allanjax.io.given import RecordingLike, as_recording
 from allanjax.model import Model
-from allanjax.recording import Axis, Recording
+from allanjax.notation import ModelLike, as_model
+from allanjax.recording import Axis
 from allanjax.terms import (
     AngleRandomWalk,
     BiasInstability,
@@ -205,7 +207,15 @@ class TermSelection(ByValue):
     __repr__ = __str__
 
 
-def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = None) -> TermSelection:
+def select_terms(
+    recording: RecordingLike,
+    candidates: ModelLike | None = None,
+    *,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> TermSelection:
     """Rank every set of noise terms by its evidence, for every axis of a recording.
 
     The evidence (marginal likelihood) is that of Whittle's likelihood, integrated over the coefficients by
@@ -219,14 +229,17 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
     it mends most of what has another cause.
 
     Args:
-        recording: what `read` returns, or `Recording.from_array`.
-        candidates: the terms to choose from; by default the five basic ones and a Markov process.
+        recording: what `read` returns, or what else `fit` takes.
+        candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
+            Markov process.
+        rate, gyro_unit, accel_unit, names: of an array, see `fit`.
 
     Raises:
         AllanjaxError: a candidate that cannot be compared: lines, resonances and steps, a free shape
             that is no time, more than one term with a free time, more than six terms.
         FitError: a record of fewer than 64 samples.
     """
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
     model = candidates_of(candidates, recording.rate)
     ramps = _sorted(model)[2]
     if recording.n < 64:
@@ -243,9 +256,9 @@ def select_terms(recording: Recording, candidates: Model | NoiseTerm | None = No
     return rank_terms(model, bins, levels, recording.axes, recording.name)
 
 
-def candidates_of(candidates: Model | NoiseTerm | None, rate: float) -> Model:
+def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
     """The terms to choose from, as sampled at `rate` [Hz]: those given, or the default ones."""
-    return (basic_terms() + Markov() if candidates is None else Model(()) + candidates).sampled(rate)
+    return (basic_terms() + Markov() if candidates is None else as_model(candidates)).sampled(rate)
 
 
 def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], name: str) -> TermSelection:

@@ -12,21 +12,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from allanjax.columns import recognise
 from allanjax.errors import AllanjaxError
 from allanjax.model import Model
+from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Recording
-from allanjax.terms import NoiseTerm
 from allanjax.units import parse_sample_unit
 
 
-def simulate(model: Model | NoiseTerm, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
+def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
     """n samples of a model's rate [rad/s or m/s²], exact in law for a sensor that samples at `rate` [Hz].
 
     Compiled once for each combination of terms, n and rate; other coefficients reuse what was compiled. Terms
     that are not stationary (bias instability, rate random walk) start near zero.
 
     Args:
-        model: the terms, every parameter with a value.
+        model: the terms, every parameter with a value; or their text, `"N=0.1 deg/√h + B=2 deg/h"`.
         n: number of samples.
         rate: sample rate [Hz].
         key: a JAX random key, or an integer to make one of.
@@ -38,13 +39,13 @@ def simulate(model: Model | NoiseTerm, n: int, rate: float, key: PRNGKeyArray | 
         raise AllanjaxError(f"the number of samples must be a positive integer, not {n}")
     if not 0.0 < rate < math.inf:
         raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
-    model = Model(()) + model
+    model = as_model(model)
     model.check_complete()
     return _draw(_with_traced_values(model.sampled(float(rate))), as_key(key), int(n), float(rate))
 
 
 def simulate_recording(
-    models: Mapping[str, Model | NoiseTerm],
+    models: Mapping[str, ModelLike],
     n: int,
     rate: float,
     key: PRNGKeyArray | int,
@@ -80,7 +81,7 @@ def simulate_recording(
             )
     keys = jax.random.split(as_key(key), len(models))
     columns = [
-        np.asarray(simulate(model, n, rate, k)) + bias.get(axis, 0.0)
+        np.asarray(simulate(as_model(model, [recognise(axis)]), n, rate, k)) + bias.get(axis, 0.0)
         for (axis, model), k in zip(models.items(), keys, strict=True)
     ]
     recording = Recording.from_array(

@@ -23,9 +23,10 @@ from allanjax.flat_band import (
     flattest,
     spectral_random_walk,
 )
+from allanjax.io.given import RecordingLike, samples_of
 from allanjax.recording import Axis, Recording
 from allanjax.units import default_coefficient_unit, unit_scale
-from allanjax.validation import Source, check_rate, check_values
+from allanjax.validation import Source, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -260,12 +261,15 @@ def density_unit(axis: Axis) -> tuple[str, float]:
 
 
 def power_spectrum(
-    data: Recording | Float[ArrayLike, " samples"] | Float[ArrayLike, "samples axes"],
+    data: RecordingLike,
     rate: float | None = None,
     *,
     method: Method = "logarithmic",
     window: str = "hann",
     segment_time: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> PowerSpectrum:
     """One-sided power spectral density of every axis, Hou (2004) section 3.4.2.
 
@@ -276,13 +280,15 @@ def power_spectrum(
     mean has taken a part, under a Hann window 29 % and 5 % (17 % and 4 %) of white noise.
 
     Args:
-        data: a recording, or equally spaced samples of one or several axes.
+        data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
         rate: sample rate [Hz], for an array only: a recording has its own.
         method: "logarithmic" or "welch".
         window: a window that `scipy.signal.get_window` knows by this name. "boxcar" is eq. (3.39) as it
             stands: twice as many degrees of freedom, and leakage from drifts and lines.
         segment_time: length of Welch's segments [s]; by default as many samples, a power of two, as fit into
             the record eight times.
+        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
+            densities are in the array's own, whatever that is.
 
     Raises:
         AllanjaxError: no rate or not a positive one, samples that are not finite or constant, fewer than 16,
@@ -293,7 +299,9 @@ def power_spectrum(
 
     if method not in get_args(Method):
         raise AllanjaxError(f"unknown method {method!r}: expected 'logarithmic' or 'welch'")
-    values, rate, axes = _samples(data, rate)
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    labels = [str(k) for k in range(values.shape[1])] if axes is None else [axis.name for axis in axes]
+    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
     n = len(values)
     length = n
     if method == "welch":
@@ -328,27 +336,6 @@ def power_spectrum(
     if method == "logarithmic":
         return replace(raw.averaged(), method=method)
     return replace(raw, dof=raw.degrees_of_freedom(raw.count))
-
-
-def _samples(
-    data: Recording | ArrayLike, rate: float | None
-) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
-    if isinstance(data, Recording):
-        if rate is not None:
-            raise AllanjaxError("a recording has its own rate: leave out rate")
-        source = Source(data.name or "recording")
-        check_values(data.values, data.names, source)
-        return data.values, data.rate, data.axes
-    if rate is None:
-        raise AllanjaxError("an array needs its sample rate: give rate in Hz")
-    source = Source("array")
-    values = np.asarray(data, dtype=float)
-    if values.ndim == 1:
-        values = values[:, None]
-    if values.ndim != 2 or values.shape[1] == 0:
-        raise AllanjaxError(f"data must have the shape [samples] or [samples, axes], not {values.shape}")
-    check_values(values, [str(k) for k in range(values.shape[1])], source)
-    return values, check_rate(rate, source), None
 
 
 def _segment_length(n: int, rate: float, segment_time: float | None) -> int:

@@ -263,7 +263,7 @@ def test_refuses_cluster_times(spacing, message):
     ("data", "options", "message"),
     [
         (np.ones(10), {"rate": None}, "rate in Hz"),
-        (np.ones(10), {"rate": -1.0}, "positive and finite"),
+        (np.ones(10), {"rate": -1.0}, "positive number of Hz"),
         ([1.0, 2.0, np.nan, np.inf], {}, "2 values are not finite, the first at sample 2, axis 0"),
         (np.ones((2, 2, 2)), {}, "shape"),
         ([1.0], {}, "1 samples are too few for the allan variance: it needs at least 2"),

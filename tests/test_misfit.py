@@ -1,25 +1,13 @@
 """How far a fitted curve is off, and what is said of coefficients that are no measurement."""
 
-import copy
-import json
-import math
-import pickle
-from importlib.resources import files
-
-import jsonschema
 import numpy as np
-import pandas as pd
 import pytest
-from scipy.stats import chi2
 
 import allanjax as aj
 from allanjax.cosine import CosineBins
 from allanjax.deterministic import AxisSpectrum
-from allanjax.export import to_dict, write_coefficients_csv, write_results
 from allanjax.fit import fit_allan, result_of
-from allanjax.fleet_table import fleet_table, rows_of
-from allanjax.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
-from allanjax.recording import Axis, Recording
+from allanjax.recording import Axis
 from allanjax.whittle import fit_spectrum
 
 RATE, N = 100.0, 200_000
@@ -72,4 +60,7 @@ def test_a_hump_of_ten_per_cent_is_said_to_be_one(humps):
         assert result.misfit.rms == pytest.approx(0.1 * np.sqrt(0.75 / octaves), rel=0.4)
     assert humps[0].discrepancy == pytest.approx(humps[1].discrepancy, rel=0.3)
     verdict = humps[0].verdict()
-    assert f"model incomplete: its Allan deviation is off by up to {100 * humps[0].misfit.largest:.2g} % at 0.64 s" in verdict
+    assert (
+        f"model incomplete: its Allan deviation is off by up to {100 * humps[0].misfit.largest:.2g} % at 0.64 s"
+        in verdict
+    )

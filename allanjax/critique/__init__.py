@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from allanjax.cache import release_programs
 from allanjax.critique.result import AxisCritique, Critique, Discrepancy, Finding, Rival
 from allanjax.critique.view import FALSE_ALARMS, Candidate, Cause, Quantity, View
+from allanjax.io.given import RecordingLike, as_recording
 
 if TYPE_CHECKING:
-    from allanjax.recording import Recording
     from allanjax.result import Fit
 
 __all__ = [
@@ -28,12 +28,16 @@ __all__ = [
 
 
 def critique(
-    recording: Recording,
+    recording: RecordingLike,
     fit: Fit | None = None,
     *,
     causes: Sequence[Cause] | None = None,
     false_alarms: float = FALSE_ALARMS,
     progress: Callable[[str], None] | None = None,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> Critique:
     """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
 
@@ -44,13 +48,14 @@ def critique(
     and dropped if nothing is left of it. See `allanjax.critique.view` for writing a cause of one's own.
 
     Args:
-        recording: what `read` returns, or `Recording.from_array`.
+        recording: what `read` returns, or what else `allanjax.fit` takes.
         fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
             are causes too; if they were chosen, the choice is made anew with every finding.
         causes: what to look for; by default `allanjax.critique.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding; it is shared by its
             axes. Basic terms that a given model lacks come on top (`Cause.margin`, as often again).
         progress: is told what is being done.
+        rate, gyro_unit, accel_unit, names: of an array, see `allanjax.fit`.
 
     Raises:
         AllanjaxError: `fit` is of other axes; `false_alarms` is not between 0 and 1.
@@ -58,6 +63,8 @@ def critique(
     """
     # What it needs takes long to load.
     from allanjax.critique.critic import criticize
+
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
 
     # Sooner than a fit would: not while axes are criticized beside it.
     release_programs(0.5)
