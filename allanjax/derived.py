@@ -21,7 +21,7 @@ from allanjax.wording import format_interval
 _AT_ONCE = 16
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Derived(Estimate):
     """The posterior of something that follows from the coefficients, in SI; `in_unit` converts.
 
@@ -96,6 +96,9 @@ class BiasMinimum(ByValue):
 
     def __str__(self) -> str:
         return f"{self.deviation.in_unit()}\n{self.cluster_time.in_unit()}"
+
+    def __repr__(self) -> str:
+        return f"<BiasMinimum {self}>"
 
 
 def with_draw(

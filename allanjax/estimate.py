@@ -11,7 +11,7 @@ from allanjax.units import convert, si_unit
 from allanjax.wording import format_with_error
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(ByValue):
     """A value with its error, in a unit.
 
@@ -77,6 +77,9 @@ class Estimate(ByValue):
         if self.unit != self.usual_unit:
             amount += f" = {self.in_unit()._amount()}"
         return f"{self.axis.name} {self.title}: {self._sentence(amount)}"
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self}>"
 
     def _amount(self) -> str:
         """The number that matters and the unit."""

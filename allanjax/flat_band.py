@@ -112,7 +112,7 @@ def flattest(
     return int(first[best]), int(last[best])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SpectralRandomWalk(Coefficient):
     """N from a flat part of a power spectral density, Hou (2004) eq. (3.41); a `Coefficient` with its band.
 

@@ -24,7 +24,7 @@ _CENTRAL_68 = (0.16, 0.84)
 _CENTRAL_95 = (0.025, 0.975)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Marginal(Coefficient):
     """The posterior of one parameter, other parameters integrated out; a `Coefficient` in all else.
 

@@ -17,7 +17,7 @@ from allanjax.marginals import Marginal
 from allanjax.model import Model
 from allanjax.priors import Prior
 from allanjax.recording import Axis
-from allanjax.result import Fit
+from allanjax.result import Fit, in_two_lines
 from allanjax.text_table import html_table, text_table
 from allanjax.units import default_coefficient_unit
 from allanjax.wording import format_interval
@@ -84,6 +84,31 @@ class AxisPosterior(ByValue):
             known = ", ".join(self.coefficients)
             raise AllanjaxError(f"{self.axis.name} has no coefficient {label!r}; it has {known}")
         return self.coefficients[label]
+
+    def __repr__(self) -> str:
+        return in_two_lines(self)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The axis's rows of `Posterior.to_dataframe`."""
+        import pandas as pd
+
+        shown = [m.in_unit() for m in self.coefficients.values()]
+        return pd.DataFrame(
+            {
+                "axis": m.axis.name,
+                "coefficient": m.label,
+                "median": m.value,
+                "std": m.std,
+                "lower_68": m.interval_68[0],
+                "upper_68": m.interval_68[1],
+                "lower_95": m.interval[0],
+                "upper_95": m.interval[1],
+                "unit": m.unit,
+                "detected": m.detected,
+                "upper_limit_95": m.upper_limit,
+            }
+            for m in shown
+        )
 
     @property
     def correlation(self) -> pd.DataFrame:
@@ -265,26 +290,7 @@ class Posterior(ByValue):
         """One row a coefficient, in its usual unit; columns as in `Fit.to_dataframe`, and 68 % intervals."""
         import pandas as pd
 
-        rows = []
-        for result in self.results:
-            for m in result.coefficients.values():
-                shown = m.in_unit()
-                rows.append(
-                    {
-                        "axis": m.axis.name,
-                        "coefficient": m.label,
-                        "median": shown.value,
-                        "std": shown.std,
-                        "lower_68": shown.interval_68[0],
-                        "upper_68": shown.interval_68[1],
-                        "lower_95": shown.interval[0],
-                        "upper_95": shown.interval[1],
-                        "unit": shown.unit,
-                        "detected": m.detected,
-                        "upper_limit_95": shown.upper_limit,
-                    }
-                )
-        return pd.DataFrame(rows)
+        return pd.concat([result.to_dataframe() for result in self.results], ignore_index=True)
 
     def to_arviz(self) -> dict[str, Any]:
         """`AxisPosterior.to_arviz` of every axis, by its name. Raises AllanjaxError if ArviZ is missing."""

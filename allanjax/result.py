@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from allanjax.deterministic import AxisSpectrum
+    from allanjax.posterior import AxisPosterior
     from allanjax.selection import TermSelection
 
 
@@ -37,7 +38,7 @@ NEXT = (
 )
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Coefficient(Estimate):
     """One estimated parameter of the model of one axis.
 
@@ -127,6 +128,16 @@ def title_of(label: str, axis: Axis) -> str:
     return words.replace("angle random walk", "velocity random walk") if axis.sensor == "accel" else words
 
 
+def in_two_lines(result: AxisFit | AxisPosterior) -> str:
+    """An axis's result: what is known of its coefficients, and how well."""
+    names: dict[bool, list[str]] = {True: [], False: []}
+    for c in result.coefficients.values():
+        names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
+    absent = f"; not detectable: {', '.join(names[False])}" if names[False] else ""
+    found = ", ".join(names[True]) or "nothing found"
+    return f"<{type(result).__name__} {result.axis.name}: {found}{absent};\n {result.verdict()}>"
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class AxisFit(ByValue):
     """The fit of one axis.
@@ -195,6 +206,30 @@ class AxisFit(ByValue):
                 f"{self.axis.name} has no coefficient {label!r}; it has {', '.join(self.coefficients)}"
             )
         return self.coefficients[label]
+
+    def __repr__(self) -> str:
+        return in_two_lines(self) if self.converged else f"<AxisFit {self.axis.name}: {self.verdict()}>"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The axis's rows of `Fit.to_dataframe`. Raises FitError if the fit did not converge."""
+        import pandas as pd
+
+        shown = [c.in_unit() for c in self.coefficients.values()]
+        return pd.DataFrame(
+            {
+                "axis": c.axis.name,
+                "coefficient": c.label,
+                "value": c.value,
+                "std": c.std,
+                "lower_95": c.interval[0],
+                "upper_95": c.interval[1],
+                "unit": c.unit,
+                "detected": c.detected,
+                "upper_limit_95": c.upper_limit,
+                "measured": c.measured,
+            }
+            for c in shown
+        )
 
     def verdict(self) -> str:
         """One line on how well the model fits."""
@@ -278,25 +313,7 @@ class Fit(ByValue):
         upper_limit_95, and whether it was measured."""
         import pandas as pd
 
-        rows = []
-        for result in self.results:
-            for c in result.coefficients.values():
-                shown = c.in_unit()
-                rows.append(
-                    {
-                        "axis": c.axis.name,
-                        "coefficient": c.label,
-                        "value": shown.value,
-                        "std": shown.std,
-                        "lower_95": shown.interval[0],
-                        "upper_95": shown.interval[1],
-                        "unit": shown.unit,
-                        "detected": c.detected,
-                        "upper_limit_95": shown.upper_limit,
-                        "measured": c.measured,
-                    }
-                )
-        return pd.DataFrame(rows)
+        return pd.concat([result.to_dataframe() for result in self.results], ignore_index=True)
 
     def _cells(self) -> list[tuple[str, str, str, str]]:
         """Rows of the printed table: axis, coefficient, value, 95 % interval."""

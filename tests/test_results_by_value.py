@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import allanjax as aj
+from allanjax.critique.causes import CAUSES
 from allanjax.equality import equal
 
 
@@ -20,10 +21,11 @@ def posterior(small_fit):
 
 @pytest.fixture(scope="module")
 def critique():
-    noise = np.random.default_rng(4).normal(size=8192)
-    line = 0.5 * np.sin(2.0 * np.pi * 7.3 * np.arange(8192) / 100.0)
+    noise = np.random.default_rng(4).normal(size=2048)
+    line = 0.7 * np.sin(2.0 * np.pi * 7.3 * np.arange(2048) / 100.0)
     recording = aj.Recording.from_array(noise + line, 100.0, gyro_unit="deg/s", name="bench")
-    return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()))
+    causes = [cause for cause in CAUSES if cause.name == "sinusoid"]
+    return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()), causes=causes)
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +98,45 @@ def test_what_differs_in_one_number_is_not_equal(small_recording, small_fit):
 )
 def test_equality_of_values(a, b, same):
     assert equal(a, b) is equal(b, a) is same
+
+
+def test_objects_are_told_in_two_lines_and_tables_as_tables(objects):
+    tables = (aj.Fit, aj.TermSelection, aj.Posterior, aj.Critique, aj.BulkFit, aj.FleetResult)
+    for name, x in objects.items():
+        if not isinstance(x, tables):
+            lines = repr(x).splitlines()
+            assert len(lines) <= 2, name
+            assert max(map(len, lines)) < 250, name
+            assert "array(" not in repr(x), name
+        if not isinstance(x, aj.FleetResult):
+            assert repr(x) == str(x) or not isinstance(x, tables)
+
+
+def test_an_axis_is_told_by_its_coefficients_in_usual_units(small_fit, half_failed_fit, posterior):
+    told = repr(small_fit["gyro_x"])
+    for c in small_fit["gyro_x"].coefficients.values():
+        assert (f"{c.title} {c.in_unit().describe()}" if c.detected else c.title) in told
+    assert "χ² = " in told
+    assert "velocity random walk" in repr(small_fit["accel_z"])
+    assert repr(half_failed_fit["gyro_y"]) == "<AxisFit gyro_y: no result: the start was hopeless>"
+    draws = posterior["gyro_x"]
+    assert draws["angle_random_walk"].in_unit().describe() in repr(draws)
+    assert draws.verdict() in repr(draws)
+    walk = small_fit["gyro_x"]["angle_random_walk"]
+    assert repr(walk) == f"<Coefficient {walk}>"
+
+
+def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, posterior):
+    table = pd.concat([result.to_dataframe() for result in small_fit], ignore_index=True)
+    pd.testing.assert_frame_equal(table, small_fit.to_dataframe())
+    walk = small_fit["accel_z"]["angle_random_walk"]
+    row = table[(table["axis"] == "accel_z") & (table["coefficient"] == "angle_random_walk")].iloc[0]
+    # 1 m/s/√h is 1/60 m/s/√s.
+    assert (row["value"], row["unit"]) == (pytest.approx(60.0 * walk.value), "m/s/√h")
+    draws = posterior["gyro_x"]
+    row = draws.to_dataframe().set_index("coefficient").loc["angle_random_walk"]
+    assert row["median"] == pytest.approx(np.median(draws.draws[:, 0]) * 180.0 / np.pi * 60.0)
+    pd.testing.assert_frame_equal(draws.to_dataframe(), posterior.to_dataframe())
 
 
 def test_a_model_is_told_as_it_is_written():
