@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from jaxtyping import Float
 from allanjax.allan import AllanDeviation
 from allanjax.columns import recognise
 from allanjax.equality import equal
-from allanjax.errors import AllanjaxError, RecordingError
+from allanjax.errors import AllanjaxError, FitError, RecordingError
 from allanjax.fit import (
     Objective,
     ambiguities,
@@ -27,7 +28,7 @@ from allanjax.fit import (
 )
 from allanjax.notation import ModelLike
 from allanjax.pyramid import Pyramid
-from allanjax.recording import Axis, axes_of
+from allanjax.recording import Axis, DeadAxis, axes_of, scales_of
 from allanjax.result import Fit
 from allanjax.segments import SegmentedLevel, SegmentSpectra, check_terms
 from allanjax.validation import Source
@@ -81,6 +82,8 @@ class AllanAccumulator:
         empty = np.zeros((0, len(self.axes)))
         self._pyramid = Pyramid.of(empty, start)
         self._spectra = SegmentSpectra.of(empty, self.rate, start)
+        # Axes that have not had a number so far; there are zeros for them in what follows.
+        self._silent = np.ones(len(self.axes), bool)
         self._gathered: list[Float[np.ndarray, "n axes"]] = []
 
     @property
@@ -91,8 +94,10 @@ class AllanAccumulator:
     def update(self, samples: Float[np.ndarray, "n axes"] | Float[np.ndarray, " n"]) -> None:
         """Add the samples that follow those so far, rates in SI: rad/s or m/s².
 
+        An axis that has never had a number may go on without, as nan: it is dead, and has no result.
+
         Raises:
-            AllanjaxError: another number of axes, or values that are not finite; none of them is added then.
+            AllanjaxError: another number of axes, or other values that are not finite; none is added then.
         """
         # A copy: a rig fills the same buffer again.
         values = np.array(samples, float)
@@ -101,13 +106,22 @@ class AllanAccumulator:
             raise AllanjaxError(
                 f"samples of {len(self.axes)} axes have the shape [n, {len(self.axes)}], not {values.shape}"
             )
+        silent = self._silent & np.isnan(values).all(axis=0)
         bad = ~np.isfinite(values)
+        if not silent.all():
+            bad[:, silent] = False
+        if self.n:
+            # What has a number now had none before.
+            bad[:1] |= self._silent & ~silent
         if bad.any():
             row, axis = np.argwhere(bad)[0]
             raise AllanjaxError(
-                f"sample {self.start + self.n + row} of {self.axes[axis].name} is not finite: every sample "
-                "is needed; end the piece before it and begin another"
+                f"sample {self.start + self.n + row} of {self.axes[axis].name} is not finite, or those "
+                "before it are not: every sample is needed; end the piece before it and begin another"
             )
+        if len(values):
+            self._silent = silent
+            values[:, silent] = 0.0
         self._gathered.append(values)
         if sum(map(len, self._gathered)) >= _GATHERED:
             self._look()
@@ -122,21 +136,59 @@ class AllanAccumulator:
             raise AllanjaxError(
                 f"{_described(self)} and {_described(right)} are not of one recording: they cannot be merged"
             )
+        if self.n and right.n and (self._silent != right._silent).any():
+            name = self.axes[int(np.argmax(self._silent != right._silent))].name
+            raise AllanjaxError(
+                f"{name} has no number in one of the pieces and has in the other: they cannot be merged; "
+                "leave the axis out, or take a stretch in which it has numbers"
+            )
         for piece in (self, right):
             piece._look()
         merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name)
         merged._pyramid = self._pyramid.merge(right._pyramid)
         merged._spectra = self._spectra.merge(right._spectra)
+        merged._silent = self._silent & right._silent
         return merged
+
+    @property
+    def dead(self) -> tuple[DeadAxis, ...]:
+        """The axes that have no result: constant so far, or without a single number."""
+        self._look()
+        if self.n < 2:
+            return ()
+        still = np.flatnonzero(self._pyramid.variance()[0] == 0.0)
+        values = self._pyramid.tail[0, :, -1] / scales_of(self.axes, self.rate)
+        return tuple(
+            DeadAxis.of(self.axes[k], np.nan if self._silent[k] else float(values[k])) for k in still
+        )
+
+    def _living(self) -> AllanAccumulator:
+        """The accumulator of the axes that are not dead.
+
+        Raises:
+            FitError: all are.
+        """
+        dead = self.dead
+        if not dead:
+            return self
+        axes = {d.axis for d in dead}
+        keep = np.array([axis not in axes for axis in self.axes])
+        if not keep.any():
+            raise FitError(f"{self.name or 'the stream'}: {dead[0].axis.name} is {dead[0].reason}")
+        living = AllanAccumulator(
+            self.rate, list(itertools.compress(self.axes, keep)), start=self.start, name=self.name
+        )
+        living._pyramid, living._spectra = self._pyramid.of_axes(keep), self._spectra.of_axes(keep)
+        return living
 
     def result(self) -> AllanDeviation:
         """The Allan deviations of all samples so far, at octaves: those of `estimator="pyramid"`.
 
         Raises:
-            AllanjaxError: fewer than two samples.
+            AllanjaxError: fewer than two samples, or no axis that is not dead.
         """
-        self._look()
-        return AllanDeviation.of_pyramid(self._pyramid, self.rate, self.axes)
+        living = self._living()
+        return AllanDeviation.of_pyramid(living._pyramid, self.rate, living.axes)
 
     def fit(self, model: ModelLike | None = None, objective: Objective = "allan") -> Fit:
         """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
@@ -147,22 +199,24 @@ class AllanAccumulator:
         "whittle" the averaged spectra.
 
         Raises:
-            FitError: too few samples; a line, a resonance or a transient, which need the record itself.
+            FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
+                need the record itself.
         """
-        curve = self.result()
-        selection = self._spectra.select(self.axes, name=self.name) if model is None else None
-        template, active = terms_to_fit(model, selection, self.axes, objective)
+        living, dead = self._living(), self.dead
+        curve, axes, spectra = living.result(), living.axes, living._spectra
+        selection = spectra.select(axes, name=self.name) if model is None else None
+        template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template)
         check_length(curve, template, self.name)
         notes = ambiguities(selection)
         if objective == "allan":
-            results, fitted = fit_allan(curve, self.axes, template, active)
+            results, fitted = fit_allan(curve, axes, template, active)
             if all(result.converged for result in results):
-                return Fit(self.name, template, fitted, results, notes, objective, selection)
+                return Fit(self.name, template, fitted, results, notes, objective, selection, dead)
             notes += (_TOO_FINE,)
-        results = self._spectra.fit(template, self.axes, active)
+        results = spectra.fit(template, axes, active)
         results, curve = with_curve(curve, template, results)
-        return Fit(self.name, template, curve, results, notes, "whittle", selection)
+        return Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:
         """Write the state to a file, whole or not at all; `restore` goes on from there.
@@ -177,6 +231,7 @@ class AllanAccumulator:
             "start": self.start,
             "name": self.name,
             "axes": [dataclasses.asdict(axis) for axis in self.axes],
+            "silent": self._silent.tolist(),
         }
         arrays = {"header": np.array(json.dumps(header))}
         arrays |= _packed(self._pyramid, "pyramid") | _packed(self._spectra, "spectra")
@@ -208,6 +263,7 @@ class AllanAccumulator:
                     )
                 axes = [Axis(**axis) for axis in header["axes"]]
                 found = cls(header["rate"], axes, start=header["start"], name=header["name"])
+                found._silent = np.array(header.get("silent", [False] * len(axes)), bool)
                 found._pyramid = _unpacked(Pyramid, arrays, "pyramid")
                 found._spectra = _unpacked(SegmentSpectra, arrays, "spectra")
         except FileNotFoundError as error:

@@ -129,11 +129,10 @@ def characterize(
             print(
                 f"wrote {', '.join(str(path) for path in paths)}", file=sys.stderr if as_json else sys.stdout
             )
-        for result in fit:
-            if not result.converged:
-                message = f"{result.axis.name}: no result, {result.reason}"
-                errors.append({"file": str(file), "message": message})
-                print_error(f"{file}: {message}")
+        for axis, reason in fit.without_result.items():
+            message = f"{axis}: no result, {reason}"
+            errors.append({"file": str(file), "message": message})
+            print_error(f"{file}: {message}")
     if as_json:
         document = {"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors}
         print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))

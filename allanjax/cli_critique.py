@@ -71,6 +71,10 @@ def critique_command(
             critiques.append({"file": str(file), **to_dict(found)})
         else:
             print(found, flush=True)
+        for dead in found.dead:
+            message = f"{dead.axis.name}: not compared, {dead.reason}"
+            errors.append({"file": str(file), "message": message})
+            print_error(f"{file}: {message}")
         if paths:
             print(
                 f"wrote {', '.join(str(path) for path in paths)}", file=sys.stderr if as_json else sys.stdout

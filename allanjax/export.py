@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from allanjax.misfit import Misfit
-from allanjax.recording import Axis
+from allanjax.recording import Axis, DeadAxis
 from allanjax.result import AxisFit, Coefficient, Fit
 from allanjax.selection import AxisSelection, TermSelection
 from allanjax.spectrum import PowerSpectrum
@@ -39,7 +39,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         },
         "objective": fit.objective,
         "converged": fit.converged,
-        "axes": [_axis(result, fit.selection) for result in fit],
+        "axes": [*(_axis(result, fit.selection) for result in fit), *map(_dead_axis, fit.dead)],
         "notes": list(fit.notes),
     }
 
@@ -92,6 +92,7 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
             rows.append(
                 [result.axis.name, c.label, *numbers, shown.unit, *flags, n["upper_limit_95"], reason]
             )
+    rows += [[dead.axis.name, *[""] * len(header), dead.reason] for dead in fit.dead]
     _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
 
 
@@ -121,6 +122,27 @@ def write_results(
     return paths
 
 
+def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
+    """As that of an axis without result."""
+    axis = dead.axis
+    return {
+        "name": axis.name,
+        "sensor": axis.sensor,
+        "unit": axis.unit,
+        "converged": False,
+        "dead": True,
+        "reason": dead.reason,
+        "chi2": None,
+        "dof": 0,
+        "p_value": None,
+        "discrepancy": None,
+        "coefficients": [],
+        "covariance": {"labels": [], "units": [], "values": []},
+        "selection": None,
+        "regression": {},
+    }
+
+
 def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
     coefficients = list(result.coefficients.values()) if result.converged else []
     covariance = result.covariance if result.converged else np.zeros((0, 0))
@@ -129,6 +151,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "sensor": result.axis.sensor,
         "unit": result.axis.unit,
         "converged": result.converged,
+        "dead": False,
         "reason": result.reason,
         "chi2": _finite(result.chi2) if result.converged else None,
         "dof": int(result.dof),

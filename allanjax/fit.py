@@ -95,7 +95,7 @@ def fit(
         results = tuple(_fit_whittle(recording, k, template, active[k], given) for k in axes)
         results, curve = with_curve(curve, template, results)
     notes = recording.notes + ambiguities(selection)
-    return Fit(recording.name, template, curve, results, notes, objective, selection)
+    return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
 
 
 def terms_to_fit(

@@ -19,7 +19,7 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from allanjax.climb import LEVELS, WINDOWS, climb, differences, pair_means, window_sums
 from allanjax.errors import AllanjaxError
@@ -121,6 +121,10 @@ class Pyramid:
                 np.concatenate([left_tail, across, right_tail], axis=1),
             )
         return merged
+
+    def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Pyramid:
+        """The pyramid of some of the axes."""
+        return Pyramid(self.start, self.n, self.sums[:, keep], self.head[:, keep], self.tail[:, keep])
 
     @property
     def cluster_size(self) -> Int[np.ndarray, " m"]:

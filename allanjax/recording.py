@@ -1,19 +1,20 @@
 """A static recording of gyros and accelerometers."""
 
 import html
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.columns import Column, recognise
 from allanjax.equality import ByValue
 from allanjax.errors import RecordingError, UnitError
 from allanjax.units import SENSORS, Sensor, parse_sample_unit
-from allanjax.validation import Source, check_length, check_rate, check_values
+from allanjax.validation import Source, check_length, check_rate, check_values, dead_reason
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,6 +38,24 @@ class Axis:
     unit: str
 
 
+@dataclass(frozen=True)
+class DeadAxis:
+    """An axis without noise, which can have no result: constant, or without a single number.
+
+    Attributes:
+        axis: which.
+        reason: what is wrong with it, for people.
+    """
+
+    axis: Axis
+    reason: str
+
+    @classmethod
+    def of(cls, axis: Axis, value: float) -> "DeadAxis":
+        """An axis that has this value [its own unit] throughout; nan for no number."""
+        return cls(axis, dead_reason(value, axis.unit))
+
+
 @dataclass(frozen=True, eq=False)
 class Recording(ByValue):
     """Samples of one or more axes, at one rate.
@@ -48,6 +67,7 @@ class Recording(ByValue):
         auxiliary: other columns by name, in the units of the file.
         name: e.g. the file's name without its suffix.
         notes: what the reader assumed or found that the user should know.
+        dead: axes that were left out for want of noise, and why.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -58,6 +78,7 @@ class Recording(ByValue):
     )
     name: str = ""
     notes: tuple[str, ...] = ()
+    dead: tuple[DeadAxis, ...] = ()
 
     @classmethod
     def from_array(
@@ -73,6 +94,8 @@ class Recording(ByValue):
     ) -> "Recording":
         """Make a recording of an array, one column per axis.
 
+        A column that is constant, or has no finite number at all, is left out: see `dead`.
+
         Args:
             values: samples, in `gyro_unit` and `accel_unit`.
             rate: sample rate in Hz.
@@ -86,7 +109,7 @@ class Recording(ByValue):
 
         Raises:
             RecordingError: wrong shape, names or rate, fewer than 16 samples, values that are not
-                finite, or a constant column.
+                finite, or no column that is not constant.
             UnitError: a unit is missing or unknown.
         """
         source = Source(name or "array")
@@ -115,8 +138,7 @@ class Recording(ByValue):
             if column.role != "axis":
                 raise source.error(
                     f"names= has {column.label!r}, which is no axis of a gyro or an accelerometer; use "
-                    "names such as "
-                    "gyro_x, accel_z, and pass other columns as auxiliary="
+                    "names such as gyro_x, accel_z, and pass other columns as auxiliary="
                 )
         extra = {} if auxiliary is None else {key: np.asarray(column) for key, column in auxiliary.items()}
         for key, column_values in extra.items():
@@ -177,10 +199,13 @@ class Recording(ByValue):
         """The axes named, in that order; `gyro` or `accel` stands for all axes of that sensor.
 
         Raises:
-            RecordingError: there is no such axis.
+            RecordingError: there is no such axis, or it is dead.
         """
         chosen: list[int] = []
         for key in keys:
+            for dead in self.dead:
+                if key == dead.axis.name:
+                    raise RecordingError(f"{self.name or 'recording'}: {key} was left out: {dead.reason}")
             found = [i for i, axis in enumerate(self.axes) if axis.name == key]
             found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
             if not found:
@@ -190,7 +215,12 @@ class Recording(ByValue):
             chosen += [i for i in found if i not in chosen]
         if not chosen:
             raise RecordingError(f"select at least one of {', '.join(self.names)}")
-        return replace(self, values=self.values[:, chosen], axes=tuple(self.axes[i] for i in chosen))
+        return replace(
+            self,
+            values=self.values[:, chosen],
+            axes=tuple(self.axes[i] for i in chosen),
+            dead=tuple(dead for dead in self.dead if dead.axis.sensor in keys),
+        )
 
     def __getitem__(self, key: str | Sequence[str]) -> "Recording":
         return self.select(key) if isinstance(key, str) else self.select(*key)
@@ -199,23 +229,30 @@ class Recording(ByValue):
         """The samples from `start` up to but not including `stop`, in s from the first sample.
 
         Raises:
-            RecordingError: fewer than 16 samples are left.
+            RecordingError: fewer than 16 samples are left, or every axis is constant there.
         """
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
         check_length(rows.stop - rows.start, source)
         note = f"samples {rows.start} to {rows.stop - 1} of {self.n} taken"
+        values = self.values[rows]
+        living = check_values(values, self.names, source)
+        dead = _dead(self.axes, values[0] / self.own_scales, living)
         return replace(
             self,
-            values=self.values[rows],
+            values=values if living.all() else values[:, living],
+            axes=tuple(itertools.compress(self.axes, living)),
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
-            notes=(*self.notes, note),
+            notes=(*self.notes, note, *_left_out(dead)),
+            dead=(*self.dead, *dead),
         )
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
         title = f" {self.name!r}" if self.name else ""
-        return f"<Recording{title}: {axes}; {self.n} samples at {self.rate:g} Hz, {self.duration:.6g} s>"
+        dead = f"; without {', '.join(dead.axis.name for dead in self.dead)}" if self.dead else ""
+        size = f"{self.n} samples at {self.rate:g} Hz, {self.duration:.6g} s"
+        return f"<Recording{title}: {axes}; {size}{dead}>"
 
     def _repr_html_(self) -> str:
         own = self.own_values
@@ -227,9 +264,9 @@ class Recording(ByValue):
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
         return (
             f"<table><caption>{html.escape(self.name or 'Recording')}: {self.n} samples at {self.rate:g} Hz, "
-            f"{self.duration:.6g} "
-            "s</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th><th>mean</th>"
-            f"<th>std</th></tr></thead><tbody>{rows}</tbody></table>" + (f"<ul>{notes}</ul>" if notes else "")
+            f"{self.duration:.6g} s</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th>"
+            f"<th>mean</th><th>std</th></tr></thead><tbody>{rows}</tbody></table>"
+            + (f"<ul>{notes}</ul>" if notes else "")
         )
 
 
@@ -244,7 +281,7 @@ def build(
     notes: Sequence[str],
     source: Source,
 ) -> Recording:
-    """Check samples in their own units and make the recording of them; all readers end here.
+    """Check samples in their own units and make the recording of them, without dead axes; readers end here.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -252,11 +289,30 @@ def build(
     """
     axes, own_notes = axes_of(columns, gyro_unit, accel_unit, source)
     rate = check_rate(rate, source)
-    check_values(values, [column.label for column in columns], source)
-    notes = (*notes, *own_notes)
+    living = check_values(values, [column.label for column in columns], source)
+    dead = _dead(axes, values[0], living)
+    axes = tuple(itertools.compress(axes, living))
     return Recording(
-        values * scales_of(axes, rate), rate, axes, MappingProxyType(dict(auxiliary)), name, notes
+        (values if living.all() else values[:, living]) * scales_of(axes, rate),
+        rate,
+        axes,
+        MappingProxyType(dict(auxiliary)),
+        name,
+        (*notes, *own_notes, *_left_out(dead)),
+        dead,
     )
+
+
+def _dead(
+    axes: Sequence[Axis], values: Float[np.ndarray, " axes"], living: Bool[np.ndarray, " axes"]
+) -> tuple[DeadAxis, ...]:
+    """The axes that do not live, with the values [their own units] that they always have."""
+    every = zip(axes, values, living, strict=True)
+    return tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
+
+
+def _left_out(dead: Sequence[DeadAxis]) -> tuple[str, ...]:
+    return tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
 
 
 def axes_of(
@@ -355,8 +411,8 @@ def _unit_of(column: Column, given: str | None, source: Source) -> str:
     if column.increment and unit.quantity == "rate":
         raise UnitError(
             f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} is "
-            "a unit of "
-            f"rates; give the increments' unit in {option}, or rename the column by columns= (--columns)"
+            f"a unit of rates; give the increments' unit in {option}, or rename the column by columns= "
+            "(--columns)"
         )
     return unit.name
 

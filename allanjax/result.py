@@ -17,7 +17,7 @@ from allanjax.errors import FitError
 from allanjax.estimate import Estimate
 from allanjax.misfit import Misfit
 from allanjax.model import Model
-from allanjax.recording import Axis
+from allanjax.recording import Axis, DeadAxis
 from allanjax.terms import Parameter
 from allanjax.units import Sensor, default_coefficient_unit
 from allanjax.wording import format_interval
@@ -255,6 +255,7 @@ class Fit(ByValue):
         notes: what the reader or the fit want the user to know.
         objective: "allan" or "whittle".
         selection: the ranking of terms, if the fit chose them itself.
+        dead: axes of the recording that have no noise to fit, and why.
     """
 
     name: str
@@ -264,6 +265,7 @@ class Fit(ByValue):
     notes: tuple[str, ...] = ()
     objective: str = "allan"
     selection: TermSelection | None = None
+    dead: tuple[DeadAxis, ...] = ()
 
     @property
     def chosen(self) -> bool:
@@ -278,7 +280,13 @@ class Fit(ByValue):
     @property
     def converged(self) -> bool:
         """Whether every axis has a result."""
-        return all(result.converged for result in self.results)
+        return not self.without_result
+
+    @property
+    def without_result(self) -> dict[str, str]:
+        """Why an axis has no result, by the names of those that have none."""
+        failed = {result.axis.name: result.reason for result in self.results if not result.converged}
+        return failed | {dead.axis.name: dead.reason for dead in self.dead}
 
     def __iter__(self) -> Iterator[AxisFit]:
         return iter(self.results)
@@ -288,6 +296,9 @@ class Fit(ByValue):
 
     def __getitem__(self, axis: str) -> AxisFit:
         """The fit of one axis, e.g. `fit["gyro_x"]`."""
+        for dead in self.dead:
+            if axis == dead.axis.name:
+                raise FitError(f"{axis}: no result, {dead.reason}")
         if axis not in self.axes:
             raise FitError(f"{self.name or 'the fit'} has no axis {axis!r}; it has {', '.join(self.axes)}")
         return self.results[self.axes.index(axis)]
@@ -328,6 +339,7 @@ class Fit(ByValue):
                 interval = format_interval(*shown.interval) if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
             cells.append((result.axis.name, "", result.verdict(), ""))
+        cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
         return cells
 
     def _title(self) -> str:

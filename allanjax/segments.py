@@ -202,6 +202,21 @@ class SegmentSpectra:
         last = np.concatenate([left.last, straddling, right.last])
         return SegmentSpectra(self.rate, self.start, right.stop, tuple(merged), last)._shortened()
 
+    def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> SegmentSpectra:
+        """The statistics of some of the axes."""
+        segmented = tuple(
+            SegmentedLevel(
+                level.first,
+                level.head[:, keep],
+                level.tail[:, keep],
+                level.count,
+                level.squares[:, keep],
+                level.cross[:, keep],
+            )
+            for level in self.segmented
+        )
+        return dataclasses.replace(self, segmented=segmented, last=self.last[:, keep])
+
     def levels(self) -> tuple[Bins, Levels]:
         """The bins of the spectrum, lowest frequency first, and sums over each bin, [axes, m].
 

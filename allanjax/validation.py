@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.errors import RecordingError
 
@@ -58,18 +58,32 @@ def check_length(samples: int, source: Source) -> None:
         )
 
 
-def check_values(values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source) -> None:
-    """Check samples, one column per label.
+def check_values(
+    values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source
+) -> Bool[np.ndarray, " axes"]:
+    """Check samples, one column per label, and say which columns live: the others have no noise at all.
+
+    A dead column never changes, or has no number throughout.
 
     Raises:
-        RecordingError: too few samples, a value that is not finite, or a column that never changes;
-            the message names the column, the first place and the remedy.
+        RecordingError: too few samples, a value that is not finite in a column that has others, or no column
+            that lives; the message names the column, the first place and the remedy.
     """
     check_length(len(values), source)
-    for label, column in zip(labels, values.T, strict=True):
-        check_finite(column, label, source)
-        if np.all(column == column[0]):
-            raise constant_error(label, float(column[0]), source)
+    living = np.array([bool(np.isfinite(x).any() and (x != x[0]).any()) for x in values.T], bool)
+    for label, column, lives in zip(labels, values.T, living, strict=True):
+        if lives or not living.any():
+            check_finite(column, label, source)
+    if not living.any():
+        raise constant_error(labels[0], float(values[0, 0]), source)
+    return living
+
+
+def dead_reason(value: float, unit: str) -> str:
+    """Why there is no result for an axis that has this value throughout."""
+    if np.isnan(value):
+        return "not a single number in it, as of a sensor that is not connected"
+    return f"constant, {value:.6g} {unit} throughout, as of a sensor that is stuck or not connected"
 
 
 def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:

@@ -32,7 +32,7 @@ from allanjax.critique.view import Quantity
 from allanjax.critique.words import describe, filled, parameters, quantity, suited
 from allanjax.errors import AllanjaxError
 from allanjax.io import write
-from allanjax.recording import Axis, Recording
+from allanjax.recording import Axis, DeadAxis, Recording
 
 N, RATE = 8192, 100.0
 MG = 9.80665e-3
@@ -383,6 +383,19 @@ def test_json_of_one_file_is_its_document(command, critique, schema):
         "schema_version": 1,
         "errors": [{"file": "odd.csv", "message": "odd: cannot be criticized"}],
     }
+
+
+def test_a_dead_axis_is_told_and_an_error(critique, command, monkeypatch, schema):
+    dead = dataclasses.replace(critique, dead=(DeadAxis.of(Axis("gyro_z", "gyro", "deg/s"), 0.0),))
+    assert "gyro_z: not compared: constant, 0 deg/s throughout" in str(dead)
+    package = importlib.import_module("allanjax.critique")
+    monkeypatch.setattr(package, "critique", lambda recording, *, progress: dead)
+    done = command("imu.csv", "--json")
+    assert done.exit_code == 1
+    assert "error: imu.csv: gyro_z: not compared, constant, 0 deg/s throughout" in done.stderr
+    document = json.loads(done.stdout)
+    assert [error["message"].split(",")[0] for error in document["errors"]] == ["gyro_z: not compared"]
+    jsonschema.validate(document, schema)
 
 
 def test_one_bad_file_does_not_stop_the_others(command, schema):

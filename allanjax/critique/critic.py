@@ -149,6 +149,7 @@ def criticize(
             ),
             *(note for s in searches for note in s.notes),
         ),
+        recording.dead,
     )
 
 

@@ -14,7 +14,7 @@ from allanjax.critique.view import Quantity
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.model import Model
-from allanjax.recording import Axis
+from allanjax.recording import Axis, DeadAxis
 from allanjax.result import Fit
 
 if TYPE_CHECKING:
@@ -194,6 +194,7 @@ class Critique(ByValue):
         axes: one critique an axis.
         shared_findings: causes that concern several axes.
         notes: what the user should know.
+        dead: axes of the recording that have no noise to compare, and why.
     """
 
     name: str
@@ -202,6 +203,7 @@ class Critique(ByValue):
     axes: tuple[AxisCritique, ...]
     shared_findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
+    dead: tuple[DeadAxis, ...] = ()
 
     def __iter__(self) -> Iterator[AxisCritique]:
         return iter(self.axes)

@@ -43,6 +43,8 @@ def story(critique: Critique) -> str:
         # Axes with nothing but a headline stand together.
         lines += [*([""] if max(len(block), previous) > 1 else []), *block]
         previous = len(block)
+    for dead in critique.dead:
+        lines += ["", _wrapped(f"{dead.axis.name}: not compared: {dead.reason}", "", "  ")]
     for finding in critique.shared_findings:
         lines += ["", _wrapped(sentence(finding), "", "  ")]
         lines += told(finding, critique[finding.axes[0]].axis)

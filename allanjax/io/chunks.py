@@ -19,7 +19,14 @@ from allanjax.io.table import ChunkedTable, as_float
 from allanjax.io.text import chunked_text
 from allanjax.io.timestamps import gap_in_stream, rate_from_times, seconds_from_first
 from allanjax.recording import Axis, axes_of, rows_between, scales_of
-from allanjax.validation import Source, check_finite, check_length, check_rate, constant_error
+from allanjax.validation import (
+    Source,
+    bad_cells_message,
+    check_finite,
+    check_length,
+    check_rate,
+    constant_error,
+)
 
 _READERS = {
     "parquet": chunked_parquet,
@@ -36,8 +43,9 @@ class ChunkedRecording:
     """A recording in a file, whose samples are read when it is iterated over, as often as that is done.
 
     An iteration gives arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the
-    `values` that `read` would give. It raises RecordingError at the first bad value, gap of the time stamps
-    or damaged row, and at the end for an axis that never changed.
+    `values` that `read` would give, and dead axes, which that leaves out: constant, or nan throughout. It
+    raises RecordingError at the first bad value, gap of the time stamps or damaged row, and at the end if all
+    axes are dead.
 
     Attributes:
         rate: sample rate in Hz.
@@ -72,20 +80,32 @@ class ChunkedRecording:
     def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
         labels = [column.label for _, column in self._stretch.layout.axes]
         place, count = self._stretch.table.source, 0
-        first, varies = np.zeros(len(labels)), np.zeros(len(labels), bool)
+        first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
         for piece in self._stretch.pieces(self.rate):
             pairs = zip(piece.axes, labels, strict=True)
             values = np.column_stack([as_float(x, label, piece.source) for x, label in pairs])
-            for x, label in zip(values.T, labels, strict=True):
-                check_finite(x, label, piece.source)
+            numbers = np.isfinite(values)
+            for k, label in enumerate(labels):
+                if silent[k] and not numbers[:, k].any():
+                    values[:, k] = np.nan
+                    continue
+                if silent[k] and count:
+                    raise place.error(bad_cells_message(label, count, place.locate(0), place.missing))
+                if not numbers[:, k].all():
+                    check_finite(values[:, k], label, piece.source)
+            silent &= ~numbers.any(axis=0)
             if not count:
                 place, first = piece.source, values[0].copy()
             count += len(values)
-            varies |= (values != first).any(axis=0)
+            if not varies.all():
+                varies |= ((values != first) & numbers).any(axis=0)
             values *= self.own_scales
             yield values
         check_length(count, place)
-        for k in np.flatnonzero(~varies):
+        if silent.all():
+            raise place.error(bad_cells_message(labels[0], count, place.locate(0), place.missing))
+        if not varies.any():
+            k = int(np.argmin(silent))
             raise constant_error(labels[k], float(first[k]), place)
 
 

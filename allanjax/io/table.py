@@ -61,7 +61,7 @@ def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
 
 
 def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
-    """The column as floats; NaN stays.
+    """The column as floats; NaN stays, as does a column without a single value.
 
     Raises:
         RecordingError: a cell is text that is no number.
@@ -72,7 +72,7 @@ def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source)
 
     numbers = np.asarray(pd.to_numeric(pd.Series(values, dtype=object), errors="coerce"), dtype=float)
     bad = np.flatnonzero(np.isnan(numbers))
-    if bad.size:
+    if bad.size and not pd.isna(values).all():
         cell = values[bad[0]]
         text = source.missing if pd.isna(cell) else repr(cell)
         if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell)):
