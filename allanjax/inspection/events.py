@@ -1,0 +1,246 @@
+"""What happened to a recording: stretches that are unlike the rest, and how much they would matter."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.inspection.scores import LENGTHS, Row, groups_of, mean_squares, noise_rows, shortest_half, step_rows
+from allanjax.inspection.windows import Windows
+
+# Scores beyond which a stretch is unlike the rest. In the clean records that they were set on (see
+# benchmarks/first_look.py) the largest were 6.8 but for telegraphs, and for steps 10.2.
+_UNLIKE = 8.0
+_STEP = 11.0
+# Scores down to which an unlike stretch goes on.
+_STILL = 3.0
+# Standard deviations of a step down to which a slow change goes on.
+_STILL_MOVING = 4.0
+# Jumps at least this share of the largest that make a telegraph of them.
+_COMPARABLE = 0.4
+_TELEGRAPH = 3
+# Share of a step that is seen at once where it is sudden.
+_SUDDEN = 0.7
+# Windows without any change that are more than chance, where fewer than this share of values repeat.
+_STUCK, _MOSTLY_NEW = 3, 0.5
+# Windows between two unlike stretches that are one.
+_GAP = 3
+# Windows of quiet on both sides by which the mean before and after is known.
+_BESIDE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Stretch:
+    """Windows `first` up to but not including `last` that are unlike the rest.
+
+    Attributes:
+        kind: "silent", "noisier", "quieter", or "moved", of which the mean alone changes.
+    """
+
+    first: int
+    last: int
+    kind: str
+
+
+def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
+    """Stretches whose noise or whose change of the mean is unlike the rest's, in order, none overlapping."""
+    found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
+    # What a few windows show is left out of what is averaged over more.
+    for length in LENGTHS:
+        rows = list(noise_rows(windows, sensors, length, _touched(windows, found)))
+        louder, quieter = (_runs(rows, len(windows), sign) for sign in (1.0, -1.0))
+        found += [Stretch(a, b, "noisier") for a, b in louder]
+        found += [Stretch(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, found)]
+    steps = list(step_rows(windows, sensors, _touched(windows, found)))
+    moved: list[Stretch] = []
+    for k in range(len(steps)):
+        lag = steps[k].width // 2
+        for a, b in _moves(steps, k, groups_of(sensors)):
+            # What was seen over few windows is seen over more.
+            if not _overlaps(a - lag, b + lag, moved):
+                moved.append(Stretch(a, b, "moved"))
+    return _merged(sorted(found + moved, key=lambda s: s.first))
+
+
+def _touched(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
+    touched = np.zeros(len(windows), bool)
+    for s in stretches:
+        touched[s.first : s.last] = True
+    return touched
+
+
+def _silent(windows: Windows) -> list[tuple[int, int]]:
+    """Runs of windows in which an axis that usually changes does not: it is stuck, or switched off."""
+    pairs = np.maximum(windows.pairs[0], 1)[:, None]
+    constant = windows.low == windows.high
+    usual = np.median(windows.repeats / pairs, axis=0) < _MOSTLY_NEW
+    return [(a, b) for a, b in _spans((constant & usual).any(axis=1)) if b - a >= _STUCK]
+
+
+def _runs(rows: Sequence[Row], count: int, sign: float) -> list[tuple[int, int]]:
+    """Runs of windows with a score beyond the threshold, grown by those that are still unlike."""
+    peak, still = np.zeros(count, bool), np.zeros(count, bool)
+    for row in rows:
+        score = sign * row.score
+        alarmed = score.max(axis=1) > _UNLIKE
+        if not alarmed.any():
+            continue
+        high, low = (score[alarmed] > _UNLIKE).any(axis=0), (score[alarmed] > _STILL).any(axis=0)
+        # Of several windows together, the middle ones: whatever is loud there is in these.
+        inner = (row.width - 1) // 2
+        peak[inner : inner + len(high)] |= high
+        still[inner : inner + len(low)] |= low
+        if row.width > 1:
+            # At the record's ends there is no middle.
+            peak[: inner + 1] |= high[0]
+            peak[inner + len(high) - 1 :] |= high[-1]
+    return [(a, b) for a, b in _spans(peak | still) if peak[a:b].any()]
+
+
+def _moves(rows: Sequence[Row], k: int, groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
+    """Where the mean moves as it does nowhere else, as row k of the steps shows it: windows, from and to.
+
+    None where it jumps by as much three times or more: that is a telegraph, a noise of the sensor.
+    """
+    row = rows[k]
+    alarmed = row.score.max(axis=1) > _STEP
+    if not alarmed.any() or row.step is None or row.scatter is None:
+        return []
+    squares = (row.step / row.scatter[:, None]) ** 2
+    sizes = np.sqrt(np.max([squares[g].mean(axis=0) for g, a in zip(groups, alarmed, strict=True) if a], 0))
+    peaks, left = 0, sizes.copy()
+    while peaks < _TELEGRAPH and left.max() > _COMPARABLE * sizes.max():
+        place = int(np.argmax(left))
+        peaks += 1
+        left[max(place - row.width, 0) : place + row.width + 1] = 0.0
+    if peaks >= _TELEGRAPH:
+        return []
+    strength = row.score[alarmed].max(axis=0)
+    runs = [(a, b) for a, b in _spans(sizes > _STILL_MOVING) if strength[a:b].max() > _STEP]
+    return [_where(rows, k, a, b, a + int(np.argmax(strength[a:b]))) for a, b in runs]
+
+
+def _where(rows: Sequence[Row], k: int, first: int, last: int, place: int) -> tuple[int, int]:
+    """The windows in which the mean moves, of a run of places that see it, and the one that sees most."""
+    row = rows[k]
+    lag, places = row.width // 2, row.score.shape[1]
+    # Place p compares the windows p … p+lag−1 with as many that follow: it sees a change around p + lag.
+    if first == 0:
+        return 0, last + lag
+    if last == places:
+        return first + lag, places + row.width - 1
+    assert row.step is not None
+    axis = int(np.argmax(abs(row.step[:, place]) / row.scatter))
+    size, middle = abs(row.step[axis, place]), place + lag
+    slow = first + lag, last + lag
+    # A sudden step is as large over fewer windows.
+    for finer in reversed(rows[:k]):
+        assert finer.step is not None
+        half = finer.width // 2
+        near = abs(finer.step[axis, max(middle - 3 * half, 0) : middle + half + 1])
+        if len(near) == 0 or near.max() < _SUDDEN * size:
+            return slow if lag == row.width // 2 else (max(middle - lag, 0), middle + lag)
+        lag, middle = half, max(middle - 3 * half, 0) + int(np.argmax(near)) + half
+    return max(middle - lag, 0), min(middle + lag, places + row.width - 1)
+
+
+def _spans(mask: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
+    """Runs of true values, those apart by few others joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    spans: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        if spans and a - spans[-1][1] <= _GAP:
+            spans[-1] = (spans[-1][0], int(b))
+        else:
+            spans.append((int(a), int(b)))
+    return spans
+
+
+def _overlaps(first: int, last: int, others: Sequence[Stretch]) -> bool:
+    return any(o.first < last and first < o.last for o in others)
+
+
+def _merged(found: Sequence[Stretch]) -> list[Stretch]:
+    """Overlapping stretches as one, of the kind of the first whose noise is another."""
+    merged: list[Stretch] = []
+    for s in found:
+        if merged and s.first <= merged[-1].last:
+            o = merged[-1]
+            kinds = [k for k in ("silent", "noisier", "quieter", "moved") if k in (o.kind, s.kind)]
+            merged[-1] = Stretch(o.first, max(o.last, s.last), kinds[0])
+        else:
+            merged.append(s)
+    return merged
+
+
+def excesses(
+    windows: Windows, stretches: Sequence[Stretch]
+) -> tuple[Float[np.ndarray, " stretches"], Float[np.ndarray, " stretches"]]:
+    """How much each stretch would matter.
+
+    Returns:
+        The largest excess over all cluster times and axes of the mean square difference, which is twice the
+        Allan variance, in standard deviations of its estimate; and the same as a share of itself.
+    """
+    touched = _touched(windows, stretches)
+    sigmas, shares = np.zeros(len(stretches)), np.zeros(len(stretches))
+    for square, weight, width in _squares(windows):
+        # Places that have a part in a stretch are touched as a whole.
+        places = np.array([touched[k : k + width].any() for k in range(square.shape[0])]) if width > 1 else touched
+        quiet = ~places & (weight > 0)
+        if quiet.sum() < 4:
+            continue
+        level = np.average(square[quiet], axis=0, weights=weight[quiet])
+        level = np.where(level > 0.0, level, np.inf)
+        # Neighbouring places have windows in common: there are as many as fit side by side.
+        independent = max(quiet.sum() / width, 1.0) * (len(square) / quiet.sum())
+        scatter = np.sqrt(np.average((square[quiet] / level - 1.0) ** 2, axis=0, weights=weight[quiet]))
+        error = np.maximum(scatter / np.sqrt(independent), 1e-12)
+        gain = (square / level - 1.0) * (weight / weight.sum())[:, None]
+        for k, s in enumerate(stretches):
+            part = gain[max(s.first - width + 1, 0) : s.last].sum(axis=0)
+            sigmas[k] = max(sigmas[k], float(np.max(abs(part) / error)))
+            shares[k] = max(shares[k], float(np.max(abs(part))))
+    return sigmas, shares
+
+
+def _squares(windows: Windows):  # type: ignore[no-untyped-def]
+    """Mean squares at each cluster size, in windows and over several, with their weights and windows a place."""
+    for square, pairs in zip(mean_squares(windows), windows.pairs, strict=True):
+        yield np.nan_to_num(square), pairs.astype(float), 1
+    for row in step_rows(windows, ["axis"] * windows.mean.shape[1]):
+        yield row.square.T, np.ones(row.square.shape[1]), row.width
+
+
+def longest_quiet(count: int, stretches: Sequence[Stretch], pad: int = 1) -> tuple[int, int]:
+    """The longest run of windows that is outside of all stretches, a window apart from each."""
+    edges = [0]
+    for s in stretches:
+        edges += [0 if s.first <= pad else s.first - pad, count if s.last >= count - pad else s.last + pad]
+    edges.append(count)
+    return max(zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0])
+
+
+def beside(
+    windows: Windows, stretch: Stretch, others: Sequence[Stretch]
+) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
+    """How far the mean after a stretch is from that before, and its usual scatter; zero at the record's ends."""
+    before = max([s.last for s in others if s.last <= stretch.first], default=0)
+    after = min([s.first for s in others if s.first >= stretch.last], default=len(windows))
+    left = windows.mean[max(before, stretch.first - _BESIDE) : stretch.first]
+    right = windows.mean[stretch.last : min(after, stretch.last + _BESIDE)]
+    zero = np.zeros(windows.mean.shape[1])
+    if len(left) == 0 or len(right) == 0:
+        return zero, zero
+    # The same difference of means wherever it can be taken.
+    apart, k = stretch.last - stretch.first, min(len(left), len(right))
+    total = np.concatenate([[zero], np.cumsum(windows.mean, axis=0)])
+    level = (total[k:] - total[:-k]) / k
+    usual = level[k + apart :] - level[: len(level) - k - apart]
+    scatter = shortest_half(usual.T)[1] if len(usual) > _BESIDE else zero
+    return right.mean(axis=0) - left.mean(axis=0), scatter
+
+

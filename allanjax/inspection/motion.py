@@ -1,0 +1,94 @@
+"""Is the sensor at rest? Its averages over a second say so."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.inspection.scores import mean_squares, step_rows
+from allanjax.inspection.windows import Windows
+
+_DEG = np.pi / 180.0
+_G = 9.80665
+# Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] at rest has. The noisiest consumer
+# gyros have 2 deg/√h (0.033 deg/s at 1 s), a correlated part may make six times of it; the noisiest
+# accelerometers 1 mg/√Hz, 0.01 m/s² at 1 s.
+AT_REST = {"gyro": 0.3 * _DEG, "accel": 0.1}
+# Cluster times looked at: below, vibration and quantization are large at rest, too; above, drift is.
+_SHORTEST, _LONGEST = 0.3, 10.0
+# How far the mean may wander from one part of a record to another: zero-rate levels drift by less than 3 deg/s
+# once a sensor runs, and 0.5 m/s² is a tilt of 3 degrees.
+WANDERS = {"gyro": 3.0 * _DEG, "accel": 0.5}
+# Rms of samples about their mean that is vibration: the noisiest sensors above have half as much at 400 Hz.
+SHAKES = {"gyro": 10.0 * _DEG, "accel": 2.0}
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """What speaks against a sensor at rest, of the axis of which it is plainest.
+
+    Attributes:
+        kind: "changes" from one cluster time to the next, "wanders" over the record, "shakes".
+        axis: its index.
+        value: rms change, range, or rms [rad/s or m/s²].
+        limit: what a sensor at rest has at most.
+        time: the cluster time [s], of changes.
+    """
+
+    kind: str
+    axis: int
+    value: float
+    limit: float
+    time: float = 0.0
+
+
+def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
+    """What no sensor at rest does, at most one of each kind and sensor."""
+    changes = _changes(windows, sensors, rate)
+    over = max(int(np.ceil(rate / windows.size)), 1)
+    wander = np.ptp(_averaged(windows.mean, over), axis=0)
+    shake = _rms(windows)
+    found = []
+    for sensor in dict.fromkeys(sensors):
+        of = [k for k, s in enumerate(sensors) if s == sensor]
+        moved = [m for m in changes if m.axis in of]
+        if moved:
+            found.append(max(moved, key=lambda m: m.value / m.limit))
+        for kind, value, limits in (("wanders", wander, WANDERS), ("shakes", shake, SHAKES)):
+            k = max(of, key=lambda k, value=value: value[k])  # type: ignore[misc]
+            if value[k] > limits[sensor] and not (moved and kind == "shakes"):
+                found.append(Motion(kind, k, float(value[k]), limits[sensor]))
+    return found
+
+
+def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
+    """Differences between the means of neighbouring clusters that are too large."""
+    within = mean_squares(windows)
+    sizes = [(1 << k, np.nanmean(square, axis=0)) for k, square in enumerate(within) if np.isfinite(square).any()]
+    sizes += [(row.cluster, row.square.mean(axis=1)) for row in step_rows(windows, sensors)]
+    found = []
+    for size, square in sizes:
+        time = size / rate
+        if not _SHORTEST <= time <= _LONGEST:
+            continue
+        for k, sensor in enumerate(sensors):
+            # White noise averages out; a difference of two is √2 times the Allan deviation.
+            limit = AT_REST[sensor] * np.sqrt(2.0 / min(time, 1.0))
+            if square[k] > limit**2:
+                found.append(Motion("changes", k, float(np.sqrt(square[k])), float(limit), time))
+    return found
+
+
+def _averaged(mean: Float[np.ndarray, "w axes"], over: int) -> Float[np.ndarray, "v axes"]:
+    whole = len(mean) // over * over
+    return mean[:whole].reshape(-1, over, mean.shape[1]).mean(axis=1) if whole else mean
+
+
+def _rms(windows: Windows) -> Float[np.ndarray, " axes"]:
+    """Rms of the samples about the mean of their window."""
+    # The sum of squares about the mean is that of the differences of halves of all sizes.
+    scales = 2.0 ** np.arange(len(windows.power))
+    return np.sqrt((windows.power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())

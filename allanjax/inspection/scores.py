@@ -1,0 +1,166 @@
+"""How far each window is from the others, in the scatter that most of them have.
+
+A mean square of Gaussian noise of any colour is nearly χ² distributed, and the cube root of a χ² variate is
+nearly normal (Wilson and Hilferty, PNAS 17, 1931). Location and scatter of these roots over the windows are
+those of their shortest half, which up to half of the windows cannot move. So a score is nearly standard normal
+in clean records, whatever their noise; its threshold is a number of standard deviations.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.inspection.windows import Windows
+
+#: Width of the middle half of a normal law, in standard deviations.
+_HALF_WIDTH = 1.349
+#: Windows that are averaged, to see what is little louder but long; steps of means are looked for over as many.
+LENGTHS = (1, 4, 16, 64)
+#: Fewest independent averages among which one can be told to be unlike.
+_FEWEST = 8
+# Least scatter of a step's root: that of one axis is 0.37, fewer values than a lattice has would make it zero.
+_LEAST_STEP_SCATTER = 0.3
+# Added to squared steps in units of their scatter, for the same reason.
+_SOFT = 0.5
+# Shares of equal neighbours between which a lattice ceases to be dithered by the noise: at 0.4 the noise is
+# 0.7 steps, at 0.6 it is 0.4, and the level then rules how often the value changes.
+_DITHERED, _COARSE = 0.4, 0.6
+
+Scores = Float[np.ndarray, "groups places"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Row:
+    """Scores of one kind at all places.
+
+    Attributes:
+        score: of each axis, and of groups of them, at each place.
+        width: windows of a place, which begins with the window of its number.
+        square: of each axis at each place: mean square of the differences, or the squared step of the mean
+            beyond the usual one.
+        cluster: cluster size in samples.
+        step: step of the mean, where the row is of steps [axes, places].
+        scatter: of the steps, of each axis.
+    """
+
+    score: Scores
+    width: int
+    square: Float[np.ndarray, "axes places"]
+    cluster: int
+    step: Float[np.ndarray, "axes places"] | None = None
+    scatter: Float[np.ndarray, " axes"] | None = None
+
+
+def shortest_half(
+    u: Float[np.ndarray, "... places"],
+) -> tuple[Float[np.ndarray, " ..."], Float[np.ndarray, " ..."]]:
+    """Middle and scatter of the shortest half of values, as of a normal law; NaN are left out."""
+    ordered = np.sort(u, axis=-1)
+    count = int(np.isfinite(ordered).sum(axis=-1).min())
+    half = count // 2
+    low, high = ordered[..., : count - half], ordered[..., half:count]
+    place = np.argmin(high - low, axis=-1)[..., None]
+    low, high = (np.take_along_axis(x, place, axis=-1)[..., 0] for x in (low, high))
+    return 0.5 * (low + high), (high - low) / _HALF_WIDTH
+
+
+def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
+    """Mean squares of the differences of neighbouring clusters; NaN in windows that hold none."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(
+            windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan
+        )
+
+
+def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
+    """What the level alone can make of the differences where samples are rounded to few steps."""
+    pairs = np.maximum(windows.pairs[0], 1)
+    repeated = np.median(windows.repeats / pairs[:, None], axis=0)
+    share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
+    resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
+    return share * resolution**2 / 4.0
+
+
+def groups_of(sensors: Sequence[str]) -> list[list[int]]:
+    """Every axis alone, those of each sensor, and all: handling is on all axes at once."""
+    alone = [[k] for k in range(len(sensors))]
+    kinds = [[k for k, s in enumerate(sensors) if s == kind] for kind in dict.fromkeys(sensors)]
+    together = [g for g in kinds if 1 < len(g) < len(sensors)]
+    return alone + together + ([list(range(len(sensors)))] if len(sensors) > 1 else [])
+
+
+def noise_rows(
+    windows: Windows, sensors: Sequence[str], length: int, left_out: Bool[np.ndarray, " w"]
+) -> Iterator[Row]:
+    """Scores of the noise at each cluster size within a window, averaged over so many windows.
+
+    Windows that are left out count as usual ones.
+    """
+    if len(windows) < _FEWEST * length:
+        return
+    groups, floor = groups_of(sensors), lattice_power(windows)
+    # A window at a seam, with few differences, has another scatter than the others.
+    few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
+    squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
+    roots = np.cbrt(squares + floor)
+    for scale, (root, square) in enumerate(zip(roots, squares, strict=True)):
+        if not np.isfinite(root[:, 0]).any():
+            continue
+        middle = np.nanmedian(root, axis=0)
+        relative = root / np.where(middle > 0.0, middle, np.inf)
+        averaged = _running(np.where(np.isfinite(relative), relative, 1.0), length)
+        together = np.stack([averaged[:, g].mean(axis=1) for g in groups])
+        # No scatter is less than that of as many independent differences.
+        usual = float(max(np.median(windows.pairs[scale]), 1.0))
+        sizes = np.array([len(g) for g in groups])
+        least = np.sqrt(2.0 / (9.0 * usual * length * sizes))
+        yield Row(_scored(together, least), length, square.T, 1 << scale)
+
+
+def step_rows(
+    windows: Windows, sensors: Sequence[str], left_out: Bool[np.ndarray, " w"] | None = None
+) -> Iterator[Row]:
+    """Scores of the differences between the means of neighbouring stretches of 1, 2, 4, … windows.
+
+    Their median is no step: a ramp over the record is a term of the noise model. Means are of the windows that
+    are not left out.
+    """
+    groups, floor = groups_of(sensors), lattice_power(windows)
+    weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out
+    mean = windows.mean - windows.mean.mean(axis=0)
+    total = np.concatenate([[0.0 * mean[0]], np.cumsum(weight[:, None] * mean, axis=0)])
+    known = np.concatenate([[0.0], np.cumsum(weight)])
+    lag = 1
+    while len(windows) >= _FEWEST * lag:
+        count = known[lag:] - known[:-lag]
+        level = (total[lag:] - total[:-lag]) / np.where(count > 0.0, count, np.nan)[:, None]
+        step = (level[lag:] - level[:-lag]).T
+        if np.isfinite(step[0]).sum() < _FEWEST:
+            return
+        middle, scatter = shortest_half(step)
+        scatter = np.sqrt(scatter**2 + floor)
+        scatter = np.where(scatter > 0.0, scatter, np.inf)
+        step = np.nan_to_num(step - middle[:, None])
+        square = (step / scatter[:, None]) ** 2
+        roots = np.stack([np.cbrt(square[g].mean(axis=0) + _SOFT) for g in groups])
+        score = _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER))
+        yield Row(score, 2 * lag, step**2, lag * windows.size, step, scatter)
+        lag *= 2
+
+
+def _scored(roots: Scores, least: Float[np.ndarray, " groups"]) -> Scores:
+    middle, scatter = shortest_half(roots)
+    scatter = np.maximum(scatter, least * abs(middle))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        score = (roots - middle[:, None]) / scatter[:, None]
+    return np.nan_to_num(score, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _running(x: Float[np.ndarray, "w axes"], length: int) -> Float[np.ndarray, "places axes"]:
+    """Means over so many windows from each on."""
+    total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
+    return (total[length:] - total[:-length]) / length
