@@ -1,0 +1,6 @@
+"""What is looked at before a fit: handling, motion, units and resolution."""
+
+from allanjax.inspection.look import Inspection, inspect, look
+from allanjax.inspection.windows import Windows
+
+__all__ = ["Inspection", "Windows", "inspect", "look"]

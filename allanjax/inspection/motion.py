@@ -46,22 +46,22 @@ class Motion:
 
 
 def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
-    """What no sensor at rest does, at most one of each kind and sensor."""
+    """What no sensor at rest does, the plainest of each sensor."""
     changes = _changes(windows, sensors, rate)
     over = max(int(np.ceil(rate / windows.size)), 1)
     wander = np.ptp(_averaged(windows.mean, over), axis=0)
-    shake = _rms(windows)
-    found = []
-    for sensor in dict.fromkeys(sensors):
-        of = [k for k, s in enumerate(sensors) if s == sensor]
-        moved = [m for m in changes if m.axis in of]
-        if moved:
-            found.append(max(moved, key=lambda m: m.value / m.limit))
-        for kind, value, limits in (("wanders", wander, WANDERS), ("shakes", shake, SHAKES)):
-            k = max(of, key=lambda k, value=value: value[k])  # type: ignore[misc]
-            if value[k] > limits[sensor] and not (moved and kind == "shakes"):
-                found.append(Motion(kind, k, float(value[k]), limits[sensor]))
-    return found
+    shake = rms_within(windows)
+    moving = changes
+    for kind, values, limits in (("wanders", wander, WANDERS), ("shakes", shake, SHAKES)):
+        moving += [
+            Motion(kind, k, float(values[k]), limits[sensor])
+            for k, sensor in enumerate(sensors)
+            if values[k] > limits[sensor]
+        ]
+    plainest = {}
+    for m in sorted(moving, key=lambda m: m.value / m.limit):
+        plainest[sensors[m.axis]] = m
+    return list(plainest.values())
 
 
 def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
@@ -87,7 +87,7 @@ def _averaged(mean: Float[np.ndarray, "w axes"], over: int) -> Float[np.ndarray,
     return mean[:whole].reshape(-1, over, mean.shape[1]).mean(axis=1) if whole else mean
 
 
-def _rms(windows: Windows) -> Float[np.ndarray, " axes"]:
+def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
     """Rms of the samples about the mean of their window."""
     # The sum of squares about the mean is that of the differences of halves of all sizes.
     scales = 2.0 ** np.arange(len(windows.power))

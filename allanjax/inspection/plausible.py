@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.inspection.motion import AT_REST
-from allanjax.recording import Recording
+from allanjax.inspection.windows import Windows
+from allanjax.recording import Axis, scales_of
 from allanjax.units import parse_sample_unit, unit_scale
 
 _DEG = np.pi / 180.0
@@ -31,6 +32,11 @@ _BEST_GYRO = 3e-5 * _ROOT_HOUR
 # Least ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units it is 0.17
 # (fibre-optic gyros beside MEMS accelerometers) to 30, and 57 times less if rad/s are taken for deg/s.
 _LEAST_RATIO = 0.07
+# White noise [m/s/√h] of accelerometers that are MEMS.
+_MEMS = 0.03
+_TIMES = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+# Stamps and a rate that agree do so within this.
+_SAME_RATE = 0.05
 # Values of an axis that are few, and the samples they are counted among.
 _FEW, _COUNTED = 8, 1 << 14
 # Share of equal neighbours at which the noise is 0.4 steps of the resolution: below, it is not seen.
@@ -42,153 +48,148 @@ SHORT = 60.0
 _FEW_SAMPLES = 1000
 
 
-def implausible(recording: Recording, white: Float[np.ndarray, " axes"]) -> list[str]:
-    """A line on each unit or rate that cannot be.
+def implausible(
+    axes: Sequence[Axis],
+    rate: float,
+    mean: Float[np.ndarray, " axes"],
+    white: Float[np.ndarray, " axes"],
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
+    moving: Collection[str] = (),
+) -> dict[str, str]:
+    """A line on each unit or rate that cannot be, by what it is about: "accel", "gyro", "rate".
 
     Args:
-        recording: the samples.
+        axes: the recording's.
+        rate: in Hz.
+        mean: of each axis [rad/s or m/s²].
         white: of each axis, an upper bound of its white noise N [rad/√s or m/s/√s].
+        auxiliary: other columns, among which may be one of times.
+        moving: sensors that are not at rest, for other reasons.
     """
-    return [line for line in (_accel(recording), _gyro(recording, white), _rate(recording)) if line]
+    lines = {
+        "accel": _accel(axes, rate, mean, "accel" in moving),
+        "gyro": _gyro(axes, mean, white, "gyro" in moving),
+        "rate": _rate(rate, auxiliary),
+    }
+    return {about: line for about, line in lines.items() if line}
 
 
-def _accel(recording: Recording) -> str:
+def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], moving: bool) -> str:
     """Gravity is 9.81 m/s², and known better than any unit is mistaken for another."""
-    axes = [k for k, axis in enumerate(recording.axes) if axis.sensor == "accel"]
-    if not axes:
+    accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
+    size = float(np.linalg.norm(mean[accel])) if accel else _G
+    triad = len(accel) >= 3
+    if abs(size / _G - 1.0) < _ABOUT or size == 0.0:
         return ""
-    unit = recording.axes[axes[0]].unit
-    mean = float(np.linalg.norm(recording.values[:, axes].mean(axis=0)))
-    triad = len(axes) >= 3
+    own = parse_sample_unit(axes[accel[0]].unit, "accel")
+    number = size / scales_of([axes[accel[0]]], rate)[0]
+    wrong = f"accelerometers average {number:.4g} {own.name}: gravity is 9.81 m/s²"
     tolerance = _TRIAD if triad else _ALONE
-    own = parse_sample_unit(unit, "accel")
-    rate = recording.rate if own.quantity == "increment" else 1.0
-    number = mean / (own.scale * rate)
-    shown = f"accelerometers average {number:.4g} {unit}" + (f" at {rate:g} Hz" if rate != 1.0 else "")
-    if abs(mean / _G - 1.0) < _ABOUT or mean < 1e-3 * _G:
-        return ""
+
+    def is_gravity(acceleration: float) -> bool:
+        return abs(acceleration / _G - 1.0) < tolerance
+
     if own.quantity == "increment":
         for factor in (10.0, 0.1, 100.0, 0.01):
-            if abs(mean / (factor * _G) - 1.0) < tolerance:
-                return f"{shown}: that is {mean:.4g} m/s², and gravity is 9.81 m/s²; the rate is probably {rate / factor:g} Hz: --rate"
+            if is_gravity(size / factor):
+                other = f"{rate / factor:g} Hz"
+                return f"{wrong}, which is {_G / size * number:.4g} {own.name} at {rate:g} Hz; the rate is probably {other}: --rate {rate / factor:g}"
     for other in _ACCEL_UNITS:
-        if abs(number * unit_scale(other, "accel") / _G - 1.0) < tolerance:
-            return f"{shown}: gravity is 9.81 m/s²; their unit is probably {other}: --accel-unit {_plain(other)}"
-    if own.quantity == "rate" and abs(mean * recording.rate / _G - 1.0) < tolerance:
-        return f"{shown}: gravity is 9.81 m/s²; they are probably increments: --accel-unit m/s"
-    if triad and mean > _NONE * _G:
-        return f"{shown}, {mean:.3g} m/s², and gravity is 9.81 m/s²: is the unit right, or the sensor's range too small? (--accel-unit)"
+        if is_gravity(number * unit_scale(other, "accel")):
+            return f"{wrong}; their unit is probably {other}: --accel-unit {other.replace('²', '^2')}"
+    if own.quantity == "rate" and is_gravity(size * rate):
+        return f"{wrong}, {_G / rate:.4g} m/s a sample; they are probably increments: --accel-unit m/s"
+    if triad and not moving and size > _NONE * _G:
+        return f"{wrong}, and this is {size:.3g} m/s²; is the unit right, and the range wide enough? (--accel-unit)"
     return ""
 
 
-def _gyro(recording: Recording, white: Float[np.ndarray, " axes"]) -> str:
-    """A gyro at rest reads the Earth's rate, 15 deg/h, its bias, and noise that its kind of sensor can have."""
-    axes = [k for k, axis in enumerate(recording.axes) if axis.sensor == "gyro"]
-    if not axes:
+def _gyro(
+    axes: Sequence[Axis], mean: Float[np.ndarray, " axes"], white: Float[np.ndarray, " axes"], moving: bool
+) -> str:
+    """A gyro at rest reads the Earth's rate, 15 deg/h, its bias, and the noise that its kind can have."""
+    gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
+    if not gyros:
         return ""
-    unit = recording.axes[axes[0]].unit
-    noise, bias = float(np.median(white[axes])), float(abs(recording.values[:, axes].mean(axis=0)).max())
-    steady = noise < AT_REST["gyro"]
-    known = f"gyros average up to {bias / _DEG:.3g} deg/s with noise of {noise / _ROOT_HOUR:.2g} deg/√h"
-    remedy = "" if "deg" in unit else "; if they are deg/s: --gyro-unit deg/s"
-    if bias > _LARGEST_BIAS and steady:
-        return f"{known}: no gyro at rest has such a bias{remedy or '; was it turning, or is the unit wrong? (--gyro-unit)'}"
-    if noise > AT_REST["gyro"] and "deg" not in unit:
-        return f"{known}: beyond any sensor at rest{remedy}"
-    if noise < _BEST_GYRO and noise > 0.0:
-        return f"{known}: the best gyros made have 0.0001 deg/√h; is {unit} the right unit? (--gyro-unit)"
-    accel = [k for k, axis in enumerate(recording.axes) if axis.sensor == "accel"]
+    unit = axes[gyros[0]].unit
+    noise, bias = float(np.median(white[gyros])), float(abs(mean[gyros]).max())
+    known = f"gyros average {bias / _DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
+    if noise > AT_REST["gyro"] or (bias > _LARGEST_BIAS and not moving):
+        remedy = "is the unit right? (--gyro-unit)" if "deg" in unit else "are they deg/s? --gyro-unit deg/s"
+        return f"{known}, beyond any gyro at rest; {remedy}"
+    if 0.0 < noise < _BEST_GYRO:
+        return f"{known}, and the best ones made have 0.0001 deg/√h; is the unit right? (--gyro-unit)"
+    accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
     if accel and "rad" not in unit:
         beside = float(np.median(white[accel])) * 60.0
-        if 0.0 < noise / _ROOT_HOUR < _LEAST_RATIO * beside and beside > 0.03:
+        if 0.0 < noise / _ROOT_HOUR < _LEAST_RATIO * beside and beside > _MEMS:
             return (
-                f"{known}, too quiet beside accelerometers of {beside:.2g} m/s/√h: are they rad/s? "
+                f"{known}, too little beside accelerometers of {beside:.2g} m/s/√h; are they rad/s? "
                 "--gyro-unit rad/s"
             )
     return ""
 
 
-def _rate(recording: Recording) -> str:
+def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
     """A column of times that was not used, and disagrees with the rate that was given."""
-    for name, column in recording.auxiliary.items():
-        if "time" not in name.lower() and name.lower() not in ("t", "stamp", "timestamp"):
+    for name, column in auxiliary.items():
+        if not ("time" in name.lower() or name.lower() in ("t", "stamp")):
             continue
         step = float(np.median(np.diff(np.asarray(column, float)[:_COUNTED])))
         if not (np.isfinite(step) and step > 0.0):
             continue
-        rates = {1.0 / (step * unit): label for unit, label in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))}
-        nearest = min(rates, key=lambda r: abs(np.log(r / recording.rate)))
-        if abs(nearest / recording.rate - 1.0) > 0.05:
+        rates = {1.0 / (step * size): unit for unit, size in _TIMES.items()}
+        nearest = min(rates, key=lambda r: abs(np.log(r / rate)))
+        if abs(nearest / rate - 1.0) > _SAME_RATE:
             return (
-                f"the column {name!r} steps by {step:g}, {nearest:.4g} Hz in {rates[nearest]}, and the rate "
-                f"given is {recording.rate:g} Hz: leave out --rate and --time none to use the stamps"
+                f"the column {name!r} grows by {step:g} a sample, {nearest:.4g} Hz if that is {rates[nearest]}, "
+                f"and the rate given is {rate:g} Hz; leave out --rate and --time none to use it"
             )
     return ""
 
 
 def coarse(
-    recording: Recording, repeated: Float[np.ndarray, " axes"], resolution: Float[np.ndarray, " axes"]
+    windows: Windows, axes: Sequence[Axis], rate: float, values: Float[np.ndarray, "n axes"] | None
 ) -> list[str]:
     """A line on what cannot be known of so few samples, or of so few values.
 
     Args:
-        recording: the samples.
-        repeated: share of the samples of each axis that are equal to the one before.
-        resolution: smallest step between the samples of each axis [rad/s or m/s²].
+        windows: of the recording.
+        axes: its axes.
+        rate: in Hz.
+        values: its samples, where they are in memory.
     """
-    lines = []
-    duration = recording.duration
-    if recording.n < _FEW_SAMPLES or duration < SHORT:
-        what = f"{recording.n} samples in {duration:.3g} s" if recording.n < _FEW_SAMPLES else f"{duration:.3g} s"
-        lines.append(
-            f"{what}: too short for B and K, which show over tens of seconds and more"
-            + ("" if recording.n >= _FEW_SAMPLES else f"; N is known to {100.0 / np.sqrt(recording.n):.0f} % at best")
-        )
-    scales = recording.own_scales
-    for sensor in dict.fromkeys(axis.sensor for axis in recording.axes):
-        hidden, held = [], []
-        for k, axis in enumerate(recording.axes):
-            if axis.sensor != sensor:
-                continue
-            sample = recording.values[: _COUNTED, k]
-            few = len(np.unique(sample))
-            # As many values in all as were seen at first: else there are more.
-            if repeated[k] > _HIDDEN and few <= _FEW:
-                hidden.append((k, len(np.unique(recording.values[:, k]))))
-            elif repeated[k] > _HELD + 3.0 * _chance(sample, resolution[k]):
-                held.append(k)
-        if hidden:
-            k, count = hidden[0]
-            names = _names(recording, [k for k, _ in hidden])
-            step = f"{resolution[k] / scales[k]:.3g} {recording.axes[k].unit}"
+    lines, n = [], windows.n
+    if n < _FEW_SAMPLES or n / rate < SHORT:
+        line = f"{n / rate:.3g} s: too short for B and K, which show over tens of seconds and more"
+        if n < _FEW_SAMPLES:
+            line += f"; of {n} samples, N is known to {100.0 / np.sqrt(n):.0f} % at best"
+        lines.append(line)
+    scales = scales_of(axes, rate)
+    repeated = windows.repeats.sum(axis=0) / max(windows.pairs[0].sum(), 1)
+    # The rms difference of neighbours, were they not rounded, makes so many of them equal.
+    rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1))
+    chance = windows.resolution / np.where(rms > 0.0, rms, np.inf) / np.sqrt(2.0 * np.pi)
+    for k, axis in enumerate(axes):
+        step = f"{windows.resolution[k] / scales[k]:.3g} {axis.unit}"
+        few = None if values is None else _distinct(values[:, k])
+        if repeated[k] > _HIDDEN and (few is not None or chance[k] > _HIDDEN):
+            values_ = f"has {few} distinct values" if few is not None else "hardly changes"
             lines.append(
-                f"{names} {'has' if len(hidden) == 1 else 'have'} {count} distinct values{'' if len(hidden) == 1 else ' or so'}: the noise is below the "
-                f"resolution of {step}, and the coefficients are those of the rounding"
+                f"{axis.name} {values_}: its noise is below its resolution of {step}, and coefficients are "
+                "those of the rounding"
             )
-        if held:
-            share = 100.0 * float(np.mean(repeated[held]))
+        elif repeated[k] > _HELD + 2.0 * chance[k]:
             lines.append(
-                f"{_names(recording, held)}: {share:.0f} % of the samples repeat the one before: the sensor gives "
-                "fewer than the rate says, and N at the shortest cluster times is not its own"
+                f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before: the sensor gives "
+                "fewer than the rate says, and what is faster is not its own"
             )
     return lines
 
 
-def _chance(sample: Float[np.ndarray, " n"], resolution: float) -> float:
-    """Share of repeats that rounding to the resolution makes of noise."""
-    d = np.diff(sample)
-    moving = d[d != 0.0]
-    if len(moving) == 0 or not np.isfinite(resolution):
-        return 0.0
-    # Differences of neighbours are normal with this deviation: the density at zero, times a step.
-    scatter = float(np.median(abs(moving))) / 0.6745
-    return float(min(resolution / (scatter * np.sqrt(2.0 * np.pi)), 1.0))
-
-
-def _names(recording: Recording, axes: Sequence[int]) -> str:
-    names = [recording.axes[k].name for k in axes]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _plain(unit: str) -> str:
-    return unit.replace("²", "^2")
+def _distinct(column: Float[np.ndarray, " n"]) -> int | None:
+    """How many values there are, if they are few."""
+    if len(np.unique(column[:_COUNTED])) > _FEW:
+        return None
+    count = len(np.unique(column))
+    return count if count <= 2 * _FEW else None

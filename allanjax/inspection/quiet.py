@@ -26,6 +26,8 @@ _SAME_NOISE = 1.5
 _SINGLE = 0.5
 # Standard deviations by which the mean must have changed for a step.
 _CHANGED = 8.0
+# Share of the range of the mean that a warm-up goes from its first window to where it settles.
+_ONE_WAY = 0.6
 # Windows, and share of the record, up to which something is sudden, or short.
 _SUDDEN, _SHORT = 6, 0.02
 
@@ -172,7 +174,13 @@ def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kin
         settled = after.mean(axis=0) if len(after) else windows.mean[-1]
         away = windows.mean[0] - settled
         axis = int(np.argmax(abs(away) / usual))
-        return "warm-up", axis, float(away[axis])
+        span = np.ptp(windows.mean[s.first : s.last], axis=0)
+        if abs(away[axis]) > _CHANGED * usual[axis] and abs(away[axis]) > _ONE_WAY * span[axis]:
+            return "warm-up", axis, float(away[axis])
+        if s.kind != "moved":
+            return None
+        axis = int(np.argmax(span / usual))
+        return "shift", axis, float(span[axis])
     jump, scatter = beside(windows, s, events)
     far = abs(jump) / np.where(scatter > 0.0, scatter, np.inf)
     axis = int(np.argmax(far))

@@ -1,0 +1,187 @@
+"""Look at a recording before its coefficients are estimated."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.inspection.motion import motions, rms_within
+from allanjax.inspection.plausible import coarse, implausible
+from allanjax.inspection.quiet import Event, Quiet, quiet_part
+from allanjax.inspection.scores import mean_squares
+from allanjax.inspection.windows import Windows
+from allanjax.inspection.words import grid, refused, said_of_events, said_of_motion, span, unclear
+from allanjax.recording import Axis, Recording
+
+#: Least share of the recording that coefficients may be of: one event leaves half of it wherever it is, two
+#: leave a third.
+LEAST_SHARE = 0.3
+# An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
+_SLIGHT = 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Inspection:
+    """What a recording looks like, before anything is estimated from it.
+
+    Attributes:
+        name, rate, n, axes: the recording's.
+        mean, rms: of each axis, over the stretch [rad/s or m/s²]; rms about the mean.
+        stretch: what coefficients should be of, in s from the first sample; None: of all.
+        refusal: why coefficients cannot be given; "" if they can.
+        warnings: sentences for people, the most important first.
+        notes: sentences of less weight.
+        at_rest: whether nothing speaks against it.
+        events: what happened to the sensor.
+    """
+
+    name: str
+    rate: float
+    n: int
+    axes: tuple[Axis, ...]
+    mean: Float[np.ndarray, " axes"]
+    rms: Float[np.ndarray, " axes"]
+    stretch: tuple[float, float] | None
+    refusal: str
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    at_rest: bool
+    events: tuple[Event, ...]
+
+    def quiet(self, recording: Recording) -> Recording:
+        """The stretch of the recording that coefficients should be of."""
+        return recording if self.stretch is None else recording.between(*self.stretch)
+
+    def __str__(self) -> str:
+        duration = self.n / self.rate
+        head = f"{self.name or 'recording'}: {self.n:,} samples at {self.rate:g} Hz, {duration:.4g} s"
+        lines = self.warnings or ("nothing unusual",)
+        return "\n".join([head, *(f"  {line}" for line in lines), *(f"  note: {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+
+def inspect(recording: Recording, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
+    """Look at a recording as one looks at a plot of it: was it handled, or moved, and are its units likely?
+
+    Noise and mean of windows are compared with those of the others, in the scatter that most of them have; so
+    noise of any colour is nothing unusual. What is unusual, and changes the Allan variance at some cluster time
+    by more than its own error, is cut off: coefficients are of the longest part without it, on all axes, if that
+    is at least 30 % of the recording. Otherwise they are refused, unless the Allan deviation is off by 5 % at
+    most.
+
+    Args:
+        recording: the recording.
+        as_is: whether all of it is to be used in any case; the warnings stay.
+        vibrating: whether its platform moves and vibrates, and is to: then it is not tested for rest.
+
+    Returns:
+        The stretch to use, and what to say. It takes a tenth of a second for 10⁶ samples of six axes.
+    """
+    return look(
+        Windows.of(recording.values),
+        recording.axes,
+        recording.rate,
+        name=recording.name,
+        as_is=as_is,
+        vibrating=vibrating,
+        values=recording.values,
+        auxiliary=recording.auxiliary,
+    )
+
+
+def look(
+    windows: Windows,
+    axes: Sequence[Axis],
+    rate: float,
+    *,
+    name: str = "",
+    as_is: bool = False,
+    vibrating: bool = False,
+    values: Float[np.ndarray, "n axes"] | None = None,
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+) -> Inspection:
+    """The same of windows, with the samples and other columns where they are at hand; see `inspect`."""
+    windows, n = windows.closed(), windows.n
+    sensors = [axis.sensor for axis in axes]
+    quiet = quiet_part(windows, sensors)
+    touched = [e for e in quiet.events if e.matters]
+    unlikely_rest = any(e.kind == "quieter" for e in touched)
+    long_enough = quiet.last - quiet.first >= LEAST_SHARE * n and not unlikely_rest
+    cut = bool(touched) and long_enough and not as_is
+    stretch = _rounded(quiet, n, rate) if cut else None
+    first, last = _windows_in(windows, stretch, rate)
+    part = windows.between(first, last)
+    mean = np.average(part.mean, axis=0, weights=part.count)
+    within = rms_within(part)
+    rms = np.sqrt(within**2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
+    moving = motions(part, sensors, rate)
+    about = {sensors[m.axis] for m in moving}
+    units = implausible(axes, rate, mean, _white(part, rate), auxiliary or {}, about)
+    # A wrong unit makes noise into motion.
+    moving = [] if vibrating else [m for m in moving if sensors[m.axis] not in units]
+    said = said_of_events(touched, axes, rate, n / rate)
+    refusal = ""
+    happened = ""
+    if touched and stretch is not None:
+        happened = f"{said}: coefficients are of {span(*stretch, grid(n / rate))}"
+    elif touched and as_is:
+        happened = f"{said}: coefficients are of all of it, as asked"
+    elif touched and not unlikely_rest and sum(e.share for e in touched) < _SLIGHT:
+        happened = f"{said}: the Allan deviation is {50.0 * sum(e.share for e in touched):.1g} % off by it at most"
+    elif touched and moving:
+        # That it moves is the first thing to say, and reason enough.
+        happened = f"{said}; the longest part without that is {span(quiet.first / rate, quiet.last / rate, grid(n / rate))}"
+    elif touched:
+        longest = quiet.first / rate, quiet.last / rate
+        refusal = unclear(said) if unlikely_rest else refused(said, longest, n / rate, LEAST_SHARE)
+        happened = f"no coefficients: {refusal}"
+    warnings = [*units.values(), *([said_of_motion(moving, axes)] if moving else []), happened]
+    warnings += coarse(windows, axes, rate, values)
+    harmless = [e for e in quiet.events if not e.matters]
+    note = said_of_events(harmless, axes, rate, n / rate)
+    return Inspection(
+        name,
+        rate,
+        n,
+        tuple(axes),
+        mean,
+        rms,
+        stretch,
+        refusal,
+        tuple(line for line in warnings if line),
+        (f"{note}: too little to change a coefficient by more than its error",) if note else (),
+        not moving,
+        quiet.events,
+    )
+
+
+def _rounded(quiet: Quiet, n: int, rate: float) -> tuple[float, float]:
+    """The stretch in s, in round numbers where these are inside."""
+    step, duration = grid(n / rate), n / rate
+    start, stop = quiet.first / rate, quiet.last / rate
+    start = float(np.ceil(start / step - 1e-9) * step) if quiet.first else 0.0
+    stop = float(np.floor(stop / step + 1e-9) * step) if quiet.last < n else duration
+    return round(start, 9), round(stop, 9)
+
+
+def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:
+    """First window, and the one after the last, that are in the stretch."""
+    if stretch is None:
+        return 0, len(windows)
+    edges = windows.edges / rate
+    first = int(np.searchsorted(edges, stretch[0] - 1e-9))
+    last = int(np.searchsorted(edges, stretch[1] + 1e-9, side="right")) - 1
+    return first, max(last, first + 1)
+
+
+def _white(windows: Windows, rate: float) -> Float[np.ndarray, " axes"]:
+    """Bounds of the white noise N: the least product of Allan deviation and root of cluster time."""
+    squares = mean_squares(windows)
+    known = np.isfinite(squares).any(axis=(1, 2))
+    variance = np.nanmean(squares[known], axis=1) / 2.0
+    time = (2.0 ** np.arange(len(squares)))[known] / rate
+    return np.sqrt((variance * time[:, None]).min(axis=0))

@@ -1,0 +1,133 @@
+"""What an inspection says."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from allanjax.inspection.motion import Motion
+from allanjax.inspection.quiet import Event
+from allanjax.recording import Axis
+from allanjax.units import parse_sample_unit, unit_scale
+
+_SI = {"gyro": "deg/s", "accel": "m/s²"}
+# More events of a kind than this are counted.
+_NAMED = 3
+_REMEDY = (
+    "choose a stretch by --start and --stop (start=, stop=, .between), use all by --as-is (as_is=True), or see "
+    "what allanjax critique finds"
+)
+
+
+def grid(duration: float) -> float:
+    """Steps in which times of a recording this long are told [s]: a power of ten, 1 s of 100 to 1000 s."""
+    return float(10.0 ** np.floor(np.log10(duration / 100.0)))
+
+
+def seconds(time: float, step: float) -> str:
+    """A time in s to this step, or to the rounding of it."""
+    digits = max(0, -int(np.floor(np.log10(step))))
+    return f"{round(time / step) * step:.{digits}f}"
+
+
+def span(first: float, last: float, step: float) -> str:
+    """From and to, e.g. "6–596 s"."""
+    return f"{seconds(first, step)}–{seconds(last, step)} s"
+
+
+def _around(e: Event, rate: float, step: float) -> str:
+    """The span of an event, in round numbers outside of it."""
+    first, last = np.floor(e.first / rate / step + 0.05) * step, np.ceil(e.last / rate / step - 0.05) * step
+    return span(float(first), float(last), step)
+
+
+def said_of_events(events: Sequence[Event], axes: Sequence[Axis], rate: float, duration: float) -> str:
+    """E.g. "0–5 s and 597–600 s are 170 times noisier than the rest, a step of 0.2 deg/s at 312 s (gyro_x)"."""
+    step = grid(duration)
+    ordered = sorted(events, key=lambda e: e.kind)
+    by_kind = {k: list(g) for k, g in itertools.groupby(ordered, key=lambda e: e.kind)}
+    return ", ".join(
+        _clause(kind, by_kind[kind], axes, rate, step)
+        for kind in ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
+        if kind in by_kind
+    )
+
+
+def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: float, step: float) -> str:
+    spans = [_around(e, rate, step) for e in events]
+    largest = max(events, key=lambda e: abs(e.size))
+    axis = axes[largest.axis]
+    size = amount(abs(largest.size), axis)
+    listed, are = _listed(spans), "is" if len(spans) == 1 else "are"
+    if kind in ("noisier", "quieter"):
+        return f"{listed} {are} {two_digits(largest.size)} times {kind} than the rest"
+    if kind == "silent":
+        return f"{axis.name} does not change at all in {listed}"
+    if kind == "warm-up":
+        until = spans[-1].split("–")[1]
+        return f"a warm-up until {until}, {axis.name} {size} off at first"
+    if kind == "shift":
+        return f"{axis.name} moves by {size} in {listed}" if len(events) == 1 else f"the mean moves by up to {size} ({axis.name}) in {listed}"
+    middles = [f"{seconds(0.5 * (e.first + e.last) / rate, step)} s" for e in events]
+    noun = {"step": "step", "knock": "knock", "spike": "single value"}[kind]
+    off = " off" if kind == "spike" else ""
+    if len(events) == 1:
+        of = f"a {noun} {size}{off}" if kind == "spike" else f"a {noun} of {size}"
+        return f"{of} at {middles[0]} ({axis.name})"
+    of = f"up to {size}{off}"
+    return f"{len(events)} {noun}s of {of} at {_listed(middles)} (largest: {axis.name})"
+
+
+def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
+    """Why this is no static recording, with the numbers that say so."""
+    reasons = []
+    for m in moving:
+        axis = axes[m.axis]
+        value, limit = amount(m.value, axis), amount(m.limit, axis)
+        reasons.append(
+            {
+                "changes": f"{axis.name} changes by {value} (rms) from one {m.time:.2g} s to the next",
+                "wanders": f"{axis.name} wanders over {value}",
+                "shakes": f"{axis.name} shakes by {value} (rms)",
+            }[m.kind]
+            + f", at rest by {limit} at most"
+        )
+    return (
+        f"this does not look like a static recording: {'; '.join(reasons)}. The coefficients are of the motion, "
+        "not of the sensor: record it at rest, or choose a stretch at rest by --start and --stop; if its platform "
+        "vibrates and is to, say so by --vibrating (vibrating=True)"
+    )
+
+
+def refused(said: str, longest: tuple[float, float], duration: float, share: float) -> str:
+    """Why there are no coefficients, and what to do."""
+    where = span(*longest, grid(duration))
+    return (
+        f"{said}; no part without it is as long as {100.0 * share:.0f} % of the recording, the longest is {where}: "
+        f"{_REMEDY}"
+    )
+
+
+def unclear(said: str) -> str:
+    """Why there are no coefficients where the sensor may have been moved for most of the time."""
+    return f"{said}: which of the two is the sensor at rest cannot be told; {_REMEDY}"
+
+
+def amount(value: float, axis: Axis) -> str:
+    """A rate in the recording's unit, e.g. "0.21 deg/s"."""
+    own = parse_sample_unit(axis.unit, axis.sensor)
+    unit = own.name if own.quantity == "rate" else _SI[axis.sensor]
+    return f"{two_digits(value / unit_scale(unit, axis.sensor))} {unit}"
+
+
+def two_digits(value: float) -> str:
+    """E.g. "0.0072", "170"."""
+    return f"{float(f'{value:.2g}'):,g}"
+
+
+def _listed(words: Sequence[str]) -> str:
+    if len(words) > _NAMED:
+        return f"{', '.join(words[:_NAMED])} and {len(words) - _NAMED} more"
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
