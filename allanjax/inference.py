@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln
+from jax.scipy.special import gammaln, ndtri
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from allanjax.design import Design
@@ -22,7 +22,7 @@ class Inference(NamedTuple):
     `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
     and the data's distance from each as a normal score, positive where the data want more: up to `ESTIMATE`
     those below the estimate, from `ABOVE` on those above. `ceiling` is, per term, a power that the term
-    alone rules out, see `_ceiling`.
+    alone rules out, see `ceiling`.
     """
 
     covariance: Float[Array, "params params"]
@@ -195,20 +195,21 @@ def _infer(
     power_at, pivot_at = jax.vmap(hypotheses)(
         jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
     )
-    ceiling = _ceiling(design, V, means, products, s.discrepancy)
-    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, ceiling)
+    highest = ceiling(design, V, means, products, s.discrepancy)
+    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
 
 
-def _ceiling(
+def ceiling(
     design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, discrepancy: Array
 ) -> Float[Array, " terms"]:
     """For each term a power beyond which one of the estimates would be too small, whatever else there is.
 
-    Other terms can only add to an estimate, so that V ≥ v·mean·χ²/ν. With m estimates the chance of each is
-    `_CHANCE`/m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those of the term that scatters most.
+    Other terms can only add to an estimate, so that V ≥ v·mean·e^(discrepancy·z)·χ²/ν, with a normal z. With
+    m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those
+    of the term that scatters most.
     """
     each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
-    relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0) + discrepancy**2
-    half = 1.0 / jnp.maximum(relative, 1e-9)
-    least = (jnp.log(_CHANCE / len(V)) + gammaln(half + 1.0)) / half - jnp.log(half)
+    relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
+    half, chance = 1.0 / jnp.maximum(relative, 1e-9), _CHANCE / (2.0 * len(V))
+    least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + discrepancy * ndtri(chance)
     return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)

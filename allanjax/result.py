@@ -110,8 +110,8 @@ class Coefficient(Estimate):
             return f"not a measurement of this sensor (fitted: {amount})"
         if self.detected:
             return amount
-        if self.upper_limit is None or not np.isfinite(self.upper_limit):
-            return "not determined by these data"
+        if self.upper_limit is None:
+            return "not determined: its term is not detectable"
         return f"not detectable, below {amount} (95 %)"
 
 
