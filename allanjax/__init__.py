@@ -22,6 +22,7 @@ from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  
 from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
 from allanjax.fit import fit  # noqa: E402
 from allanjax.fleet import FleetResult, characterize_fleet  # noqa: E402
+from allanjax.inspection import Inspection, inspect  # noqa: E402
 from allanjax.io import ChunkedRecording, read, read_chunks, write  # noqa: E402
 from allanjax.model import Model  # noqa: E402
 from allanjax.plot import plot_allan  # noqa: E402
@@ -75,6 +76,7 @@ __all__ = [
     "Fit",
     "FitError",
     "FleetResult",
+    "Inspection",
     "LogNormal",
     "LogUniform",
     "LowPass",
@@ -108,6 +110,7 @@ __all__ = [
     "enable_compilation_cache",
     "fit",
     "fit_many",
+    "inspect",
     "parameter",
     "plot_allan",
     "plot_psd",

@@ -12,15 +12,13 @@ from typing import Any
 import numpy as np
 
 from allanjax.misfit import Misfit
-from allanjax.recording import Axis, DeadAxis
+from allanjax.recording import DeadAxis
 from allanjax.result import AxisFit, Coefficient, Fit
 from allanjax.selection import AxisSelection, TermSelection
 from allanjax.spectrum import PowerSpectrum
-from allanjax.units import Sensor, parse_sample_unit, unit_scale
+from allanjax.units import rate_unit_of
 
 SCHEMA_VERSION = 1
-
-_SI_RATE: dict[Sensor, str] = {"gyro": "rad/s", "accel": "m/s²"}
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
@@ -40,6 +38,8 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "objective": fit.objective,
         "converged": fit.converged,
         "axes": [*(_axis(result, fit.selection) for result in fit), *map(_dead_axis, fit.dead)],
+        "warnings": list(fit.warnings),
+        "stretch_s": None if fit.stretch is None else list(fit.stretch),
         "notes": list(fit.notes),
     }
 
@@ -59,7 +59,7 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     header, columns = ["cluster_time [s]"], [fit.curve.cluster_time]
     lower, upper = fit.curve.confidence_interval(0.68)
     for k, result in enumerate(fit):
-        unit, scale = _rate_unit(result.axis)
+        unit, scale = rate_unit_of(result.axis.unit, result.axis.sensor)
         name = result.axis.name
         model = (
             fit.model_deviation(name, fit.curve.cluster_time)
@@ -150,6 +150,8 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "name": result.axis.name,
         "sensor": result.axis.sensor,
         "unit": result.axis.unit,
+        "mean_si": _finite(result.mean),
+        "rms_si": _finite(result.rms),
         "converged": result.converged,
         "dead": False,
         "reason": result.reason,
@@ -219,13 +221,6 @@ def _numbers(c: Coefficient) -> dict[str, Any]:
         "interval_95": [_finite(x) for x in c.interval],
         "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
     }
-
-
-def _rate_unit(axis: Axis) -> tuple[str, float]:
-    """The unit of an axis's rates and its factor to SI."""
-    own = parse_sample_unit(axis.unit, axis.sensor)
-    unit = own.name if own.quantity == "rate" else _SI_RATE[axis.sensor]
-    return unit, unit_scale(unit, axis.sensor)
 
 
 def _finite(x: float) -> float | None:

@@ -20,6 +20,7 @@ from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import Inference, infer
+from allanjax.inspection import inspect
 from allanjax.io.given import RecordingLike, as_recording
 from allanjax.misfit import Misfit, misfit_of
 from allanjax.model import Model
@@ -28,7 +29,7 @@ from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Fit
 from allanjax.selection import TermSelection, basic_terms, select_terms
 from allanjax.starts import Starts, find_starts
-from allanjax.terms import Markov
+from allanjax.terms import Markov, Telegraph
 from allanjax.terms.transient import Transient
 from allanjax.whittle import WhittleFit, fit_axis
 
@@ -48,8 +49,14 @@ def fit(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
+    as_is: bool = False,
+    vibrating: bool = False,
 ) -> Fit:
     """Estimate the coefficients of a noise model from every axis of a recording.
+
+    First the recording is looked at (see `inspect`): where it was handled it is left out, on all axes, as the
+    fit's `warnings` and `stretch` say; if too little is left there is no result. A model with a step, a
+    warm-up or a telegraph, and regressors, say that the mean may move: that is no handling then.
 
     `objective="allan"`: the overlapping Allan variances at four cluster times an octave are fitted by
     generalized least squares, weighted with their full covariance at the fitted model itself (see `gls`).
@@ -69,6 +76,8 @@ def fit(
             with "whittle" only.
         rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
             and a file may state their own.
+        as_is: whether to use all of the recording whatever it looks like; the warnings stay.
+        vibrating: whether the platform moves or vibrates, and is to: motion is no reason for a warning then.
 
     Returns:
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
@@ -82,6 +91,33 @@ def fit(
     if model in get_args(Objective):
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    _regressors(recording, regressors, objective)
+    terms = () if model is None else as_model(model, recording.axes).terms
+    timed = any(isinstance(term, Transient) for term in terms)
+    may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
+    # The time of a step counts from the first sample.
+    seen = inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
+    if seen.refusal:
+        found = _without_result(recording, model, objective, seen.refusal)
+    else:
+        found = _fitted(seen.quiet(recording), model, objective, regressors)
+    results = zip(found.results, seen.mean, seen.rms, strict=True)
+    return dataclasses.replace(
+        found,
+        results=tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in results),
+        warnings=seen.warnings,
+        notes=found.notes + seen.notes,
+        stretch=seen.stretch,
+    )
+
+
+def _fitted(
+    recording: Recording,
+    model: ModelLike | None,
+    objective: Objective,
+    regressors: Sequence[str],
+) -> Fit:
+    """The fit of all of a recording."""
     given = _regressors(recording, regressors, objective)
     release_programs(0.75)
     selection = select_terms(recording) if model is None else None
@@ -96,6 +132,20 @@ def fit(
         results, curve = with_curve(curve, template, results)
     notes = recording.notes + ambiguities(selection)
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
+
+
+def _without_result(recording: Recording, model: ModelLike | None, objective: Objective, reason: str) -> Fit:
+    """The curve of a recording that no coefficients can be of."""
+    template, _ = terms_to_fit(model or basic_terms(), None, recording.axes, objective)
+    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+    results = tuple(without_result(axis, template, reason) for axis in recording.axes)
+    return Fit(recording.name, template, curve, results, recording.notes, objective, dead=recording.dead)
+
+
+def without_result(axis: Axis, template: Model, reason: str) -> AxisFit:
+    """An axis that has no coefficients, and why."""
+    nothing = np.zeros((0, 0))
+    return AxisFit(axis, False, reason, np.nan, 0, np.nan, np.nan, {}, nothing, template)
 
 
 def terms_to_fit(

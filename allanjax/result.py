@@ -19,7 +19,7 @@ from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.recording import Axis, DeadAxis
 from allanjax.terms import Parameter
-from allanjax.units import Sensor, default_coefficient_unit
+from allanjax.units import Sensor, default_coefficient_unit, rate_unit_of
 from allanjax.wording import format_interval
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from allanjax.selection import TermSelection
 
 
+_WIDTH = 110
 #: What to do about a curve that is far off.
 NEXT = (
     "Next: look at the picture; allanjax critique FILE looks for the cause; "
@@ -154,6 +155,7 @@ class AxisFit(ByValue):
             If it is excessive no coefficient is a measurement of the sensor (`measured`).
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics it was fitted to.
+        mean, rms: of the samples [rad/s or m/s²], rms about the mean.
     """
 
     axis: Axis
@@ -169,6 +171,8 @@ class AxisFit(ByValue):
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
     spectrum: AxisSpectrum | None = None
+    mean: float = np.nan
+    rms: float = np.nan
 
     def _checked(self) -> None:
         if not self.converged:
@@ -231,6 +235,13 @@ class AxisFit(ByValue):
             for c in shown
         )
 
+    def level(self) -> str:
+        """E.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if they are not known."""
+        if not np.isfinite(self.mean):
+            return ""
+        unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
+        return f"mean {self.mean / scale:.4g} {unit}, rms {self.rms / scale:.2g} {unit}"
+
     def verdict(self) -> str:
         """One line on how well the model fits."""
         if not self.converged:
@@ -256,6 +267,8 @@ class Fit(ByValue):
         objective: "allan" or "whittle".
         selection: the ranking of terms, if the fit chose them itself.
         dead: axes of the recording that have no noise to fit, and why.
+        warnings: what was seen in the recording before the fit, the most important first.
+        stretch: the part of the recording that was used, in s from its first sample; None: all of it.
     """
 
     name: str
@@ -266,6 +279,8 @@ class Fit(ByValue):
     objective: str = "allan"
     selection: TermSelection | None = None
     dead: tuple[DeadAxis, ...] = ()
+    warnings: tuple[str, ...] = ()
+    stretch: tuple[float, float] | None = None
 
     @property
     def chosen(self) -> bool:
@@ -338,6 +353,8 @@ class Fit(ByValue):
                 known = c.detected and not c.held
                 interval = format_interval(*shown.interval) if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
+            if level := result.level():
+                cells.append((result.axis.name, "", level, ""))
             cells.append((result.axis.name, "", result.verdict(), ""))
         cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
         return cells
@@ -348,9 +365,12 @@ class Fit(ByValue):
         return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({hours:.3g} h)"
 
     def __str__(self) -> str:
+        import textwrap
+
         from rich.console import Console
         from rich.table import Table
 
+        warnings = [textwrap.fill(f"warning: {w}", _WIDTH, subsequent_indent="  ") for w in self.warnings]
         table = Table(title=self._title(), title_justify="left")
         for heading in ("axis", "coefficient", "estimate ± 1σ", "95 % interval"):
             table.add_column(heading)
@@ -360,10 +380,10 @@ class Fit(ByValue):
                 table.add_section()
             table.add_row(axis if axis != previous else "", label, value, interval)
             previous = axis
-        console = Console(width=110, record=False, color_system=None)
+        console = Console(width=_WIDTH, record=False, color_system=None)
         with console.capture() as capture:
             console.print(table)
-        return capture.get().rstrip("\n")
+        return "\n".join([*warnings, capture.get().rstrip("\n")])
 
     __repr__ = __str__
 
@@ -375,4 +395,5 @@ class Fit(ByValue):
             + "</tr>"
             for row in self._cells()
         )
-        return f"<p>{html.escape(self._title())}</p><table><tr>{head}</tr>{rows}</table>"
+        warnings = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
+        return f"{warnings}<p>{html.escape(self._title())}</p><table><tr>{head}</tr>{rows}</table>"

@@ -131,6 +131,16 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
     return SampleUnit(_display_name(text, unit.scale, SAMPLE_UNITS[sensor][quantity]), unit.scale, quantity)
 
 
+def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
+    """The unit that rates are told in where samples have this one, and its factor to SI.
+
+    Where the samples are increments that is rad/s or m/s².
+    """
+    own = parse_sample_unit(unit, sensor)
+    name = own.name if own.quantity == "rate" else {"gyro": "rad/s", "accel": "m/s²"}[sensor]
+    return name, unit_scale(name, sensor)
+
+
 def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
     """Usual unit of a noise coefficient whose SI dimension is rate·s^time_exponent.
 

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.inspection.scores import LENGTHS, Row, groups_of, mean_squares, noise_rows, shortest_half, step_rows
+from allanjax.inspection.scores import (
+    LENGTHS,
+    Row,
+    groups_of,
+    mean_squares,
+    noise_rows,
+    shortest_half,
+    step_rows,
+)
 from allanjax.inspection.windows import Windows
 
 # Scores beyond which a stretch is unlike the rest. In the clean records that they were set on (see
@@ -133,7 +141,8 @@ def _where(rows: Sequence[Row], k: int, first: int, last: int, place: int) -> tu
     if last == places:
         return first + lag, places + row.width - 1
     assert row.step is not None
-    axis = int(np.argmax(abs(row.step[:, place]) / row.scatter))
+    assert row.scatter is not None
+    axis = int(np.argmax(row.square[:, place] / row.scatter**2))
     size, middle = abs(row.step[axis, place]), place + lag
     slow = first + lag, last + lag
     # A sudden step is as large over fewer windows.
@@ -189,7 +198,8 @@ def excesses(
     sigmas, shares = np.zeros(len(stretches)), np.zeros(len(stretches))
     for square, weight, width in _squares(windows):
         # Places that have a part in a stretch are touched as a whole.
-        places = np.array([touched[k : k + width].any() for k in range(square.shape[0])]) if width > 1 else touched
+        seen = np.concatenate([[0], np.cumsum(touched)])
+        places = seen[width:] > seen[: len(seen) - width]
         quiet = ~places & (weight > 0)
         if quiet.sum() < 4:
             continue
@@ -207,8 +217,10 @@ def excesses(
     return sigmas, shares
 
 
-def _squares(windows: Windows):  # type: ignore[no-untyped-def]
-    """Mean squares at each cluster size, in windows and over several, with their weights and windows a place."""
+def _squares(
+    windows: Windows,
+) -> Iterator[tuple[Float[np.ndarray, "places axes"], Float[np.ndarray, " places"], int]]:
+    """Mean squares at each cluster size, their weights, and how many windows each is of."""
     for square, pairs in zip(mean_squares(windows), windows.pairs, strict=True):
         yield np.nan_to_num(square), pairs.astype(float), 1
     for row in step_rows(windows, ["axis"] * windows.mean.shape[1]):
@@ -227,7 +239,7 @@ def longest_quiet(count: int, stretches: Sequence[Stretch], pad: int = 1) -> tup
 def beside(
     windows: Windows, stretch: Stretch, others: Sequence[Stretch]
 ) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """How far the mean after a stretch is from that before, and its usual scatter; zero at the record's ends."""
+    """How far the mean after a stretch is from that before, and its usual scatter; zero at the ends."""
     before = max([s.last for s in others if s.last <= stretch.first], default=0)
     after = min([s.first for s in others if s.first >= stretch.last], default=len(windows))
     left = windows.mean[max(before, stretch.first - _BESIDE) : stretch.first]
@@ -242,5 +254,3 @@ def beside(
     usual = level[k + apart :] - level[: len(level) - k - apart]
     scatter = shortest_half(usual.T)[1] if len(usual) > _BESIDE else zero
     return right.mean(axis=0) - left.mean(axis=0), scatter
-
-

@@ -59,24 +59,29 @@ class Inspection:
         duration = self.n / self.rate
         head = f"{self.name or 'recording'}: {self.n:,} samples at {self.rate:g} Hz, {duration:.4g} s"
         lines = self.warnings or ("nothing unusual",)
-        return "\n".join([head, *(f"  {line}" for line in lines), *(f"  note: {note}" for note in self.notes)])
+        return "\n".join(
+            [head, *(f"  {line}" for line in lines), *(f"  note: {note}" for note in self.notes)]
+        )
 
     __repr__ = __str__
 
 
-def inspect(recording: Recording, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
+def inspect(
+    recording: Recording, *, as_is: bool = False, vibrating: bool = False, may_move: bool = False
+) -> Inspection:
     """Look at a recording as one looks at a plot of it: was it handled, or moved, and are its units likely?
 
-    Noise and mean of windows are compared with those of the others, in the scatter that most of them have; so
-    noise of any colour is nothing unusual. What is unusual, and changes the Allan variance at some cluster time
-    by more than its own error, is cut off: coefficients are of the longest part without it, on all axes, if that
-    is at least 30 % of the recording. Otherwise they are refused, unless the Allan deviation is off by 5 % at
-    most.
+    Noise and mean of windows are compared with those of the others, in the scatter that most of them have;
+    so noise of any colour is nothing unusual. What is unusual, and changes the Allan variance at some
+    cluster time by more than its own error, is left out: coefficients are of the longest part without it, on
+    all axes, if that is at least 30 % of the recording. Otherwise they are refused, unless the Allan
+    deviation is off by 5 % at most.
 
     Args:
         recording: the recording.
         as_is: whether all of it is to be used in any case; the warnings stay.
         vibrating: whether its platform moves and vibrates, and is to: then it is not tested for rest.
+        may_move: whether steps and the like are expected, as where a model has terms for them.
 
     Returns:
         The stretch to use, and what to say. It takes a tenth of a second for 10⁶ samples of six axes.
@@ -88,6 +93,7 @@ def inspect(recording: Recording, *, as_is: bool = False, vibrating: bool = Fals
         name=recording.name,
         as_is=as_is,
         vibrating=vibrating,
+        may_move=may_move,
         values=recording.values,
         auxiliary=recording.auxiliary,
     )
@@ -101,13 +107,14 @@ def look(
     name: str = "",
     as_is: bool = False,
     vibrating: bool = False,
+    may_move: bool = False,
     values: Float[np.ndarray, "n axes"] | None = None,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
 ) -> Inspection:
     """The same of windows, with the samples and other columns where they are at hand; see `inspect`."""
     windows, n = windows.closed(), windows.n
     sensors = [axis.sensor for axis in axes]
-    quiet = quiet_part(windows, sensors)
+    quiet = quiet_part(windows, sensors, may_move)
     touched = [e for e in quiet.events if e.matters]
     unlikely_rest = any(e.kind == "quieter" for e in touched)
     long_enough = quiet.last - quiet.first >= LEAST_SHARE * n and not unlikely_rest
@@ -124,20 +131,20 @@ def look(
     # A wrong unit makes noise into motion.
     moving = [] if vibrating else [m for m in moving if sensors[m.axis] not in units]
     said = said_of_events(touched, axes, rate, n / rate)
-    refusal = ""
-    happened = ""
+    refusal, happened = "", ""
+    where = span(quiet.first / rate, quiet.last / rate, grid(n / rate))
     if touched and stretch is not None:
         happened = f"{said}: coefficients are of {span(*stretch, grid(n / rate))}"
     elif touched and as_is:
         happened = f"{said}: coefficients are of all of it, as asked"
     elif touched and not unlikely_rest and sum(e.share for e in touched) < _SLIGHT:
-        happened = f"{said}: the Allan deviation is {50.0 * sum(e.share for e in touched):.1g} % off by it at most"
+        percent = 50.0 * sum(e.share for e in touched)
+        happened = f"{said}: the Allan deviation is {percent:.1g} % off by it at most"
     elif touched and moving:
         # That it moves is the first thing to say, and reason enough.
-        happened = f"{said}; the longest part without that is {span(quiet.first / rate, quiet.last / rate, grid(n / rate))}"
+        happened = f"{said}; the longest part without that is {where}"
     elif touched:
-        longest = quiet.first / rate, quiet.last / rate
-        refusal = unclear(said) if unlikely_rest else refused(said, longest, n / rate, LEAST_SHARE)
+        refusal = unclear(said) if unlikely_rest else refused(said, where, LEAST_SHARE)
         happened = f"no coefficients: {refusal}"
     warnings = [*units.values(), *([said_of_motion(moving, axes)] if moving else []), happened]
     warnings += coarse(windows, axes, rate, values)

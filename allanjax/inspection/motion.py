@@ -19,8 +19,8 @@ _G = 9.80665
 AT_REST = {"gyro": 0.3 * _DEG, "accel": 0.1}
 # Cluster times looked at: below, vibration and quantization are large at rest, too; above, drift is.
 _SHORTEST, _LONGEST = 0.3, 10.0
-# How far the mean may wander from one part of a record to another: zero-rate levels drift by less than 3 deg/s
-# once a sensor runs, and 0.5 m/s² is a tilt of 3 degrees.
+# How far the mean may wander from one part of a record to another: zero-rate levels drift by less than
+# 3 deg/s once a sensor runs, and 0.5 m/s² is a tilt of 3 degrees.
 WANDERS = {"gyro": 3.0 * _DEG, "accel": 0.5}
 # Rms of samples about their mean that is vibration: the noisiest sensors above have half as much at 400 Hz.
 SHAKES = {"gyro": 10.0 * _DEG, "accel": 2.0}
@@ -67,7 +67,8 @@ def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motio
 def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
     """Differences between the means of neighbouring clusters that are too large."""
     within = mean_squares(windows)
-    sizes = [(1 << k, np.nanmean(square, axis=0)) for k, square in enumerate(within) if np.isfinite(square).any()]
+    known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
+    sizes = [(1 << k, np.nanmean(within[k], axis=0)) for k in known]
     sizes += [(row.cluster, row.square.mean(axis=1)) for row in step_rows(windows, sensors)]
     found = []
     for size, square in sizes:

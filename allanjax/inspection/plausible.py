@@ -14,8 +14,8 @@ from allanjax.units import parse_sample_unit, unit_scale
 
 _DEG = np.pi / 180.0
 _G = 9.80665
-# Gravity is known to 0.3 % anywhere; biases and scale factors of consumer sensors to 5 %. A single axis may be
-# tilted, and is taken for gravity in another unit only within what is left to chance.
+# Gravity is known to 0.3 % anywhere; biases and scale factors of consumer sensors to 5 %. A single axis may
+# be tilted, and is taken for gravity in another unit only within what is left to chance.
 _TRIAD, _ALONE = 0.05, 0.01
 # A triad whose mean is within this of gravity is not questioned.
 _ABOUT = 0.2
@@ -92,15 +92,20 @@ def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], 
     if own.quantity == "increment":
         for factor in (10.0, 0.1, 100.0, 0.01):
             if is_gravity(size / factor):
-                other = f"{rate / factor:g} Hz"
-                return f"{wrong}, which is {_G / size * number:.4g} {own.name} at {rate:g} Hz; the rate is probably {other}: --rate {rate / factor:g}"
+                probable = rate / factor
+                return (
+                    f"{wrong}, or {_G / size * number:.4g} {own.name} at {rate:g} Hz; the rate is probably "
+                    f"{probable:g} Hz: --rate {probable:g}"
+                )
     for other in _ACCEL_UNITS:
         if is_gravity(number * unit_scale(other, "accel")):
             return f"{wrong}; their unit is probably {other}: --accel-unit {other.replace('²', '^2')}"
     if own.quantity == "rate" and is_gravity(size * rate):
         return f"{wrong}, {_G / rate:.4g} m/s a sample; they are probably increments: --accel-unit m/s"
     if triad and not moving and size > _NONE * _G:
-        return f"{wrong}, and this is {size:.3g} m/s²; is the unit right, and the range wide enough? (--accel-unit)"
+        return (
+            f"{wrong}, and this is {size:.3g}; is the unit right, and the range wide enough? (--accel-unit)"
+        )
     return ""
 
 
@@ -142,7 +147,7 @@ def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
         nearest = min(rates, key=lambda r: abs(np.log(r / rate)))
         if abs(nearest / rate - 1.0) > _SAME_RATE:
             return (
-                f"the column {name!r} grows by {step:g} a sample, {nearest:.4g} Hz if that is {rates[nearest]}, "
+                f"the column {name!r} grows by {step:g} a sample, {nearest:.4g} Hz if in {rates[nearest]}, "
                 f"and the rate given is {rate:g} Hz; leave out --rate and --time none to use it"
             )
     return ""
@@ -181,8 +186,8 @@ def coarse(
             )
         elif repeated[k] > _HELD + 2.0 * chance[k]:
             lines.append(
-                f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before: the sensor gives "
-                "fewer than the rate says, and what is faster is not its own"
+                f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before: the sensor "
+                "gives fewer than the rate says, and what is faster is not its own"
             )
     return lines
 

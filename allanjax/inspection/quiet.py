@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.inspection.events import Stretch, beside, excesses, longest_quiet, unlike
-from allanjax.inspection.scores import mean_squares
 from allanjax.inspection.windows import Windows
 
 # Excess of the Allan variance at any cluster time, in standard deviations of its estimate, that matters.
@@ -71,16 +70,23 @@ class _Found(Stretch):
     matters: bool = False
 
 
-def quiet_part(windows: Windows, sensors: Sequence[str]) -> Quiet:
+#: Events that are of the mean.
+MOVES = ("step", "shift", "warm-up")
+
+
+def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False) -> Quiet:
     """Find what is unlike the rest, what of it matters, and the longest part without.
 
-    What is left is looked at again: the faint end of an event shows beside quiet windows only.
+    What is left is looked at again: the faint end of an event shows beside quiet windows only. Where the mean
+    may move, as a model with a step in it says, such moves are no events.
     """
     first, last = 0, len(windows)
     found: list[_Found] = []
     for _ in range(_ROUNDS):
         part = windows.between(first, last)
         stretches = unlike(part, sensors) if len(part) >= _FEWEST else []
+        if may_move:
+            stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
         sigmas, shares = excesses(part, stretches)
         matters = sigmas > (_MATTERS if sigmas.sum() < _TOGETHER else _COUNTS)
         found += [
@@ -104,8 +110,8 @@ def _joined(found: Sequence[_Found]) -> list[_Found]:
     """As one what is adjacent and matters, found one after the other."""
     joined: list[_Found] = []
     for s in found:
-        if joined and s.matters and joined[-1].matters and s.first <= joined[-1].last + 1 + (s.last - s.first):
-            o = joined[-1]
+        o = joined[-1] if joined else None
+        if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
             larger = max((o, s), key=lambda x: x.share)
             joined[-1] = dataclasses.replace(larger, first=o.first, last=max(o.last, s.last))
         else:
@@ -121,8 +127,8 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
         return "silent", int(np.argmax(constant.sum(axis=0))), 0.0
     usual, ratio = _levels(windows, inside, _untouched(windows, events))
     if s.kind == "quieter":
-        scale, axis = np.unravel_index(int(np.argmin(ratio)), ratio.shape)
-        return "quieter", int(axis), float(np.sqrt(1.0 / max(ratio[scale, axis], 1e-12)))
+        quietest = int(np.argmin(ratio.min(axis=0)))
+        return "quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12)))
     if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or _single(windows, inside) > _SINGLE:
         moved = _moved(windows, s, events)
         if moved is not None:
@@ -131,12 +137,13 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
     at_end = s.first <= 1 or s.last >= len(windows) - 1
     if not at_end and length <= max(_SHORT * len(windows), _SUDDEN):
         middle = np.median(windows.mean, axis=0)
-        reach = np.maximum(windows.high[inside].max(axis=0) - middle, middle - windows.low[inside].min(axis=0))
+        high, low = windows.high[inside].max(axis=0), windows.low[inside].min(axis=0)
+        reach = np.maximum(high - middle, middle - low)
         axis = int(np.argmax(reach / np.sqrt(usual[0])))
         kind: Kind = "spike" if length <= 3 and _single(windows, inside) > _SINGLE else "knock"
         return kind, axis, float(reach[axis])
-    scale, axis = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
-    return "noisier", int(axis), float(np.sqrt(ratio[scale, axis]))
+    axis = int(np.argmax(ratio.max(axis=0)))
+    return "noisier", axis, float(np.sqrt(ratio[:, axis].max()))
 
 
 def _untouched(windows: Windows, events: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:

@@ -2,8 +2,8 @@
 
 A mean square of Gaussian noise of any colour is nearly χ² distributed, and the cube root of a χ² variate is
 nearly normal (Wilson and Hilferty, PNAS 17, 1931). Location and scatter of these roots over the windows are
-those of their shortest half, which up to half of the windows cannot move. So a score is nearly standard normal
-in clean records, whatever their noise; its threshold is a number of standard deviations.
+those of their shortest half, which up to half of the windows cannot move. So a score is nearly standard
+normal in clean records, whatever their noise; its threshold is a number of standard deviations.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from allanjax.inspection.windows import Windows
 
 #: Width of the middle half of a normal law, in standard deviations.
 _HALF_WIDTH = 1.349
-#: Windows that are averaged, to see what is little louder but long; steps of means are looked for over as many.
+#: Windows that are averaged, to see what is little louder but long.
 LENGTHS = (1, 4, 16, 64)
 #: Fewest independent averages among which one can be told to be unlike.
 _FEWEST = 8
-# Least scatter of a step's root: that of one axis is 0.37, fewer values than a lattice has would make it zero.
+# Least scatter of a step's root, which is 0.37 of one axis, and zero of a few values of a lattice.
 _LEAST_STEP_SCATTER = 0.3
 # Added to squared steps in units of their scatter, for the same reason.
 _SOFT = 0.5
@@ -71,9 +71,7 @@ def shortest_half(
 def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
     """Mean squares of the differences of neighbouring clusters; NaN in windows that hold none."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(
-            windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan
-        )
+        return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
 
 
 def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
@@ -126,8 +124,8 @@ def step_rows(
 ) -> Iterator[Row]:
     """Scores of the differences between the means of neighbouring stretches of 1, 2, 4, … windows.
 
-    Their median is no step: a ramp over the record is a term of the noise model. Means are of the windows that
-    are not left out.
+    Their median is no step: a ramp over the record is a term of the noise model. Means are of the windows
+    that are not left out.
     """
     groups, floor = groups_of(sensors), lattice_power(windows)
     weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out

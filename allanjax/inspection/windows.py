@@ -1,4 +1,4 @@
-"""Noise and mean of a recording in windows: all that is looked at before a fit, in memory that does not grow."""
+"""Noise and mean of a recording in windows: what is looked at before a fit, in memory that does not grow."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ SHORTEST = 16
 _AT_ONCE = 1 << 15
 # Samples in a row in which the resolution is looked for, so many of every piece.
 _SAMPLED = 4096
+_ROWS = ("count", "mean", "low", "high", "peak", "repeats")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,7 +100,7 @@ class Windows:
         return held._joined(Windows.of(left, held.size))
 
     def merge(self, right: Windows) -> Windows:
-        """The windows of this piece and the one after it; the samples at the seam get a window of their own."""
+        """The windows of this piece and of the one after it, and one of what is left at the seam."""
         left = self.closed()
         while left.size < right.size:
             left = left._coarser()
@@ -126,7 +127,7 @@ class Windows:
         rows = slice(first, last)
         return dataclasses.replace(
             self,
-            **{name: getattr(self, name)[rows] for name in ("count", "mean", "low", "high", "peak", "repeats")},
+            **{name: getattr(self, name)[rows] for name in _ROWS},
             power=self.power[:, rows],
             pairs=self.pairs[:, rows],
             rest=self.rest[:0],
@@ -160,10 +161,9 @@ class Windows:
 
     def _joined(self, right: Windows) -> Windows:
         """This piece's windows and the other's, of one size."""
-        rows = ("count", "mean", "low", "high", "peak", "repeats")
         return Windows(
             size=self.size,
-            **{name: np.concatenate([getattr(self, name), getattr(right, name)]) for name in rows},
+            **{name: np.concatenate([getattr(self, name), getattr(right, name)]) for name in _ROWS},
             power=np.concatenate([self.power, right.power], axis=1),
             pairs=np.concatenate([self.pairs, right.pairs], axis=1),
             resolution=np.fmin(self.resolution, right.resolution),

@@ -10,20 +10,19 @@ import numpy as np
 from allanjax.inspection.motion import Motion
 from allanjax.inspection.quiet import Event
 from allanjax.recording import Axis
-from allanjax.units import parse_sample_unit, unit_scale
+from allanjax.units import rate_unit_of
 
-_SI = {"gyro": "deg/s", "accel": "m/s²"}
 # More events of a kind than this are counted.
 _NAMED = 3
 _REMEDY = (
-    "choose a stretch by --start and --stop (start=, stop=, .between), use all by --as-is (as_is=True), or see "
-    "what allanjax critique finds"
+    "choose a stretch by --start and --stop (start=, stop=, .between), use all by --as-is (as_is=True), or "
+    "see what allanjax critique finds"
 )
 
 
 def grid(duration: float) -> float:
-    """Steps in which times of a recording this long are told [s]: a power of ten, 1 s of 100 to 1000 s."""
-    return float(10.0 ** np.floor(np.log10(duration / 100.0)))
+    """Steps in which times of a recording this long are told [s]: a power of ten, 1 s of 300 to 3000 s."""
+    return float(10.0 ** np.floor(np.log10(duration / 300.0)))
 
 
 def seconds(time: float, step: float) -> str:
@@ -38,13 +37,15 @@ def span(first: float, last: float, step: float) -> str:
 
 
 def _around(e: Event, rate: float, step: float) -> str:
-    """The span of an event, in round numbers outside of it."""
-    first, last = np.floor(e.first / rate / step + 0.05) * step, np.ceil(e.last / rate / step - 0.05) * step
-    return span(float(first), float(last), step)
+    """The span of an event, in round numbers; outside of it if they were the same."""
+    first, last = e.first / rate / step, e.last / rate / step
+    if round(first) == round(last):
+        first, last = np.floor(first), np.ceil(last)
+    return span(step * first, step * last, step)
 
 
 def said_of_events(events: Sequence[Event], axes: Sequence[Axis], rate: float, duration: float) -> str:
-    """E.g. "0–5 s and 597–600 s are 170 times noisier than the rest, a step of 0.2 deg/s at 312 s (gyro_x)"."""
+    """E.g. "0–5 s and 597–600 s are 170 times noisier than the rest, a step of 1 deg/s at 312 s (gyro_x)"."""
     step = grid(duration)
     ordered = sorted(events, key=lambda e: e.kind)
     by_kind = {k: list(g) for k, g in itertools.groupby(ordered, key=lambda e: e.kind)}
@@ -69,7 +70,9 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
         until = spans[-1].split("–")[1]
         return f"a warm-up until {until}, {axis.name} {size} off at first"
     if kind == "shift":
-        return f"{axis.name} moves by {size} in {listed}" if len(events) == 1 else f"the mean moves by up to {size} ({axis.name}) in {listed}"
+        if len(events) == 1:
+            return f"{axis.name} moves by {size} in {listed}"
+        return f"the mean moves by up to {size} ({axis.name}) in {listed}"
     middles = [f"{seconds(0.5 * (e.first + e.last) / rate, step)} s" for e in events]
     noun = {"step": "step", "knock": "knock", "spike": "single value"}[kind]
     off = " off" if kind == "spike" else ""
@@ -95,18 +98,17 @@ def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
             + f", at rest by {limit} at most"
         )
     return (
-        f"this does not look like a static recording: {'; '.join(reasons)}. The coefficients are of the motion, "
-        "not of the sensor: record it at rest, or choose a stretch at rest by --start and --stop; if its platform "
-        "vibrates and is to, say so by --vibrating (vibrating=True)"
+        f"this does not look like a static recording: {'; '.join(reasons)}. The coefficients are of the "
+        "motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and --stop; if "
+        "its platform vibrates and is to, say so by --vibrating (vibrating=True)"
     )
 
 
-def refused(said: str, longest: tuple[float, float], duration: float, share: float) -> str:
-    """Why there are no coefficients, and what to do."""
-    where = span(*longest, grid(duration))
+def refused(said: str, where: str, share: float) -> str:
+    """Why there are no coefficients, and what to do; `where` is the longest part without."""
     return (
-        f"{said}; no part without it is as long as {100.0 * share:.0f} % of the recording, the longest is {where}: "
-        f"{_REMEDY}"
+        f"{said}; no part without it is as long as {100.0 * share:.0f} % of the recording, the longest is "
+        f"{where}: {_REMEDY}"
     )
 
 
@@ -117,9 +119,8 @@ def unclear(said: str) -> str:
 
 def amount(value: float, axis: Axis) -> str:
     """A rate in the recording's unit, e.g. "0.21 deg/s"."""
-    own = parse_sample_unit(axis.unit, axis.sensor)
-    unit = own.name if own.quantity == "rate" else _SI[axis.sensor]
-    return f"{two_digits(value / unit_scale(unit, axis.sensor))} {unit}"
+    unit, scale = rate_unit_of(axis.unit, axis.sensor)
+    return f"{two_digits(value / scale)} {unit}"
 
 
 def two_digits(value: float) -> str:
