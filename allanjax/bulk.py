@@ -23,10 +23,9 @@ from allanjax.design import AllanDesign
 from allanjax.deterministic import needs_record
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
-from allanjax.fit import check_length, estimated, means_of, solve_and_infer
+from allanjax.fit import check_length, estimated, solve_and_infer
 from allanjax.gls import Solution
 from allanjax.inference import Inference
-from allanjax.misfit import misfit_of
 from allanjax.model import Model
 from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Recording
@@ -165,8 +164,7 @@ def fit_many(
     template = as_model(model, curve.axes or ())
     _check_terms(template)
     check_length(curve, template, "the curve")
-    solution, inference = _in_blocks(curve, template)
-    return _bulk_fit(curve, template, solution, inference)
+    return _bulk_fit(curve, template, *_in_blocks(curve, template))
 
 
 def _check_terms(template: Model) -> None:
@@ -210,19 +208,22 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
     )
 
 
-def _in_blocks(curve: AllanDeviation, template: Model) -> tuple[Solution, Inference]:
-    """Solution and inference of every axis."""
+def _in_blocks(
+    curve: AllanDeviation, template: Model
+) -> tuple[Solution, Inference, Bool[np.ndarray, " axes"]]:
+    """Solution and inference of every axis, and whether the curve is near enough to the data."""
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
     free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
     active = np.ones((_BLOCK, len(template)), bool)
     variance = curve.variance.T
 
-    def of_block(first: int) -> tuple[Solution, Inference]:
+    def of_block(first: int) -> tuple[Solution, Inference, Bool[np.ndarray, " block"]]:
         V = variance[first : first + _BLOCK]
         # The last block is filled up with its last axis.
         V = np.pad(V, ((0, _BLOCK - len(V)), (0, 0)), mode="edge")
         starts = find_starts(design, V, active, [None] * _BLOCK, curve.n, curve.rate)
-        return solve_and_infer(design, V, free, active, starts)
+        solution, inference, misfits = solve_and_infer(design, V, free, active, starts)
+        return solution, inference, np.array([m is None or not m.excessive for m in misfits])
 
     # Compiled programs run without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -230,7 +231,13 @@ def _in_blocks(curve: AllanDeviation, template: Model) -> tuple[Solution, Infere
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(variance)], *blocks)
 
 
-def _bulk_fit(curve: AllanDeviation, template: Model, solution: Solution, inference: Inference) -> BulkFit:
+def _bulk_fit(
+    curve: AllanDeviation,
+    template: Model,
+    solution: Solution,
+    inference: Inference,
+    near: Bool[np.ndarray, " axes"],
+) -> BulkFit:
     """What the solutions mean."""
     from scipy.stats import chi2
 
@@ -239,7 +246,7 @@ def _bulk_fit(curve: AllanDeviation, template: Model, solution: Solution, infere
     converged = np.asarray(solution.converged)
     dof = len(curve.cluster_size) - estimated(template, active[0])
 
-    measured = converged & ~_far_off(curve, template, solution, inference)
+    measured = converged & near
 
     def known(
         x: Float[np.ndarray, "axes coefficients"], where: Bool[np.ndarray, " axes"] = measured
@@ -262,20 +269,3 @@ def _bulk_fit(curve: AllanDeviation, template: Model, solution: Solution, infere
         discrepancy=np.asarray(solution.discrepancy) / 2.0,
         measured=measured,
     )
-
-
-def _far_off(
-    curve: AllanDeviation, template: Model, solution: Solution, inference: Inference
-) -> Bool[np.ndarray, " axes"]:
-    """Which curves' fits are off by so much that the coefficients are no measurement."""
-    found = np.zeros(len(solution.power), bool)
-    incomplete = np.flatnonzero(solution.converged & (solution.discrepancy > 0.0))
-    if len(incomplete):
-        design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
-        # Of all axes, so that a compiled program serves whatever their number.
-        mean = np.asarray(means_of(design, solution.power, solution.shape))
-    for k in incomplete:
-        ratio = curve.deviation[:, k] / np.sqrt(mean[k])
-        edf = 2.0 * mean[k] ** 2 / inference.estimate_variance[k]
-        found[k] = misfit_of(curve.cluster_time, ratio, edf, "s").excessive
-    return found

@@ -22,7 +22,7 @@ from allanjax.gls import Solution, solve
 from allanjax.inference import Inference, infer
 from allanjax.inspection import inspect
 from allanjax.io.given import RecordingLike, as_recording
-from allanjax.misfit import Misfit, misfit_of
+from allanjax.misfit import Misfit, misfit_of, widened
 from allanjax.model import Model
 from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Axis, Recording
@@ -267,7 +267,7 @@ def fit_allan(
                 if p.term == i:
                     starts.shape[k, :, column] = np.log(line.frequency)
     free = free & ~np.isin(np.arange(len(template)), indices)
-    solution, inference = solve_and_infer(design, variance, free, active, starts)
+    solution, inference, misfits = solve_and_infer(design, variance, free, active, starts)
     results = []
     found = coefficients_of(template, axes, active, solution, inference)
     for k, (axis, coefficients) in enumerate(zip(axes, found, strict=True)):
@@ -277,10 +277,9 @@ def fit_allan(
             coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_line))
         dof = len(curve.cluster_size) - estimated(template, active[k])
         of_axis = jax.tree.map(lambda x, k=k: x[k], solution)
-        results.append(_axis_fit(axis, template, active[k], coefficients, of_axis, dof))
-    curve = _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
-    mean = np.asarray(means_of(design, *_parameters(design, results)))
-    return tuple(_with_allan_misfit(r, curve, k, mean[k]) for k, r in enumerate(results)), curve
+        result = _axis_fit(axis, template, active[k], coefficients, of_axis, dof)
+        results.append(with_misfit(result, misfits[k]))
+    return tuple(results), _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
 
 
 def solve_and_infer(
@@ -289,8 +288,8 @@ def solve_and_infer(
     free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, "axes terms"],
     starts: Starts,
-) -> tuple[Solution, Inference]:
-    """The best solution that the starts of each axis lead to, and what the data say around it."""
+) -> tuple[Solution, Inference, list[Misfit | None]]:
+    """The best solution that the starts of each axis lead to, what the data say around it, and its misfit."""
     solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
     # A correlation time has several places to settle: all starts are tried.
     for k in range(1, starts.power.shape[1]):
@@ -300,8 +299,29 @@ def solve_and_infer(
         other = solve(design, variance, free, active, starts.power[:, k], starts.shape[:, k])
         better = np.asarray(other.converged & ~(other.cost >= solution.cost) | ~solution.converged)
         solution = _choose(doubtful & better, other, solution)
+    misfits = _misfits(design, variance, solution)
+    solution = widened(solution, misfits)
     inference = infer(design, variance, free, active, solution)
-    return jax.device_get((solution, inference))
+    return *jax.device_get((solution, inference)), misfits
+
+
+def _misfits(
+    design: AllanDesign, variance: Float[np.ndarray, "axes m"], solution: Solution
+) -> list[Misfit | None]:
+    """How far each axis's curve is off; None where it suffices."""
+    found: list[Misfit | None] = [None] * len(variance)
+    incomplete = np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.discrepancy) > 0.0))
+    if len(incomplete):
+        place = (solution.power, solution.shape)
+        mean, scatter = (np.asarray(of(design, *place)) for of in (_means, _variances))
+    for k in incomplete:
+        found[k] = misfit_of(
+            np.asarray(design.geometry.cluster_time),
+            np.sqrt(variance[k] / mean[k]),
+            2.0 * mean[k] ** 2 / scatter[k],
+            "s",
+        )
+    return found
 
 
 def _fit_whittle(
@@ -326,12 +346,12 @@ def result_of(found: WhittleFit, template: Model, axis: Axis, active: Bool[np.nd
     return with_misfit(result, found.misfit)
 
 
-def with_misfit(result: AxisFit, misfit: Misfit) -> AxisFit:
+def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
     """The result, and how far its curve is off where the model does not suffice.
 
     Where that is excessive no coefficient keeps a standard deviation, an interval or a limit.
     """
-    if not result.converged or result.discrepancy == 0.0:
+    if misfit is None or not result.converged:
         return result
     if not misfit.excessive:
         return dataclasses.replace(result, misfit=misfit)
@@ -341,16 +361,6 @@ def with_misfit(result: AxisFit, misfit: Misfit) -> AxisFit:
         _coefficients={label: c.unmeasured() for label, c in result.coefficients.items()},
         _covariance=np.full_like(result.covariance, np.nan),
     )
-
-
-def _with_allan_misfit(
-    result: AxisFit, curve: AllanDeviation, k: int, mean: Float[np.ndarray, " m"]
-) -> AxisFit:
-    if not result.converged:
-        return result
-    misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / np.sqrt(mean), curve.edf[:, k], "s")
-    # Of a fitted spectrum that is the word on it, unless the Allan deviation is what is far off.
-    return result if result.misfit is not None and not misfit.excessive else with_misfit(result, misfit)
 
 
 def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
@@ -402,14 +412,18 @@ def with_curve(
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
     place = _parameters(design, results)
     curve = _with_model_edf(curve, design, results, np.asarray(_variances(design, *place)))
+    mean = np.asarray(_means(design, *place))
     # What is profiled out of the spectrum is still in the Allan deviations.
-    if any(isinstance(term, Transient) for term in template.terms):
-        return tuple(results), curve
-    mean = np.asarray(means_of(design, *place))
-    return tuple(
-        r if r.regression or not r.measured else _with_allan_misfit(r, curve, k, mean[k])
-        for k, r in enumerate(results)
-    ), curve
+    profiled = any(isinstance(term, Transient) for term in template.terms)
+    found = []
+    for k, result in enumerate(results):
+        misfit = None
+        if result.misfit is not None and result.measured and not (profiled or result.regression):
+            ratio = curve.deviation[:, k] / np.sqrt(mean[k])
+            misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
+        # Of a fitted spectrum its own is the word, unless the Allan deviation is what is far off.
+        found.append(with_misfit(result, misfit) if misfit is not None and misfit.excessive else result)
+    return tuple(found), curve
 
 
 def _with_model_edf(
@@ -419,7 +433,7 @@ def _with_model_edf(
     variance: Float[np.ndarray, "axes m"],
 ) -> AllanDeviation:
     """The curve with degrees of freedom 2μ²/Var under the fitted models."""
-    mean = np.asarray(means_of(design, *_parameters(design, results)))
+    mean = np.asarray(_means(design, *_parameters(design, results)))
     edf = np.array(curve.edf)
     for k, result in enumerate(results):
         if result.converged:
@@ -444,10 +458,9 @@ def _parameters(
 
 
 @eqx.filter_jit
-def means_of(
+def _means(
     design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
 ) -> Float[Array, "axes m"]:
-    """Expected Allan variances of models with these powers and transformed shapes."""
     return jax.vmap(lambda v, u: v @ design.means(u))(jnp.asarray(power), jnp.asarray(shape))
 
 

@@ -8,10 +8,14 @@ below which nothing is farther than one. Here the two curves are compared as a r
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from allanjax.gls import Solution
 
 LIMIT, OCTAVE = 0.3, 0.5
 """Deviations beyond which coefficients are no measurement: root mean square, and over an octave.
@@ -97,6 +101,17 @@ def misfit_of(
     sustained = certain[k] if unit == "s" else _over_octaves(place, certain)
     largest, rms, sustained = np.expm1([log[k], rms, sustained]).tolist()
     return Misfit(largest, float(place[k]), unit, rms, sustained)
+
+
+def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
+    """Solutions [axes] whose discrepancy is no less than their curves' rms deviation.
+
+    That brings χ² to its degrees of freedom which bends to what it cannot follow; scatter that is said of
+    coefficients must not bend.
+    """
+    rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
+    # Of powers it is twice that of deviations.
+    return solution._replace(discrepancy=np.maximum(np.asarray(solution.discrepancy), 2.0 * rms))
 
 
 def _over_octaves(place: Float[np.ndarray, " m"], certain: Float[np.ndarray, " m"]) -> float:

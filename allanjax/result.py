@@ -149,8 +149,8 @@ class AxisFit(ByValue):
         chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels, to the model within
             their own scatter.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
-            that brings χ² down to `dof`; 0 if the model suffices. Standard deviations and intervals
-            include it.
+            that brings χ² down to `dof`, or the rms deviation of `misfit` if that is larger; 0 if the model
+            suffices. Standard deviations and intervals include it.
         misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
             If it is excessive no coefficient is a measurement of the sensor (`measured`).
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.

@@ -23,7 +23,7 @@ from allanjax.deterministic import AxisSpectrum, Projection, lines_of, take_out_
 from allanjax.errors import FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import infer
-from allanjax.misfit import Misfit, spectral_misfit
+from allanjax.misfit import Misfit, spectral_misfit, widened
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import Coefficient
@@ -44,7 +44,7 @@ class WhittleFit:
         estimates: degrees of freedom of χ² before the model's parameters are counted.
         spectrum: what the model was fitted to.
         regression: amplitude of each regressor and its standard deviation [rate per the regressor's unit].
-        misfit: how far the levels are off.
+        misfit: how far the levels are off; None if the model suffices.
     """
 
     coefficients: Coefficients
@@ -52,7 +52,7 @@ class WhittleFit:
     estimates: float
     spectrum: AxisSpectrum
     regression: Mapping[str, tuple[float, float]]
-    misfit: Misfit
+    misfit: Misfit | None
 
 
 def spectrum_of(
@@ -124,6 +124,11 @@ def fit_spectrum(
     design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
     free = _free(noise)
     V = projection.level[None]
+    misfit = None
+    if bool(solution.converged[0]) and float(solution.discrepancy[0]) > 0.0:
+        variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
+        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof)
+        solution = widened(solution, [misfit])
     inference = infer(design, V, free, active[random][None], solution)
     (noise_found,) = coefficients_of(noise, [axis], active[random][None], solution, inference)
     solution = jax.tree.map(lambda x: np.asarray(x)[0], solution)
@@ -141,7 +146,7 @@ def fit_spectrum(
         float(design.count),
         spectrum,
         _regression(spectrum, projection),
-        spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof),
+        misfit,
     )
 
 

@@ -49,7 +49,10 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     ids=["N+B+K", "Q+N+K+R"],
 )
 def test_each_axis_gets_what_a_fit_of_it_gives(truth: aj.Model, model: aj.Model) -> None:
-    record = recording(samples(truth, 5), "unit")
+    x = samples(truth, 5)
+    # Under a line of ten times the noise nothing is measured.
+    x[:, 3] += np.sin(2.0 * np.pi * 5.0 * np.arange(N) / RATE)
+    record = recording(x, "unit")
     curve = aj.allan_deviation(record)
     many = aj.fit_many(curve, model)
     results = []
@@ -71,6 +74,7 @@ def test_each_axis_gets_what_a_fit_of_it_gives(truth: aj.Model, model: aj.Model)
     for name in ("chi2", "p_value", "discrepancy"):
         np.testing.assert_allclose(getattr(many, name), [getattr(r, name) for r in fit], **close)
     assert {many.dof} == {r.dof for r in fit}
+    assert many.measured.tolist() == [r.measured for r in fit] == [k != 3 for k in range(5)]
 
 
 def test_absent_terms_have_limits_and_intervals_cover() -> None:
