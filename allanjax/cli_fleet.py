@@ -30,6 +30,7 @@ HELP = (
 )
 EPILOG = epilog(
     "allanjax fleet 'logs/*.parquet' --out results",
+    r"allanjax fleet 'logs/**/*.parquet' --out results --group 'logs/(\w+)/'",
     "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
@@ -45,6 +46,13 @@ def fleet_command(
         ),
     ],
     options: FitOptions,
+    group: Annotated[
+        str | None,
+        typer.Option(
+            help=r"Which units are alike and compared: a regular expression whose parentheses match the "
+            r"group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file and group."
+        ),
+    ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder for the results, from which a later run goes on.")
     ] = RESULTS,
@@ -69,6 +77,7 @@ def fleet_command(
             result = characterize_fleet(
                 patterns,
                 out,
+                group=group,
                 workers=workers,
                 scheduler=scheduler,
                 piece=piece,

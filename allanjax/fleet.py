@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from functools import reduce
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +19,16 @@ from allanjax.export import to_dict
 from allanjax.fit import Objective
 from allanjax.fleet_cluster import Call, connected, outcomes, submitted
 from allanjax.fleet_files import matching_files, recording_names
-from allanjax.fleet_table import fleet_table, rows_of, write_table
+from allanjax.fleet_groups import Groups, group_names
+from allanjax.fleet_store import earlier, key_of, store, stored
+from allanjax.fleet_summary import cells, judged, left_out
+from allanjax.fleet_table import rows_of, table_of, write_table
 from allanjax.io import ReadOptions, read_recording
 from allanjax.io.chunks import open_chunks
 from allanjax.notation import ModelLike, as_model
 from allanjax.options import FitOptions
-from allanjax.recording import Axis, rows_between
-from allanjax.result import Fit, title_of
+from allanjax.recording import rows_between
+from allanjax.result import Fit
 from allanjax.text_table import html_table, text_table
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ Progress = Callable[[int, int, int], None]
 """Told how many recordings are done, how many of those failed, and how many there are."""
 
 _RECORDINGS = "recordings"
-_HEADINGS = ("axis", "coefficient", "detected", "median", "5 … 95 %", "outlying")
-_NAMED_UNITS = 5
 _SHORTEST_PIECE = 100_000
 # Of text, which does not say how many rows it has.
 _ROW_BYTES = 40
@@ -54,16 +53,19 @@ class FleetResult(ByValue):
         table: one row a recording, axis and coefficient, in the usual units; see `fleet_table.table_schema`.
         errors: what has no result and why: `file`, and a `message` that names the axis unless it is all.
         files: the recordings; `resumed` of them have results from an earlier run.
+        notes: what to know before reading the table: groups that the units fall into, groups too small for a
+            judgement, recordings of an earlier run that are left out.
     """
 
     table: pd.DataFrame
     errors: tuple[dict[str, str], ...]
     files: tuple[Path, ...]
     resumed: int
+    notes: tuple[str, ...] = ()
 
     @property
     def outlying(self) -> pd.DataFrame:
-        """The rows of values that are unlike those of the other units."""
+        """The rows of values that are unlike those of the other units of the group."""
         return self.table[self.table["outlying"]]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -83,33 +85,14 @@ class FleetResult(ByValue):
             f"{self.resumed} taken from an earlier run"
         )
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        """Rows of the printed table, one an axis and coefficient; quantiles are without outlying units."""
-        cells: list[tuple[str, ...]] = []
-        for _, of in self.table.groupby(["axis", "coefficient"], sort=False):
-            axis, sensor, coefficient, unit = of[["axis", "sensor", "coefficient", "unit"]].iloc[0]
-            found = of[of["detected"]]
-            usual = found.loc[~found["outlying"], "value"]
-            median = span = ""
-            if len(usual):
-                median = f"{usual.median():.4g}{'' if unit == '1' else f' {unit}'}"
-                span = " … ".join(f"{usual.quantile(q):.4g}" for q in (0.05, 0.95))
-            units = list(of.loc[of["outlying"], "recording"])
-            named = ", ".join(units[:_NAMED_UNITS])
-            if len(units) > _NAMED_UNITS:
-                named += f" and {len(units) - _NAMED_UNITS} more"
-            title = title_of(coefficient, Axis(axis, sensor, unit))
-            cells.append((axis, title, f"{len(found)} of {len(of)}", median, span, named))
-        return cells
-
     def __str__(self) -> str:
-        # As its title the line would be broken at a narrow table's width.
-        return f"{self._title()}\n{text_table('', _HEADINGS, self._cells())}"
+        # As the table's title the lines would be broken at its width.
+        return "\n".join([self._title(), *self.notes, text_table("", *cells(self.table))])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return html_table(self._title(), _HEADINGS, self._cells())
+        return html_table(" ".join([self._title(), *self.notes]), *cells(self.table))
 
 
 def characterize_fleet(
@@ -119,6 +102,7 @@ def characterize_fleet(
     objective: Objective = "allan",
     *,
     regressors: Sequence[str] = (),
+    group: Groups | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     piece: int = 20_000_000,
@@ -135,7 +119,11 @@ def characterize_fleet(
     done. A recording that fails does not stop the others; neither does a worker that dies, whose recording
     another one takes. A later run with the same `out` computes only what is not there yet: recordings whose
     file (path, size, time of its last change), options or version of allanjax are others, and those that
-    failed.
+    failed. The table is always of the files that are given: a note tells which recordings of an earlier run
+    are not among them; what was computed of them stays in `out/recordings`.
+
+    Units are compared with the others of their group (see `mark_outlying`). Where a coefficient shows that
+    the units of a group are of several grades, a note says so, and they are compared within these.
 
     The local cluster's workers are processes that import the calling script: in a script, call this below
     `if __name__ == "__main__":`.
@@ -145,6 +133,9 @@ def characterize_fleet(
             that all see under the same path. Files below `out` are left out.
         out: folder for the results.
         model, objective, regressors: as for `fit`.
+        group: which units are alike: a regular expression whose parentheses match the group in a file's path
+            or recording's name, e.g. `logs/(\\w+)/`; a CSV file with the columns file and group; a mapping
+            from file to group; or a function of the path. See `fleet_groups.group_names`.
         workers: processes of a local cluster that lives as long as this call; one a core by default.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: samples; longer recordings are divided.
@@ -155,8 +146,9 @@ def characterize_fleet(
         The table, with outlying units marked, and the errors.
 
     Raises:
-        AllanjaxError: a pattern matches no file; Dask is not installed; the scheduler does not answer;
-            `workers` is less than one or given with `scheduler`; a `piece` of less than 10⁵ samples.
+        AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
+            scheduler does not answer; `workers` is less than one or given with `scheduler`; a `piece` of less
+            than 10⁵ samples.
     """
     _check_workers(workers, scheduler)
     if piece < _SHORTEST_PIECE:
@@ -165,15 +157,22 @@ def characterize_fleet(
     paths = matching_files(files, out)
     added = None if model is None else as_model(model)
     options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors))
+    recordings = dict(zip(recording_names(paths), paths, strict=True))
+    groups = group_names(group, recordings)
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
-    recordings = dict(zip(recording_names(paths), paths, strict=True))
-    keys = {name: _key(path, options) for name, path in recordings.items()}
-    fits = {name: _stored(folder, name, key) for name, key in keys.items()}
-    todo = {name: path.absolute() for name, path in recordings.items() if fits[name] is None}
-    rows = {name: rows_of(fit, name, str(recordings[name])) for name, fit in fits.items() if fit is not None}
-    errors = {name: _axes_without_result(fit) for name, fit in fits.items() if fit is not None}
-    resumed = len(rows)
+    keys = {name: key_of(path, options) for name, path in recordings.items()}
+    before = earlier(folder, recordings, keys)
+    todo = {name: path.absolute() for name, path in recordings.items() if name not in before.done}
+    rows: dict[str, list[dict[str, Any]]] = {}
+    errors: dict[str, list[str]] = {}
+
+    def take(name: str, fit: Mapping[str, Any]) -> None:
+        rows[name] = rows_of(fit, name, str(recordings[name]), groups[name])
+        errors[name] = _axes_without_result(fit)
+
+    for name in before.done:
+        take(name, stored(folder, name))
     tell = progress or (lambda done, failed, total: None)
     tell(len(rows), sum(map(bool, errors.values())), len(paths))
     if todo:
@@ -183,11 +182,21 @@ def characterize_fleet(
                 if isinstance(outcome, Exception):
                     errors[name] = [_reason(recordings[name], outcome)]
                 else:
-                    _store(folder, name, {"key": keys[name], "fit": outcome})
-                    rows[name] = rows_of(outcome, name, str(recordings[name]))
-                    errors[name] = _axes_without_result(outcome)
+                    store(folder, name, {"key": keys[name], "fit": outcome})
+                    take(name, outcome)
                 tell(len(errors), sum(map(bool, errors.values())), len(paths))
-    return _written(out, recordings, rows, errors, resumed)
+    # In the order of the recordings, whatever the order they ended in.
+    table, notes = judged(table_of([row for name in recordings for row in rows.get(name, ())]))
+    failures = tuple(
+        {"file": str(path), "message": message}
+        for name, path in recordings.items()
+        for message in errors.get(name, ())
+    )
+    if before.left_out:
+        notes = (left_out(before.left_out, folder), *notes)
+    result = FleetResult(table, failures, paths, len(before.done), notes)
+    _write(result, out)
+    return result
 
 
 def characterize_recording(path: str | os.PathLike[str], options: FitOptions) -> Fit:
@@ -259,39 +268,6 @@ def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions
     return to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))
 
 
-def _key(path: Path, options: FitOptions) -> dict[str, Any] | None:
-    """What a result depends on; None if there is no such file."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    key = {
-        "path": str(path.resolve()),
-        "size": status.st_size,
-        "modified_ns": status.st_mtime_ns,
-        "options": options.to_dict(),
-        "allanjax_version": version("allanjax"),
-    }
-    # As it is after a round trip through a file: tuples become lists.
-    return json.loads(json.dumps(key, default=str))
-
-
-def _stored(folder: Path, name: str, key: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """The fit that an earlier run left under this key."""
-    try:
-        document = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return document["fit"] if key is not None and document.get("key") == key else None
-
-
-def _store(folder: Path, name: str, document: Mapping[str, Any]) -> None:
-    """Written beside and renamed: whatever happens, a result is there as a whole or not at all."""
-    path, draft = folder / f"{name}.json", folder / f".{name}.{os.getpid()}"
-    draft.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
-    draft.replace(path)
-
-
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
     return [f"{axis['name']}: no result, {axis['reason']}" for axis in fit["axes"] if not axis["converged"]]
 
@@ -311,27 +287,13 @@ def _reason(path: Path, error: Exception) -> str:
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
-def _written(
-    out: Path,
-    recordings: Mapping[str, Path],
-    rows: Mapping[str, Sequence[Mapping[str, Any]]],
-    errors: Mapping[str, Sequence[str]],
-    resumed: int,
-) -> FleetResult:
-    """The fleet's result, in the order of the recordings whatever the order they ended in."""
+def _write(result: FleetResult, out: Path) -> None:
+    """The table, the errors and the picture."""
     from matplotlib import pyplot as plt
 
-    table = fleet_table([row for name in recordings for row in rows.get(name, ())])
-    failures = tuple(
-        {"file": str(path), "message": message}
-        for name, path in recordings.items()
-        for message in errors.get(name, ())
-    )
-    result = FleetResult(table, failures, tuple(recordings.values()), resumed)
-    write_table(table, out / "fleet.parquet")
+    write_table(result.table, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
-        writer.writerows(failures)
+        writer.writerows(result.errors)
     plt.close(result.plot(out / "fleet.png"))
-    return result

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Int
 
-from allanjax.outliers import FALSE_ALARMS, outlying
+from allanjax.outliers import FALSE_ALARMS, Values, log_values, outlying, testable
+from allanjax.units import Sensor
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
+
+_NUMBERS = ("value", "lower_95", "upper_95", "upper_limit_95")
 
 
 @functools.cache
@@ -26,6 +31,7 @@ def table_schema() -> pa.Schema:
         {
             "recording": text,
             "file": text,
+            "group": text,
             "axis": text,
             "sensor": text,
             "coefficient": text,
@@ -44,7 +50,7 @@ def table_schema() -> pa.Schema:
     )
 
 
-def rows_of(fit: Mapping[str, Any], recording: str, file: str) -> list[dict[str, Any]]:
+def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
     """The rows of one recording, from its fit as `export.to_dict` gives it; outlying units are marked later.
 
     Axes without result have no rows.
@@ -56,6 +62,7 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str) -> list[dict[str,
                 {
                     "recording": recording,
                     "file": file,
+                    "group": group,
                     "axis": axis["name"],
                     "sensor": axis["sensor"],
                     "coefficient": c["label"],
@@ -75,28 +82,59 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str) -> list[dict[str,
     return rows
 
 
-def fleet_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """The rows as a table, with outlying units marked (see `mark_outlying`)."""
+def table_of(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """The rows as a table with the columns and types of `table_schema`."""
     import pyarrow as pa
 
-    return mark_outlying(pa.Table.from_pylist(list(rows), table_schema()).to_pandas())
+    return pa.Table.from_pylist(list(rows), table_schema()).to_pandas()
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """One coefficient of the units of a group, on all axes of a sensor.
+
+    Attributes:
+        sensor, coefficient, group: what it is.
+        recordings: the units' names.
+        rows: their rows in the table, −1 where there is none.
+        axes: ln of the coefficient on each axis.
+    """
+
+    sensor: Sensor
+    coefficient: str
+    group: str
+    recordings: Sequence[str]
+    rows: Int[np.ndarray, "units axes"]
+    axes: list[Values]
+
+
+def families(table: pd.DataFrame) -> Iterator[Family]:
+    """Every coefficient of every sensor and group."""
+    value, lower, upper, limit = (np.append(table[name].to_numpy(), np.nan) for name in _NUMBERS)
+    is_detected = np.append(table["detected"].to_numpy(), False)
+    parts: Mapping[Any, Any] = table.groupby(["group", "sensor", "coefficient"], sort=False).indices
+    for (group, sensor, coefficient), places in parts.items():
+        of = table.iloc[places]
+        units, names = of["recording"].factorize()
+        columns, axes = of["axis"].factorize()
+        rows = np.full((len(names), len(axes)), -1)
+        rows[units, columns] = places
+        values = [log_values(value[r], lower[r], upper[r], limit[r], is_detected[r]) for r in rows.T]
+        yield Family(sensor, coefficient, group, list(names), rows, values)
 
 
 def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
-    """A copy whose column `outlying` says which values are unlike those of the other units.
+    """A copy whose column `outlying` says which values are unlike those of the other units of the group.
 
-    The values of one coefficient on one axis are compared over the fleet, as `outliers.outlying` says. The
-    probability that anything is marked in a fleet of like units is 1 % for the whole table (Bonferroni: every
-    coefficient of every axis has its share).
+    `outliers.outlying` judges a coefficient by all axes of a sensor. The probability that anything is marked
+    in a fleet of like units is 1 % for the whole table (Bonferroni: every coefficient has its share).
     """
-    marked = np.zeros(len(table), bool)
-    groups = table.groupby(["axis", "coefficient"], sort=False).indices
-    numbers = ("value", "lower_95", "upper_95", "upper_limit_95")
-    for rows in groups.values():
-        value, lower, upper, limit = (table[name].to_numpy()[rows] for name in numbers)
-        detected = table["detected"].to_numpy()[rows]
-        marked[rows] = outlying(value, lower, upper, limit, detected, FALSE_ALARMS / len(groups))
-    return table.assign(outlying=marked)
+    judged = [family for family in families(table) if testable(family.axes)]
+    marked = np.zeros(len(table) + 1, bool)
+    for family in judged:
+        found = outlying(family.axes, FALSE_ALARMS / len(judged), family.coefficient)
+        marked[family.rows[found]] = True
+    return table.assign(outlying=marked[:-1])
 
 
 def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:

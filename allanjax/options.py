@@ -1,7 +1,10 @@
 """How a recording is read and fitted: one object that commands and fleets hand on as a whole."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
+
+import numpy as np
 
 from allanjax.accumulator import AllanAccumulator
 from allanjax.fit import Objective, fit
@@ -47,12 +50,22 @@ class FitOptions:
         return accumulator.fit(self.model, self.objective)
 
     def to_dict(self) -> dict[str, Any]:
-        """The options in JSON's types; equal if, and only if, the options are."""
-        # As text: JSON has no infinity.
-        model = self.model and [[p.label, p.free, repr(p.start)] for p in self.model.parameters]
-        return {
-            "reading": self.reading.given(),
-            "model": model,
-            "objective": self.objective,
-            "regressors": list(self.regressors),
-        }
+        """The options in JSON's types, all that there are; equal if, and only if, the options are."""
+        return {option.name: _plain(getattr(self, option.name)) for option in fields(self)}
+
+
+def _plain(value: Any) -> Any:
+    """A value in JSON's types: of an object, its type and all its fields; numbers as text, for infinity."""
+    if value is None or isinstance(value, bool | str):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        kind = f"{type(value).__module__}.{type(value).__qualname__}"
+        return {"type": kind} | {part.name: _plain(getattr(value, part.name)) for part in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): _plain(part) for name, part in value.items()}
+    if isinstance(value, set | frozenset):
+        return sorted(map(_plain, value))
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    number = np.asarray(value)
+    return repr(float(number)) if number.ndim == 0 else _plain(number.tolist())

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import textwrap
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,18 +22,28 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Okabe and Ito's colours, as in the other pictures.
-_MEDIAN, _OUTLYING, _LIMIT, _BAR = "#0072B2", "#D55E00", "0.6", "0.55"
+_MEDIAN, _OUTLYING, _LIMIT = "#0072B2", "#D55E00", "0.6"
+# Points of each group; of one group alone the first.
+_GROUPS = (POINTS, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.5")
 _SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 # Inches: places are fixed, so that nothing can overlap.
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 1.25, 0.1
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
 _PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.75, 0.65
 _NAME_HEIGHT = 0.125
 # Half the width that an axis's units take, of the distance between axes; from points to names, of the panel.
-_SPREAD = 0.33
+_SPREAD = 0.38
 _BESIDE = 0.02
 # Outlying units that are named in a panel, on each axis; the table names all.
 _NAMED = 12
+# Units of a fleet that are named in the title, from left to right.
+_LISTED = 12
+# Empty places between two groups, of all places; one at least.
+_APART = 0.05
+# Height of a line of the title or the key; letters, and entries of the key, that an inch holds.
+_LINE_HEIGHT, _LETTERS, _ENTRIES = 0.2, 12.0, 0.5
+# From the outermost points of a group to the ends of its band, of the distance between axes.
+_BESIDE_POINTS = 0.04
 _MANY = 60
 # Intervals reach so many times beyond the outermost values at most.
 _BEYOND = 2.0
@@ -44,10 +56,11 @@ _BAND = (0.05, 0.95)
 def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw each coefficient of every unit, a panel a coefficient, gyros beside accelerometers.
 
-    Points are the units' estimates with their 95 % intervals, axis beside axis, the units of each in the
-    order of the table; hollow triangles are the 95 % limits of units in which the coefficient was not
-    detected. Outlying units are red and named. Blue are the median of the others' estimates and the band of
-    90 % of them. Coefficients that no unit determines, or that were held, have no panel.
+    Points are the units' estimates with their 95 % intervals, axis beside axis, group beside group, the units
+    of each in the order of the table; hollow triangles are the 95 % limits of units in which the coefficient
+    was not detected. Outlying units are red and named. Blue are the median of the others' estimates in their
+    group and the band of 90 % of them. Coefficients that no unit determines, or that were held, have no
+    panel. The recordings of up to twelve units are named in the title.
 
     Args:
         table: of a fleet's coefficients, `FleetResult.table`.
@@ -68,57 +81,88 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
             f"a fleet's table has a column {', '.join(sorted(missing))}; pass the table of FleetResult"
         )
     drawn = _drawn(table)
+    groups = list(table["group"].unique())
     sensors = [sensor for sensor in _SENSOR if (drawn["sensor"] == sensor).any()]
     coefficients = list(drawn["coefficient"].unique())
     rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
     width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
-    height = _TOP + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
+    facts = textwrap.wrap(_facts(table), int(_LETTERS * (width - _LEFT - _RIGHT)))
+    keys = _key(table)
+    key_columns = max(int(_ENTRIES * (width - _LEFT - _RIGHT)), 1)
+    top = _TOP + _LINE_HEIGHT * (len(facts) + -(-len(keys) // key_columns))
+    height = top + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
     with look():
         figure = plt.figure(figsize=(width, height))
-        _draw_title(figure, table, width, height)
+        _draw_title(figure, table["recording"].nunique(), facts, keys, key_columns)
         for row, coefficient in enumerate(coefficients):
             for column, sensor in enumerate(sensors):
                 of = drawn[(drawn["coefficient"] == coefficient) & (drawn["sensor"] == sensor)]
                 if of.empty:
                     continue
                 left = _LEFT + column * (_PANEL_WIDTH + _GAP)
-                bottom = height - _TOP - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
+                bottom = height - top - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
                 place = (left / width, bottom / height, _PANEL_WIDTH / width, _PANEL_HEIGHT / height)
-                _draw_panel(figure.add_axes(place), of, coefficient, sensor)
+                _draw_panel(figure.add_axes(place), of, coefficient, sensor, groups)
         return finished(figure, path)
 
 
 def _drawn(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows with an estimate or a limit, if estimated; `height` is where they are."""
+    """The rows with an estimate and its interval, or a limit; `height` is where they are."""
     height = np.where(table["detected"], table["value"], table["upper_limit_95"])
-    held = table["detected"] & (table["lower_95"] == table["upper_95"])
-    return table.assign(height=height)[np.isfinite(height) & ~held]
+    # Neither a value that was held nor one without an error is an estimate.
+    estimated = table["lower_95"] < table["upper_95"]
+    return table.assign(height=height)[np.isfinite(height) & (estimated | ~table["detected"])]
 
 
-def _draw_title(figure: Figure, table: pd.DataFrame, width: float, height: float) -> None:
+def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
+    """What the key says of the points of each group, and their colour."""
+    groups = list(table["group"].unique())
+    if len(groups) < 2:
+        return [("estimate, 95 % interval", _GROUPS[0])]
+    if len(groups) > len(_GROUPS):
+        return [("estimates, 95 % intervals: a colour a group", _GROUPS[0])]
+    counts = table.groupby("group")["recording"].nunique()
+    return [(f"group {g} ({counts[g]})", colour) for g, colour in zip(groups, _GROUPS, strict=False)]
+
+
+def _facts(table: pd.DataFrame) -> str:
+    """How many units are outlying, and which units they are if they are few."""
+    units = table["recording"].nunique()
+    if not units:
+        return "no results"
+    facts = f"{table.loc[table['outlying'], 'recording'].nunique() or 'none'} of them outlying"
+    if units <= _LISTED:
+        parts = [of["recording"].unique() for _, of in table.groupby("group", sort=False)]
+        facts += f"; left to right: {' | '.join(', '.join(names) for names in parts)}"
+    return facts
+
+
+def _key(table: pd.DataFrame) -> list[Any]:
+    """What points, lines and bands mean."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
-    units = table["recording"].nunique()
-    outlying = table.loc[table["outlying"], "recording"].nunique()
-    figure.text(y=1.0 - 0.12 / height, s=f"{units} units", fontsize=13, fontweight="bold", **at)
-    facts = f"{outlying or 'none'} of them outlying" if units else "no results"
-    figure.text(y=1.0 - 0.4 / height, s=facts, color="0.35", fontsize=9.5, **at)
     points: dict[str, Any] = {"marker": "o", "markersize": 3, "linewidth": 0.8}
     hollow: dict[str, Any] = {"marker": "v", "markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
-    handles = [
-        Line2D([], [], color=POINTS, label="estimate, 95 % interval", **points),
+    return [
+        *(Line2D([], [], color=colour, label=name, **points) for name, colour in _group_colours(table)),
         Line2D([], [], color=_LIMIT, label="not detected: 95 % limit", **hollow),
         Line2D([], [], color=_OUTLYING, label="outlying", **points),
         Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
         Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
     ]
+
+
+def _draw_title(figure: Figure, units: int, facts: Sequence[str], keys: list[Any], columns: int) -> None:
+    width, height = figure.get_size_inches()
+    at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
+    figure.text(y=1.0 - 0.12 / height, s=f"{units} units", fontsize=13, fontweight="bold", **at)
+    figure.text(y=1.0 - 0.4 / height, s="\n".join(facts), color="0.35", fontsize=9.5, **at)
     figure.legend(
-        handles=handles,
+        handles=keys,
         loc="upper left",
-        bbox_to_anchor=(_LEFT / width, 1.0 - 0.62 / height),
-        ncols=len(handles) if width > _LEFT + _RIGHT + _PANEL_WIDTH else 3,
+        bbox_to_anchor=(_LEFT / width, 1.0 - (0.42 + _LINE_HEIGHT * len(facts)) / height),
+        ncols=columns,
         frameon=False,
         borderpad=0.0,
         borderaxespad=0.0,
@@ -126,11 +170,13 @@ def _draw_title(figure: Figure, table: pd.DataFrame, width: float, height: float
     )
 
 
-def _draw_panel(panel: Axes, of: pd.DataFrame, coefficient: str, sensor: Sensor) -> None:
+def _draw_panel(
+    panel: Axes, of: pd.DataFrame, coefficient: str, sensor: Sensor, groups: Sequence[str]
+) -> None:
     unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
     title = title_of(coefficient, Axis(axes[0], sensor, unit))
     panel.set_title(f"{_SENSOR[sensor]}: {title}", loc="left", fontweight="bold")
-    panel.set_ylabel("" if unit == "1" else f"[{unit}]")
+    panel.set_ylabel(title if unit == "1" else f"{title} [{unit}]")
     panel.set_xticks(range(len(axes)), axes)
     panel.set_xlim(-0.5, len(axes) - 0.5)
     panel.tick_params(axis="x", length=0.0)
@@ -138,7 +184,7 @@ def _draw_panel(panel: Axes, of: pd.DataFrame, coefficient: str, sensor: Sensor)
     panel.set_axisbelow(True)
     _set_scale(panel, of)
     for k, axis in enumerate(axes):
-        _draw_axis(panel, k, of[of["axis"] == axis])
+        _draw_axis(panel, k, of[of["axis"] == axis], groups)
 
 
 def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
@@ -161,14 +207,28 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
     panel.yaxis.set_minor_locator(NullLocator())
 
 
-def _draw_axis(panel: Axes, k: int, of: pd.DataFrame) -> None:
-    """The units' values on one axis, left to right about x = k."""
-    x = k + (np.linspace(-_SPREAD, _SPREAD, len(of)) if len(of) > 1 else np.zeros(1))
+def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: Sequence[str]) -> None:
+    """The units' values on one axis about x = k, side by side, with a gap between groups."""
+    places = np.concatenate([np.flatnonzero(of["group"] == group) for group in groups])
+    of = of.iloc[places]
+    number = of["group"].map(list(groups).index).to_numpy()
+    apart = max(1, round(_APART * len(of)))
+    steps = np.arange(len(of)) + apart * np.cumsum(np.diff(number, prepend=number[0]) > 0)
+    x = k + _SPREAD * (2.0 * steps / max(steps[-1], 1) - (steps[-1] > 0))
+    for g in np.unique(number):
+        members = number == g
+        _draw_group(panel, x[members], of[members], _GROUPS[g % len(_GROUPS)])
+    odd = of["outlying"].to_numpy()
+    _name_units(panel, k, x[odd], of["height"].to_numpy()[odd], list(of.loc[odd, "recording"]))
+
+
+def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, colour: str) -> None:
+    """The values of a group's units on one axis, and where most of them are."""
     y, detected, outlying = (of[name].to_numpy() for name in ("height", "detected", "outlying"))
     usual = detected & ~outlying
     if usual.any():
         low, median, high = np.quantile(y[usual], (_BAND[0], 0.5, _BAND[1]))
-        reach = [k - 0.42, k + 0.42]
+        reach = [x[0] - _BESIDE_POINTS, x[-1] + _BESIDE_POINTS]
         panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
         panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
     panel.plot(
@@ -182,21 +242,19 @@ def _draw_axis(panel: Axes, k: int, of: pd.DataFrame) -> None:
     )
     # Many units' bars must not hide their points.
     bars = 0.8 if len(of) <= _MANY else 0.4
-    for rows, colour, bar in ((usual, POINTS, _BAR), (outlying, _OUTLYING, _OUTLYING)):
+    for rows, shown in ((usual, colour), (outlying, _OUTLYING)):
         ends = np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y])[:, rows]
         panel.errorbar(
             x[rows],
             y[rows],
             np.maximum(np.nan_to_num(ends, posinf=0.0), 0.0),
             fmt="o",
-            color=colour,
+            color=shown,
             markersize=2.6,
             markeredgewidth=0.0,
             elinewidth=bars,
-            ecolor=bar,
-            zorder=4 if colour == _OUTLYING else 3,
+            zorder=4 if shown == _OUTLYING else 3,
         )
-    _name_units(panel, k, x[outlying], y[outlying], list(of.loc[outlying, "recording"]))
 
 
 def _name_units(

@@ -1,0 +1,150 @@
+"""What is said of a fleet: its groups, its units, and a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from allanjax.fleet_table import families, mark_outlying
+from allanjax.grades import Split, found_split, pooled_values
+from allanjax.outliers import FEWEST_UNITS
+from allanjax.recording import Axis
+from allanjax.result import title_of
+from allanjax.wording import format_with_error
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_NAMED = 5
+_COUNTS = ("no", "one", "two", "three", "four", "five", "six")
+
+
+def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The table with the groups that units fall into and outlying units marked, and what to say of it."""
+    parted, notes = [], []
+    for _, of in table.groupby("group", sort=False):
+        for part, words in _parted(of):
+            parted.append(part)
+            notes += words
+    if parted:
+        import pandas as pd
+
+        table = pd.concat(parted).sort_index()
+    return mark_outlying(table), (*notes, *_too_few(table))
+
+
+def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
+    """The table of a group, or those of the groups that it falls into, and what is said of them."""
+    names = list(table["recording"].unique())
+    found = []
+    for family in families(table):
+        values = pooled_values(family.sensor, family.coefficient, family.axes)
+        found.append(values.of_units(np.array([names.index(name) for name in family.recordings]), len(names)))
+    split = found_split(found)
+    if split is None:
+        yield table, []
+        return
+    group = table["group"].iloc[0]
+    of_rows = split.labels[[names.index(name) for name in table["recording"]]]
+    words = [_told(split, names, group)]
+    for g in range(split.groups):
+        name = f"{group}/{g + 1}" if group else str(g + 1)
+        for part, more in _parted(table[of_rows == g].assign(group=name)):
+            yield part, words + more
+            words = []
+
+
+def _told(split: Split, names: Sequence[str], group: str) -> str:
+    title = title_of(split.pooled.coefficient, Axis("", split.pooled.sensor, ""))
+    parts = []
+    for g in range(split.groups):
+        units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
+        parts.append(f"{f'{group}/' if group else ''}{g + 1} ({len(units)} units: {listed(units)})")
+    apart = " and ".join(f"{ratio:.2g}" for ratio in split.ratios)
+    count = _COUNTS[split.groups] if split.groups < len(_COUNTS) else str(split.groups)
+    return (
+        f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''} falls into {count} groups, "
+        f"{apart} times apart: {', '.join(parts)}. Units are compared within these; say which belong "
+        "together by group= (--group)"
+    )
+
+
+def _too_few(table: pd.DataFrame) -> list[str]:
+    """Which groups are too small for a judgement."""
+    counts = table.groupby("group", sort=False)["recording"].nunique()
+    small = counts[counts < FEWEST_UNITS]
+    if small.empty:
+        return []
+    if list(small.index) == [""]:
+        whose = f"{small.iloc[0]} unit{'s' * (small.iloc[0] > 1)}"
+    else:
+        whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()])}"
+    return [f"{whose}: too few to say whether one is unlike the others, which takes {FEWEST_UNITS}"]
+
+
+def left_out(files: Sequence[Path], folder: Path) -> str:
+    """What is said of recordings that an earlier run had, and this one was not given."""
+    count = f"{len(files)} recording{'s' * (len(files) > 1)}"
+    be = "are" if len(files) > 1 else "is"
+    return (
+        f"{count} of an earlier run {be} not among these files and {be} left out of fleet.parquet: "
+        f"{listed([str(path) for path in files])}. What was computed stays in {folder}: name the files too, "
+        "and they are in the table again"
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names, the first five of many."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows of the printed table, one a group, axis and coefficient.
+
+    Median, scatter and quantiles are those of estimates with an interval, without outlying units.
+    """
+    grouped = bool((table["group"] != "").any())
+    headings = ("axis", "coefficient", *(["group"] if grouped else []))
+    rows = []
+    # Each in the order in which it first occurs.
+    order = [table[name].factorize()[0] for name in ("axis", "coefficient", "group")]
+    for _, of in table.groupby(order, sort=True):
+        axis, sensor, coefficient, unit, group = of[["axis", "sensor", "coefficient", "unit", "group"]].iloc[
+            0
+        ]
+        found = of[of["detected"] & np.isfinite(of["value"])]
+        usual = found.loc[~found["outlying"], "value"]
+        middle, span = _spread(usual.to_numpy(), found["std"].to_numpy(), unit)
+        odd = of[of["outlying"]]
+        ratios = odd["value"] / usual.median()
+        units = [f"{name} ({ratio:.2g})" for name, ratio in zip(odd["recording"], ratios, strict=True)]
+        title = title_of(coefficient, Axis(axis, sensor, unit))
+        rows.append(
+            (
+                axis,
+                title,
+                *([group] if grouped else []),
+                f"{len(found)} of {len(of)}",
+                middle,
+                span,
+                listed(units),
+            )
+        )
+    return (*headings, "detected", "median ± scatter", "5 … 95 %", "outlying (× median)"), rows
+
+
+def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
+    """Median with the scatter among units, of a single one its own error; and 5 and 95 % quantiles."""
+    if not len(values):
+        return "", ""
+    named = "" if unit == "1" else f" {unit}"
+    if len(values) == 1:
+        return f"{format_with_error(values[0], stds[0])}{named}", ""
+    low, median, high = np.quantile(values, (0.05, 0.5, 0.95))
+    scatter = float(np.std(values, ddof=1))
+    texts = [format_with_error(x, scatter).split(" ±")[0].lstrip("(") for x in (low, high)]
+    return f"{format_with_error(median, scatter)}{named}", " … ".join(texts)
