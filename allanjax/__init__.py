@@ -24,6 +24,7 @@ from allanjax.fit import fit  # noqa: E402
 from allanjax.fleet import FleetResult, characterize_fleet  # noqa: E402
 from allanjax.inspection import Inspection, inspect  # noqa: E402
 from allanjax.io import ChunkedRecording, read, read_chunks, write  # noqa: E402
+from allanjax.loading import load  # noqa: E402
 from allanjax.model import Model  # noqa: E402
 from allanjax.plot import plot_allan  # noqa: E402
 from allanjax.plot_spectrum import plot_psd  # noqa: E402
@@ -111,6 +112,7 @@ __all__ = [
     "fit",
     "fit_many",
     "inspect",
+    "load",
     "parameter",
     "plot_allan",
     "plot_psd",

@@ -4,27 +4,37 @@ import csv
 import json
 import math
 import os
+import re
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from allanjax.allan import AllanDeviation
 from allanjax.misfit import Misfit
 from allanjax.recording import DeadAxis
 from allanjax.result import AxisFit, Coefficient, Fit
 from allanjax.selection import AxisSelection, TermSelection
 from allanjax.spectrum import PowerSpectrum
+from allanjax.terms import NoiseTerm
 from allanjax.units import rate_unit_of
 
 SCHEMA_VERSION = 1
+#: What stands for an infinite parameter of a model, for which JSON has no number.
+INFINITY = "Infinity"
+# Sets of terms that are less probable are not written.
+_IMPROBABLE = 1e-6
+_NUMBERS = re.compile(r"\[\n\s+((?:-?[\d.eE+-]+|null)(?:,\n\s+(?:-?[\d.eE+-]+|null))*)\n\s+\]")
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
     """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` says what each means.
 
-    Numbers that do not exist, such as the χ² of an axis without result, are None.
+    Numbers that do not exist, such as the χ² of an axis without result, are None; so are those that are not
+    finite, the upper end of an interval without one, say. `load` makes the fit of them again.
     """
     return {
         "schema_version": SCHEMA_VERSION,
@@ -37,6 +47,8 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         },
         "objective": fit.objective,
         "converged": fit.converged,
+        "model": [_term(term) for term in fit.template],
+        "curve": _curve(fit.curve, fit.axes),
         "axes": [*(_axis(result, fit.selection) for result in fit), *map(_dead_axis, fit.dead)],
         "warnings": list(fit.warnings),
         "stretch_s": None if fit.stretch is None else list(fit.stretch),
@@ -47,6 +59,8 @@ def to_dict(fit: Fit) -> dict[str, Any]:
 def write_json(fit: Fit, path: str | os.PathLike[str]) -> None:
     """Write `to_dict(fit)` to a file of JSON."""
     text = json.dumps(to_dict(fit), indent=2, ensure_ascii=False, allow_nan=False)
+    # Numbers of a list side by side: in texts there are no line breaks.
+    text = _NUMBERS.sub(lambda match: f"[{', '.join(match[1].split()).replace(',,', ',')}]", text)
     Path(path).write_text(text + "\n", encoding="utf-8")
 
 
@@ -168,6 +182,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
             "values": [[_finite(x) for x in row] for row in covariance],
         },
         "selection": None if selection is None else _ranking(selection[result.axis.name]),
+        "selection_discrepancy": None if selection is None else selection[result.axis.name].discrepancy,
         "regression": {
             name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
         },
@@ -184,13 +199,46 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
     }
 
 
+def _term(term: NoiseTerm) -> dict[str, Any]:
+    values = {p.name: getattr(term, p.name) for p in term.parameters()}
+    return {
+        "term": term.name(),
+        "parameters": {name: _start(x) for name, x in values.items()},
+        "held": sorted(term.held),
+    }
+
+
+def _start(x: float | None) -> float | str | None:
+    return x if x is None else float(x) if math.isfinite(x) else INFINITY
+
+
+def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
+    def by_axis(values: Float[np.ndarray, "m axes"]) -> dict[str, list[float | None]]:
+        return {axis: [_finite(x) for x in column] for axis, column in zip(axes, values.T, strict=True)}
+
+    return {
+        "kind": curve.kind,
+        "overlapping": curve.overlapping,
+        "estimator": curve.estimator,
+        "cluster_time_s": curve.cluster_time.tolist(),
+        "cluster_size": curve.cluster_size.tolist(),
+        "count": curve.count.tolist(),
+        "deviation": by_axis(curve.deviation),
+        "degrees_of_freedom": by_axis(curve.edf),
+    }
+
+
 def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
-    sets = selection.ranking[: max(3, len(selection.indistinguishable))]
+    # With the set of all terms, which says what there was to choose from.
+    whole = max(selection.ranking, key=lambda s: len(s.terms))
+    first = selection.ranking[:3]
+    sets = [s for s in selection.ranking if s in first or s.probability > _IMPROBABLE or s == whole]
     return [
         {
             "terms": list(s.terms),
+            "parameters": s.parameters,
             "probability": s.probability,
-            "log_evidence": s.log_evidence - selection.best.log_evidence,
+            "log_evidence": _finite(s.log_evidence - selection.best.log_evidence),
             "chosen": s == selection.chosen,
         }
         for s in sets

@@ -26,7 +26,7 @@ from allanjax.misfit import Misfit, misfit_of, widened
 from allanjax.model import Model
 from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Axis, Recording
-from allanjax.result import AxisFit, Fit
+from allanjax.result import AxisFit, Fit, fitted_model
 from allanjax.selection import TermSelection, basic_terms, select_terms
 from allanjax.starts import Starts, find_starts
 from allanjax.terms import Markov, Telegraph
@@ -388,9 +388,7 @@ def _axis_fit(
     """What a solution and its coefficients mean for one axis."""
     from scipy.stats import chi2
 
-    values = {label: c.value for label, c in coefficients.values.items() if np.isfinite(c.value)}
-    amplitudes = [values.get(p.label, 0.0) for p in reported(template) if p.parameter.kind == "amplitude"]
-    absent = np.array(template.term_labels)[~active | (np.array(amplitudes) == 0.0)]
+    inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
     return AxisFit(
         axis=axis,
         converged=bool(solution.converged),
@@ -401,7 +399,7 @@ def _axis_fit(
         discrepancy=float(solution.discrepancy) / 2.0,
         _coefficients=coefficients.values,
         _covariance=coefficients.covariance,
-        _model=template.with_values(**values).without(list(absent)),
+        _model=fitted_model(template, coefficients.values, inactive),
     )
 
 

@@ -59,7 +59,7 @@ def likelihood(fit: Fit, axis: str) -> Likelihood:
     """The likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else of its Allan variances.
 
     Raises:
-        FitError: the axis did not converge.
+        FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum.
     """
     result = fit[axis]
     parameters = tuple(p for p in fit.template.parameters if p.free)
@@ -67,6 +67,11 @@ def likelihood(fit: Fit, axis: str) -> Likelihood:
         raise FitError(f"{axis}: no result to sample around, {result.reason}")
     if result.spectrum is not None:
         return _whittle(fit, result, parameters)
+    if fit.objective == "whittle":
+        raise FitError(
+            f"{axis}: the spectrum that was fitted is not in the file that the fit was loaded from; "
+            "fit the recording again to sample"
+        )
     # The frequency of a line is none of the Allan variances' business.
     lines = [k for k, term in enumerate(fit.template.terms) if term.deterministic]
     parameters = tuple(p for p in parameters if p.term not in lines or p.parameter.kind == "amplitude")

@@ -123,6 +123,16 @@ def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
     return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(parameter.kind, "1")
 
 
+def fitted_model(
+    template: Model, coefficients: Mapping[str, Coefficient], inactive: Sequence[str] = ()
+) -> Model:
+    """The template with these values, without the terms that are inactive or whose amplitude is zero."""
+    values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
+    amplitudes = [p for p in template.parameters if p.parameter.kind == "amplitude"]
+    absent = [p.term_label for p in amplitudes if values.get(p.label, 0.0) == 0.0]
+    return template.with_values(**values).without([*absent, *inactive])
+
+
 def title_of(label: str, axis: Axis) -> str:
     """A term's or a coefficient's name for people, e.g. "velocity random walk" on an accelerometer."""
     words = label.replace("_", " ")
