@@ -16,6 +16,7 @@ from allanjax.critique.causes.bias_step import BiasStep
 from allanjax.critique.causes.low_pass import LowPass, _ends, _fine
 from allanjax.critique.causes.outliers import Outliers, _scores
 from allanjax.critique.causes.resonance import _conspicuous
+from allanjax.critique.causes.temperature import Temperature
 from allanjax.critique.causes.variance_change import VarianceChange
 from allanjax.critique.filling import _predicted, filled
 from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
@@ -39,6 +40,20 @@ def view_of(x, allowed=EVERYTHING):
 def quantized(n, rng, white=0.3):
     """Increments of a rounded angle, of unit step, over white noise."""
     return np.diff(rng.uniform(-0.5, 0.5, n + 1)) + white * rng.standard_normal(n)
+
+
+# --- Other channels -----------------------------------------------------------------------------------------
+
+
+def test_a_counter_is_no_temperature():
+    """A channel that is a straight line is a clock, whatever ramp there is in the record; a curve is none."""
+    t = np.linspace(0.0, 1.0, N)
+    x = np.random.default_rng(31).standard_normal(N) + 3.0 * t
+    for channel, is_one in ((np.arange(N) * 7.0 + 3.0, False), (t + 0.3 * np.sin(5.0 * t), True)):
+        view = dataclasses.replace(view_of(x), auxiliary={"channel": channel})
+        assert (Temperature().p_value(view) is not None) is is_one
+        if not is_one:
+            assert Temperature().detect(view) is None
 
 
 # --- Two steps ----------------------------------------------------------------------------------------------

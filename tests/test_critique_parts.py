@@ -14,6 +14,8 @@ from allanjax.critique.causes.bias_step import BiasStep
 from allanjax.critique.causes.common_mode import _Link, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
+from allanjax.critique.causes.saturation import Saturation
+from allanjax.critique.causes.sinusoid import refined
 from allanjax.critique.causes.telegraph import Telegraph, _chain, _noise, two_levels
 from allanjax.critique.filling import filled
 from allanjax.critique.gain import drift_changes
@@ -174,6 +176,23 @@ def test_clipped_samples_get_their_variance_back():
     assert np.all(y[x < 0.8] == x[x < 0.8])
     assert sigma == pytest.approx(1.0, abs=0.02)
     assert kstest(y, "norm").statistic < 0.015
+
+
+@pytest.mark.parametrize("limits", [(-0.8, np.inf), (-np.inf, 1.1), (-0.8, 1.1)])
+def test_what_was_clipped_is_restored_beyond_its_limit(limits):
+    """Below as above, with the standard deviation that was there, within five per cent (4σ of 4,000)."""
+    x = np.random.default_rng(23).standard_normal(4000)
+    lower, upper = limits
+    clipped = np.clip(x, lower, upper)
+    found = Saturation().detect(view_of(clipped))
+    assert found is not None
+    restored = found.after.x
+    assert np.all(restored[x < lower] <= lower)
+    assert np.all(restored[x > upper] >= upper)
+    np.testing.assert_array_equal(restored[clipped == x], x[clipped == x])
+    assert restored.std() == pytest.approx(x.std(), rel=0.05)
+    levels = {found.parameters[name].value for name in ("level", "other_level") if name in found.parameters}
+    assert levels == {level for level in limits if np.isfinite(level)}
 
 
 @pytest.mark.parametrize(("step", "bias"), [(1.0, 0.0), (0.01, 9.8), (7.3e-6, -3e-3), (1.0 / 32768.0, 1e3)])
@@ -344,6 +363,44 @@ def test_views_keep_what_they_are_made_of():
     assert twice.factor == pytest.approx(0.25 * np.ones(N - 1))
     assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
     assert dataclasses.replace(view, found=("sinusoid",)).found == ("sinusoid",)
+
+
+# --- Errors that are told -----------------------------------------------------------------------------------
+
+
+def test_a_lines_errors_are_those_of_many_records():
+    """Of 100 records of a line in white noise; four standard errors of a standard deviation are 28 %."""
+    n, rate, f, a, z = 2000, 10.0, 1.234, 0.25, []
+    rng = np.random.default_rng(21)
+    for _ in range(100):
+        phase = 2.0 * np.pi * (f * (np.arange(n) + 0.5) / rate + rng.uniform())
+        c = centred(a * np.cos(phase) + rng.standard_normal(n))
+        found, f_std, beta, std, _ = refined(c, np.ones(n - 1), f, rate)
+        z.append([(found - f) / f_std, (np.hypot(*beta) - a) / std])
+    np.testing.assert_allclose(np.std(z, axis=0), 1.0, atol=0.28)
+
+
+def test_a_steps_errors_are_those_of_many_records():
+    """Steps of ten standard deviations: time and amplitude scatter as told.
+
+    The place between two samples and the spacing of the bank make the time's deviation larger than the
+    scatter, twice perhaps.
+    """
+    rng, places, times, amplitudes = np.random.default_rng(22), [], [], []
+    n = 1000
+    size = 10.0 * 2.0 / np.sqrt(n)
+    for _ in range(10):
+        place = int(rng.integers(n // 3, 2 * n // 3))
+        x = rng.standard_normal(n) + size * (np.arange(n) >= place)
+        candidate = BiasStep().detect(view_of(x))
+        assert candidate is not None
+        time, amplitude = candidate.parameters["time"], candidate.parameters["amplitude"]
+        places.append(time.std * RATE)
+        times.append((time.value - place / RATE) / time.std)
+        amplitudes.append((abs(amplitude.value) - size) / amplitude.std)
+    for z in (times, amplitudes):
+        assert 0.3 < np.sqrt(np.mean(np.square(z))) < 2.0
+    assert np.median(places) < n / 20.0
 
 
 # --- Gain ---------------------------------------------------------------------------------------------------

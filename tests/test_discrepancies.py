@@ -219,6 +219,18 @@ def test_bands_hold_95_percent(variance):
     assert np.mean(inside[1::2]) == pytest.approx(0.95, abs=0.01)
 
 
+def test_the_spectrum_is_drawn_at_the_mean_frequency_of_its_bins(variance):
+    x = drawn(variance, np.random.default_rng(13))
+    _, spectrum = summaries(record(x, variance))
+    frequency = np.arange(1, N) * RATE / (2.0 * N)
+    first = octave_bins(N)[:-1] - 1
+    count = np.diff(octave_bins(N))
+    np.testing.assert_allclose(spectrum.place, np.add.reduceat(frequency, first) / count, rtol=1e-12)
+    # One-sided: the mean of c² over its bin, times 2/rate.
+    squares = np.add.reduceat(centred(x) ** 2, first) / count
+    np.testing.assert_allclose(spectrum.measured, 2.0 / RATE * squares, rtol=1e-12)
+
+
 @pytest.mark.parametrize("n", [16, 100, N])
 def test_bins_hold_every_coefficient_once(n):
     edges = octave_bins(n)

@@ -228,6 +228,11 @@ def test_upper_limit_of_an_absent_term_is_that_of_quadrature(two_terms, truth):
     # 256 draws: below 1 % each in several repetitions.
     assert marginal.upper_limit == pytest.approx(np.interp(0.95, probability, grid), rel=0.03)
     assert marginal.median == pytest.approx(np.interp(0.5, probability, grid), rel=0.03)
+    middle, weight = (grid[1:] + grid[:-1]) / 2.0, np.diff(probability)
+    std = np.sqrt(weight @ middle**2 - (weight @ middle) ** 2)
+    assert marginal.std == pytest.approx(std, rel=0.05)
+    assert marginal.interval_68[0] == 0.0
+    assert marginal.interval_68[1] == pytest.approx(np.interp(0.68, probability, grid), rel=0.03)
     assert not marginal.sampled
     assert not marginal.detected
     assert marginal.interval == (0.0, marginal.upper_limit)

@@ -27,7 +27,7 @@ def posterior(small_fit):
 def test_derived_quantities_follow_from_the_draws(posterior):
     axis = posterior["gyro_x"]
     fixed = dataclasses.replace(axis, draws=np.tile([N, K], (50, 1)))
-    for t, drift in fixed.predicted_drift((0.5, 60.0, 3600.0)).items():
+    for t, drift in fixed.predicted_drift((0.5, 60.0, 150.0, 3600.0)).items():
         # σ_A² = N²/T + K²T/3, the thesis's (4.36) and (4.53).
         exact = np.sqrt(2.0) * t * np.sqrt(N**2 / t + K**2 * t / 3.0)
         assert drift.median == pytest.approx(exact, rel=1e-9)

@@ -123,7 +123,8 @@ def refined(
     )
     z, beta, std = fitted(f)
     # Cramér–Rao, of frequency with phase and amplitude unknown (Rife & Boorstyn 1974).
-    f_std = np.sqrt(6.0) / (np.pi * (n / rate) * np.sqrt(2.0 * max(z, 1e-6)))
+    # √6·σ/(πAT√n), where A²n/2σ² is the squared signal-to-noise ratio 2z.
+    f_std = np.sqrt(6.0) / (np.pi * (n / rate) * 2.0 * np.sqrt(max(z, 1e-6)))
     return f, float(f_std), beta, std, z
 
 
