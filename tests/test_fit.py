@@ -1,6 +1,8 @@
 """The fit: recovers what was simulated, says what it cannot know, and refuses what it does not have."""
 
 import dataclasses
+import importlib
+import types
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,8 @@ import numpy as np
 import pytest
 
 import allanjax as aj
+from allanjax.gls import Solution
+from allanjax.starts import Starts
 
 RATE = 100.0
 # Estimates of true coefficients lie within this many of their standard deviations (once in 16,000 not).
@@ -157,6 +161,25 @@ def test_an_incomplete_model_is_said_so_and_widens_the_intervals() -> None:
     assert bad.discrepancy > 0.01
     assert "model incomplete" in bad.verdict()
     assert bad["angle_random_walk"].std > 5.0 * good["angle_random_walk"].std
+
+
+def test_of_several_starts_the_best_solution_is_taken(monkeypatch) -> None:
+    """Of those that converged the one of least cost; axis by axis, whatever the order."""
+    module = importlib.import_module("allanjax.fit")
+    cost = np.array([[3.0, 1.0, np.nan], [1.0, 2.0, 5.0], [0.5, 0.5, 4.0], [2.0, 3.0, 9.0]])
+    converged = np.array([[1, 1, 0], [1, 1, 1], [0, 0, 1], [1, 1, 1]], bool)
+
+    def solve(design, V, free, active, power, shape):
+        k = int(power[0, 0])
+        zero = np.zeros(3)
+        return Solution(power, shape, zero, zero, converged[k], cost[k])
+
+    monkeypatch.setattr(module, "solve", solve)
+    monkeypatch.setattr(module, "infer", lambda *_: None)
+    starts = Starts(np.tile(np.arange(4.0)[:, None], (3, 1, 1)), np.zeros((3, 4, 1)))
+    design = types.SimpleNamespace(movable=np.array([True]))
+    solution, _ = module.solve_and_infer(design, np.ones((3, 5)), None, None, starts)
+    np.testing.assert_array_equal(solution.power[:, 0], [1.0, 0.0, 2.0])
 
 
 def test_an_unconverged_fit_is_no_result() -> None:
