@@ -282,8 +282,9 @@ def test_axis_that_never_changes(tmp_path, frame):
     fails(path, "'gyro_x [deg/s]' is constant (0.25 from row 0", "leave it out")
     # For a chunk it may be.
     for part in (np.arange(ROWS) < 1500, np.arange(ROWS) >= ROWS - 1500):
-        still = np.where(part, 0.25, frame["gyro_y [deg/s]"])
-        check(save(frame.assign(**{"gyro_y [deg/s]": still}), path), 1000)
+        still = {name: np.where(part, 0.25, frame[name]) for name in HEADER}
+        check(save(frame.assign(**{"gyro_y [deg/s]": still["gyro_y [deg/s]"]}), path), 1000)
+        check(save(frame.assign(**still), path), 1000)
 
 
 def test_files_that_are_none(tmp_path, frame, noise):
