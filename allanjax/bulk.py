@@ -33,6 +33,7 @@ from allanjax.result import usual_unit
 from allanjax.starts import find_starts
 from allanjax.text_table import text_table
 from allanjax.units import unit_scale
+from allanjax.wording import significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -130,7 +131,7 @@ class BulkFit(ByValue):
         rows = []
         for (label, unit), of_label in self.to_dataframe().groupby(["coefficient", "unit"], sort=False):
             seen = of_label["value"][of_label["detected"]]
-            ends = [f"{x:.4g}" for x in seen.quantile([0.05, 0.5, 0.95])] if len(seen) else [""] * 3
+            ends = [significant(x, 4) for x in seen.quantile([0.05, 0.5, 0.95])] if len(seen) else [""] * 3
             rows.append([str(label), str(unit), *ends, f"{len(seen)} of {len(of_label)} axes"])
         title = (
             f"{len(self)} axes of {self.curve.n:,} samples at {self.curve.rate:g} Hz, "

@@ -9,6 +9,7 @@ from allanjax.notation import parse_model
 from allanjax.recording import Recording
 from allanjax.result import Coefficient, Fit
 from allanjax.simulate import simulate_recording
+from allanjax.wording import plain
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -84,7 +85,7 @@ def comparison_table(comparisons: Iterable[Comparison]) -> "Table":
             c.axis.name,
             c.title,
             c.describe(),
-            f"{truth:.4g} {c.unit}" if truth else "nothing",
+            f"{plain(truth, 4)} {c.unit}" if truth else "nothing",
             "inside" if comparison.inside else "OUTSIDE",
         )
     return table

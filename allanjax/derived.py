@@ -15,7 +15,6 @@ from allanjax.equality import ByValue
 from allanjax.estimate import Estimate
 from allanjax.model import Model
 from allanjax.recording import Axis
-from allanjax.wording import format_interval
 
 # Draws whose curves are evaluated at once: terms without a closed form need room.
 _AT_ONCE = 16
@@ -73,7 +72,7 @@ class Derived(Estimate):
         return self.usual
 
     def _amount(self) -> str:
-        return f"{super()._amount()} (95 %: {format_interval(*self.interval)})"
+        return f"{super()._amount()} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:
         return f"{amount}; {self.remark}" if self.remark else amount

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 from allanjax.equality import ByValue
 from allanjax.recording import Axis
 from allanjax.units import convert, si_unit
-from allanjax.wording import format_with_error
+from allanjax.wording import format_interval, format_with_error
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -71,6 +71,10 @@ class Estimate(ByValue):
         """
         shown = self if unit is None else self.in_unit(unit)
         return shown._sentence(shown._amount())
+
+    def describe_interval(self) -> str:
+        """The 95 % interval, with as many decimals as the value has, e.g. "0.498 … 0.526"."""
+        return format_interval(*self.interval, self.value, self.std)
 
     def __str__(self) -> str:
         amount = self._amount()

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from allanjax.errors import AllanjaxError
 from allanjax.recording import Axis
 from allanjax.result import AxisFit, Fit, title_of
+from allanjax.wording import duration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -270,15 +271,9 @@ def wrapped(text: str) -> str:
 
 
 def facts_of(n: int, rate: float) -> str:
-    """E.g. "3.33 min at 100 Hz, 20,000 samples"."""
-    return f"{_duration(n / rate)} at {rate:g} Hz, {n:,} samples"
+    """E.g. "200 s at 100 Hz, 20,000 samples"."""
+    return f"{duration(n / rate)} at {rate:g} Hz, {n:,} samples"
 
 
 def _shortened(text: str, length: int) -> str:
     return text if len(text) <= length else f"{text[: length - 1]}…"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120.0:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60.0:.3g} min" if seconds < 7200.0 else f"{seconds / 3600.0:.3g} h"

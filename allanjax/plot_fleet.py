@@ -15,6 +15,7 @@ from allanjax.figure import POINTS, finished, look
 from allanjax.recording import Axis
 from allanjax.result import title_of
 from allanjax.units import Sensor
+from allanjax.wording import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,7 +193,7 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
     height = of["height"].to_numpy()
     if (height <= 0.0).any():
         return
-    from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     low = max(float(of.loc[of["lower_95"] > 0.0, "lower_95"].min()), height.min() / _BEYOND)
     high = min(float(of.loc[of["detected"], "upper_95"].max()), height.max() * _BEYOND)
@@ -203,7 +204,7 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
     # Within a decade or less, powers of ten alone would leave the scale without numbers.
     near = high / low < _NEAR
     panel.yaxis.set_major_locator(MaxNLocator(6) if near else LogLocator(subs=(1.0, 2.0, 5.0)))
-    panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda y, _: plain(y)))
     panel.yaxis.set_minor_locator(NullLocator())
 
 

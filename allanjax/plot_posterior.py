@@ -14,7 +14,7 @@ from allanjax.errors import AllanjaxError
 from allanjax.posterior import AxisPosterior, Posterior
 from allanjax.result import Coefficient, Fit
 from allanjax.units import unit_scale
-from allanjax.wording import format_with_error
+from allanjax.wording import format_with_error, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -136,7 +136,7 @@ def _heading(m: Coefficient) -> str:
     shown = m.in_unit()
     if m.detected:
         return format_with_error(shown.value, shown.std)
-    return "not detected" if shown.upper_limit is None else f"below {shown.upper_limit:.3g} (95 %)"
+    return "not detected" if shown.upper_limit is None else f"below {significant(shown.upper_limit)} (95 %)"
 
 
 def _range(x: Float[np.ndarray, " draws"]) -> tuple[float, float]:

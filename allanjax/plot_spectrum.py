@@ -31,6 +31,7 @@ from allanjax.figure import (
 from allanjax.flat_band import SpectralRandomWalk, chi_squared_factors
 from allanjax.result import AxisFit, Fit, title_of
 from allanjax.spectrum import PowerSpectrum, density_unit
+from allanjax.wording import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -252,7 +253,7 @@ def _key(
                 entries.append(term_entry(fit, result, label, remark))
     if walk is not None:
         low, high = walk.band
-        text = f"N by eq. (3.41): {walk.in_unit().describe()} ({low:.3g} to {high:.3g} Hz)"
+        text = f"N by eq. (3.41): {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
         entries.append(KeyEntry(wrapped(text), {"color": _BAND, "linewidth": 7.0, "solid_capstyle": "butt"}))
     elif spectrum.axes is not None:
         entries.append(KeyEntry(wrapped("N by eq. (3.41): nowhere flat over an octave")))

@@ -20,7 +20,7 @@ from allanjax.recording import Axis
 from allanjax.result import Fit, in_two_lines
 from allanjax.text_table import html_table, text_table
 from allanjax.units import default_coefficient_unit
-from allanjax.wording import format_interval
+from allanjax.wording import duration
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -311,8 +311,8 @@ class Posterior(ByValue):
     def _title(self) -> str:
         name = f"{self.fit.name}: " if self.fit.name else ""
         curve = self.fit.curve
-        hours = curve.n / curve.rate / 3600.0
-        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({hours:.3g} h)"
+        length = duration(curve.n / curve.rate)
+        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({length})"
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         rows = []
@@ -320,7 +320,7 @@ class Posterior(ByValue):
             for m in result.coefficients.values():
                 shown = m.in_unit()
                 known = m.detected and not m.held
-                interval = format_interval(*shown.interval) if known else ""
+                interval = shown.describe_interval() if known else ""
                 rows.append((result.axis.name, m.title, shown.describe(), interval))
             rows.append((result.axis.name, "", result.verdict(), ""))
         return rows

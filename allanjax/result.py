@@ -20,7 +20,7 @@ from allanjax.model import Model
 from allanjax.recording import Axis, DeadAxis
 from allanjax.terms import Parameter
 from allanjax.units import Sensor, default_coefficient_unit, rate_unit_of
-from allanjax.wording import format_interval
+from allanjax.wording import duration, plain, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,11 +97,11 @@ class Coefficient(Estimate):
 
     def _amount(self) -> str:
         if self.held:
-            return self._with_unit(f"{self.value:.6g}")
+            return self._with_unit(plain(self.value))
         if not self.measured:
-            return self._with_unit(f"{self.value:.3g}") if self.value > 0.0 else "none"
+            return self._with_unit(significant(self.value)) if self.value > 0.0 else "none"
         if not self.detected:
-            return "" if self.upper_limit is None else self._with_unit(f"{self.upper_limit:.3g}")
+            return "" if self.upper_limit is None else self._with_unit(significant(self.upper_limit))
         return super()._amount()
 
     def _sentence(self, amount: str) -> str:
@@ -250,7 +250,7 @@ class AxisFit(ByValue):
         if not np.isfinite(self.mean):
             return ""
         unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
-        return f"mean {self.mean / scale:.4g} {unit}, rms {self.rms / scale:.2g} {unit}"
+        return f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
 
     def verdict(self) -> str:
         """One line on how well the model fits."""
@@ -361,7 +361,7 @@ class Fit(ByValue):
             for c in result.coefficients.values():
                 shown = c.in_unit()
                 known = c.detected and not c.held
-                interval = format_interval(*shown.interval) if known else ""
+                interval = shown.describe_interval() if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
             if level := result.level():
                 cells.append((result.axis.name, "", level, ""))
@@ -370,9 +370,9 @@ class Fit(ByValue):
         return cells
 
     def _title(self) -> str:
-        hours = self.curve.n / self.curve.rate / 3600.0
+        length = duration(self.curve.n / self.curve.rate)
         name = f"{self.name}: " if self.name else ""
-        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({hours:.3g} h)"
+        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length})"
 
     def __str__(self) -> str:
         import textwrap

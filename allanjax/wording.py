@@ -1,26 +1,83 @@
-"""How numbers are written for people: values with errors, and intervals."""
+"""How numbers are written for people: values with errors, intervals, limits, durations; one style everywhere.
 
-import numpy as np
+An error has two significant digits, and its value and interval as many decimals; thousands are set apart by
+commas; an exponent is written only for what is below 1e-4 or from 1e7 on.
+"""
+
+import math
+
+_SMALL, _LARGE = 1e-4, 1e7
 
 
 def format_with_error(value: float, std: float) -> str:
-    """Value and 1-σ to two digits of the latter, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05"."""
-    if not (np.isfinite(std) and std > 0.0 and np.isfinite(value)):
-        return f"{value:.6g}"
-    exponent = int(np.floor(np.log10(max(abs(value), std))))
-    scale = 10.0**exponent if not -4 <= exponent < 6 else 1.0
-    digits = max(0, 1 - int(np.floor(np.log10(std / scale))))
-    text = f"{value / scale:.{digits}f} ± {std / scale:.{digits}f}"
-    return text if scale == 1.0 else f"({text})e{exponent:+03d}"
+    """Value and 1-σ to two digits of the latter, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05".
+
+    Without an error the value alone, to six digits.
+    """
+    if not _known(value, std):
+        return plain(value, 6)
+    power = _power(max(abs(value), std))
+    return _with_power(f"{_fixed(value, std, power)} ± {_fixed(std, std, power)}", power)
 
 
-def format_interval(lower: float, upper: float) -> str:
-    """Both ends with as many digits as it takes to tell them apart, at least four."""
-    width = upper - lower
-    digits = 4
-    if np.isfinite(width) and width > 0.0:
-        digits = max(4, 3 + int(np.ceil(np.log10(max(abs(lower), abs(upper)) / width))))
-    largest = max(abs(lower), abs(upper))
-    if 1e4 <= largest < 1e9:
-        digits = max(digits, 1 + int(np.log10(largest)))  # rather than an exponent
-    return f"{lower:.{digits}g} … {upper:.{digits}g}"
+def format_interval(lower: float, upper: float, value: float, std: float) -> str:
+    """Both ends with the decimals that `format_with_error` gives the value, e.g. "0.4985 … 0.5257".
+
+    Without an error the ends say how well the value is known.
+    """
+    if not _known(value, std):
+        std = (upper - lower) / 4.0
+    if not (_known(value, std) and math.isfinite(lower) and math.isfinite(upper)):
+        return f"{plain(lower, 6)} … {plain(upper, 6)}"
+    power = _power(max(abs(value), std))
+    return _with_power(f"{_fixed(lower, std, power)} … {_fixed(upper, std, power)}", power)
+
+
+def significant(x: float, digits: int = 3) -> str:
+    """So many significant digits, zeros included, e.g. "3,470", "0.500" or "1.20e-06"."""
+    if not math.isfinite(x) or x == 0.0:
+        return f"{x:g}"
+    place = 10.0 ** (_exponent(x, digits) - digits + 2)
+    power = _power(float(f"{x:.{digits - 1}e}"))
+    text = _fixed(x, place, power)
+    return f"{text}e{power:+03d}" if power else text
+
+
+def plain(x: float, digits: int = 6) -> str:
+    """Of a given number, so many digits at most and no zeros at the end, e.g. "0.5" or "1,234.5"."""
+    text, _, power = significant(x, digits).partition("e")
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{text}e{power}" if power else text
+
+
+def duration(seconds: float) -> str:
+    """A length of time, e.g. "600 s", "25 min" or "2.78 h"."""
+    if seconds < 1000.0:
+        return f"{plain(seconds, 3)} s"
+    return f"{plain(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{plain(seconds / 3600.0, 3)} h"
+
+
+def _known(value: float, std: float) -> bool:
+    return math.isfinite(value) and math.isfinite(std) and std > 0.0
+
+
+def _exponent(x: float, digits: int) -> int:
+    """The power of ten of x once rounded to so many significant digits."""
+    return int(f"{x:.{digits - 1}e}".partition("e")[2])
+
+
+def _power(largest: float) -> int:
+    """The power of ten to write after a number; none where it is easily read without."""
+    return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else _exponent(largest, 16)
+
+
+def _fixed(x: float, error: float, power: int) -> str:
+    """x/10^power with as many decimals as the second digit of its error."""
+    decimals = power + 1 - _exponent(error, 2)
+    # Adding zero makes minus zero plain.
+    rounded = round(x / 10.0**power, decimals) + 0.0
+    return f"{rounded:,.{max(decimals, 0)}f}"
+
+
+def _with_power(text: str, power: int) -> str:
+    return f"({text})e{power:+03d}" if power else text

@@ -17,6 +17,7 @@ from allanjax.critique.result import (
 from allanjax.critique.words import describe, factor_off, filled, p_value, parameters, percent, what
 from allanjax.recording import Axis
 from allanjax.result import title_of
+from allanjax.wording import duration, plain
 
 #: A discrepancy with a larger p-value is not worth a word: of some fourteen an axis, a few are small anyway.
 UNEXPLAINED = 1e-4
@@ -182,22 +183,17 @@ def _wrapped(text: str, first: str, rest: str | None = None) -> str:
 def _coefficient(c: CoefficientChange, axis: Axis) -> str:
     name = title_of(c.label, axis)
     if not np.isfinite(c.before):
-        return f"{name} none → {_short(c.after)} {c.unit}"
+        return f"{name} none → {plain(c.after, 3)} {c.unit}"
     if not np.isfinite(c.after):
-        return f"{name} {_short(c.before)} {c.unit} → none"
-    return f"{name} {_short(c.before)} → {_short(c.after)} {c.unit}"
+        return f"{name} {plain(c.before, 3)} {c.unit} → none"
+    return f"{name} {plain(c.before, 3)} → {plain(c.after, 3)} {c.unit}"
 
 
 def _drift(drift: DriftChange) -> str:
     return (
-        f"drift over {drift.horizon:.3g} s: measured {_short(drift.measured)} {drift.unit}, "
-        f"predicted {_short(drift.before)} before and {_short(drift.after)} after"
+        f"drift over {duration(drift.horizon)}: measured {plain(drift.measured, 3)} {drift.unit}, "
+        f"predicted {plain(drift.before, 3)} before and {plain(drift.after, 3)} after"
     )
-
-
-def _short(x: float) -> str:
-    """Three digits, without an exponent where people need none."""
-    return f"{x:,.0f}" if 999.5 <= abs(x) < 1e6 else f"{x:.3g}"
 
 
 def _notable(before: float, after: float) -> bool:

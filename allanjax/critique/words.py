@@ -10,7 +10,7 @@ import numpy as np
 
 from allanjax.critique.result import Discrepancy
 from allanjax.critique.view import Quantity
-from allanjax.wording import format_with_error
+from allanjax.wording import format_with_error, plain
 
 # Statistics whose two values compare as a ratio: their name, and what stands before a place.
 _RELATIVE = {
@@ -50,11 +50,11 @@ def quantity(q: Quantity, name: str = "") -> str:
     if name in _COUNTS and np.isfinite(q.value):
         return f"{round(q.value):,}{'' if q.unit in ('', '1') else f' {q.unit}'}"
     if name == "fraction":
-        return f"{100.0 * q.value:.3g} %"
+        return f"{plain(100.0 * q.value, 3)} %"
     unit, factor = (q.unit, 1.0) if name in _AS_RECORDED else suited(q.unit, q.value)
     value, std = factor * q.value, factor * q.std
     known = std > _EXACT * abs(value)
-    text = format_with_error(value, std) if known else f"{value:.{6 if std > 0.0 else 4}g}"
+    text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
     return f"{text}{f' {unit}' if unit else ''}"
 
 
@@ -63,7 +63,7 @@ def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:
         return "none"
     numbers = [v for v in values if not isinstance(v, str)]
     unit, factor = suited(unit, max(numbers, key=abs, default=0.0))
-    shown = [v if isinstance(v, str) else f"{factor * v:.4g}" for v in values[:_SHOWN]]
+    shown = [v if isinstance(v, str) else plain(factor * v, 4) for v in values[:_SHOWN]]
     more = f", … ({len(values)} in all)" if len(values) > _SHOWN else ""
     return f"{', '.join(shown)}{f' {unit}' if unit else ''}{more}"
 
@@ -99,12 +99,12 @@ def p_value(p: float) -> str:
 
 def what(d: Discrepancy) -> str:
     """The same without its p-value."""
-    place = f"{d.where:.3g} {d.where_unit}"
+    place = f"{plain(d.where, 3)} {d.where_unit}"
     if d.statistic in _RELATIVE:
         name, before = _RELATIVE[d.statistic]
         return f"simulated {name} is {factor_off(d.size)} {before} {place}"
     unit, factor = suited(d.unit, d.measured)
-    value, simulated = (f"{factor * x:.2g}" for x in (d.measured, d.simulated))
+    value, simulated = (plain(factor * x, 2) for x in (d.measured, d.simulated))
     return {
         "psd_line": f"a line of {value} {unit} at {place}, simulations reach {simulated}",
         "autocorrelation": f"residuals correlate by {value} after {place}",
