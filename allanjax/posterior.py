@@ -15,6 +15,7 @@ from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.marginals import Marginal
 from allanjax.model import Model
+from allanjax.names import called
 from allanjax.priors import Prior
 from allanjax.recording import Axis
 from allanjax.result import Fit, in_two_lines
@@ -79,10 +80,12 @@ class AxisPosterior(ByValue):
     duration: float
     _template: Model
 
-    def __getitem__(self, label: str) -> Marginal:
-        if label not in self.coefficients:
+    def __getitem__(self, name: str) -> Marginal:
+        """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW"."""
+        label = called(name, self.coefficients)
+        if label is None:
             known = ", ".join(self.coefficients)
-            raise AllanjaxError(f"{self.axis.name} has no coefficient {label!r}; it has {known}")
+            raise AllanjaxError(f"{self.axis.name} has no coefficient {name!r}; it has {known}")
         return self.coefficients[label]
 
     def __repr__(self) -> str:

@@ -17,6 +17,7 @@ from allanjax.errors import FitError
 from allanjax.estimate import Estimate
 from allanjax.misfit import Misfit
 from allanjax.model import Model
+from allanjax.names import called
 from allanjax.recording import Axis, DeadAxis
 from allanjax.terms import Parameter
 from allanjax.units import Sensor, default_coefficient_unit, rate_unit_of
@@ -214,10 +215,12 @@ class AxisFit(ByValue):
         self._checked()
         return self._model
 
-    def __getitem__(self, label: str) -> Coefficient:
-        if label not in self.coefficients:
+    def __getitem__(self, name: str) -> Coefficient:
+        """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW" (`called`)."""
+        label = called(name, self.coefficients)
+        if label is None:
             raise FitError(
-                f"{self.axis.name} has no coefficient {label!r}; it has {', '.join(self.coefficients)}"
+                f"{self.axis.name} has no coefficient {name!r}; it has {', '.join(self.coefficients)}"
             )
         return self.coefficients[label]
 
