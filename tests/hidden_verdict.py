@@ -39,7 +39,7 @@ PARAMETERS = {
     "common_mode": ("correlation",),
     "markov": ("amplitude", "correlation_time"),
 } | {cause: ("coefficient",) for cause in TERMS if cause != "markov"}
-_OTHER_NAMES = {"lower": "other_level"}
+_OTHER_NAMES = {"level": "upper_level", "lower": "lower_level"}
 #: A place in time is near within this share of the record, any other parameter within this share of itself.
 NEAR_PLACE, NEAR = 0.02, 0.2
 
@@ -110,11 +110,14 @@ def compared(finding: Finding, effect: Effect, duration: float) -> dict[str, Com
         if name not in truth:
             continue
         true, value, std = float(truth[name]), float("nan"), float("nan")
+        if effect.cause in ("telegraph", "drift_ramp") and name in ("amplitude", "coefficient"):
+            true = abs(true)
         if (q := finding.parameters.get(_OTHER_NAMES.get(name, name))) is not None:
             scale = unit_scale(q.unit, sensor) if effect.cause in TERMS and q.unit != "s" else 1.0
             value, std = float(q.value) * scale, float(q.std) * scale
-        if effect.cause in ("telegraph", "drift_ramp") and name in ("amplitude", "coefficient"):
-            true = abs(true)
+            if q.limit:
+                # Right if the truth is on that side of it.
+                value, std = (max if q.limit == "above" else min)(true, value), 0.0
         place = name in ("time", "start", "end", "lag")
         near = NEAR_PLACE * duration if place else NEAR * abs(true)
         table[name] = Compared(true, value, std, _slack(effect.cause, name, true, duration), near)

@@ -130,6 +130,7 @@ def criticize(
             # An effect may be why there is no fit.
             fit.results[k].model if fit.results[k].converged else basic_model(s.start),
             extended(s),
+            fit.results[k].misfit,
         )
 
     with ThreadPoolExecutor(_WORKERS) as pool:

@@ -50,6 +50,7 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
         "sensor": axis.axis.sensor,
         "unit": axis.axis.unit,
         "baseline": _model(axis.baseline, axis.axis),
+        "baseline_measured": axis.misfit is None or not axis.misfit.excessive,
         "discrepancies": [
             {**_discrepancy(d), "after": _discrepancy(after[d.statistic]) if d.statistic in after else None}
             for d in axis.before
@@ -110,6 +111,7 @@ def _quantity(q: Quantity) -> dict[str, Any]:
         "value": plain if isinstance(q.value, tuple) else plain[0],
         "std": _finite(q.std),
         "unit": q.unit,
+        "limit": q.limit or None,
     }
 
 

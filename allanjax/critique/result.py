@@ -13,6 +13,7 @@ from jaxtyping import Float
 from allanjax.critique.view import Quantity
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
+from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.recording import Axis, DeadAxis
 from allanjax.result import Fit
@@ -165,6 +166,8 @@ class AxisCritique(ByValue):
         before, after: discrepancies of the baseline's and of the extended model's simulations.
         tests: p-value of every cause's best candidate on the record as it came.
         stages: the axis before the first finding and after each.
+        baseline: the model that this started from, and `misfit` how far its curve is off, if it does not
+            suffice.
         model: the extended model: noise terms and deterministic ones, with their values.
     """
 
@@ -176,6 +179,7 @@ class AxisCritique(ByValue):
     stages: tuple[Snapshot, ...]
     baseline: Model
     model: Model
+    misfit: Misfit | None = None
 
     def __repr__(self) -> str:
         causes = ", ".join(f.cause for f in self.findings) or "nothing found"

@@ -15,6 +15,7 @@ from allanjax.critique.result import (
     Finding,
 )
 from allanjax.critique.words import describe, factor_off, filled, p_value, parameters, percent, what
+from allanjax.misfit import LIMIT
 from allanjax.recording import Axis
 from allanjax.result import title_of
 from allanjax.wording import duration, plain
@@ -38,6 +39,8 @@ def story(critique: Critique) -> str:
     head = "nothing found" if count == 0 else f"{count} finding{'s' if count > 1 else ''}"
     gain = f", worth {nats(critique.gain)} on held-out data" if count else ""
     lines = [f"{critique.name or 'recording'}: {head} in {_axes(len(critique))}{gain}"]
+    # Before all that is said of coefficients: whether they are any.
+    lines[:0] = [_wrapped(text, "", "  ") for text in unmeasured(critique)]
     shared, previous = {name for f in critique.shared_findings for name in f.axes}, 2
     for axis in critique:
         block = _of_axis(axis, shared)
@@ -51,6 +54,30 @@ def story(critique: Critique) -> str:
         lines += told(finding, critique[finding.axes[0]].axis)
     notes = [_wrapped(f"note: {note}", "", "  ") for note in critique.notes]
     return "\n".join([*lines, *([""] if notes else []), *notes])
+
+
+def unmeasured(critique: Critique) -> tuple[str, ...]:
+    """A sentence for each axis whose baseline is not a measurement of the sensor, and what became of that."""
+    found = []
+    for axis in critique:
+        if axis.misfit is None or not axis.misfit.excessive:
+            continue
+        left = next((d for d in axis.after if d.statistic == _KNOWN), None)
+        off = left is not None and left.p_value < UNEXPLAINED and _is_far(left.size)
+        then = (
+            "what was found does not explain it, and the coefficients below are not the sensor's either; "
+            "cut off what was not at rest (--start, --stop), or look at the pictures"
+            if off
+            else "coefficients after what was found are those to look at"
+        )
+        name = axis.axis.name
+        found.append(f"{name}: the baseline is not a measurement of this sensor, {axis.misfit}; {then}")
+    return tuple(found)
+
+
+def _is_far(size: float) -> bool:
+    """Whether a relative error, of either sign, is beyond what coefficients may have."""
+    return not abs(np.log(max(1.0 + size, 1e-300))) < np.log(1.0 + LIMIT)
 
 
 def sentence(finding: Finding) -> str:

@@ -34,11 +34,21 @@ EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Quantity(ByValue):
-    """A parameter of a finding: value (a number, or several), standard deviation, unit."""
+    """A parameter of a finding: value (a number, or several), standard deviation, unit.
+
+    Where the search ended at a bound of what it looks through, or the record ends where something may go on,
+    the value is a `limit`: the parameter is "above" or "below" it (with 95 %), and has no standard deviation.
+    """
 
     value: float | tuple[float, ...] | tuple[str, ...]
     std: float
     unit: str
+    limit: Literal["", "above", "below"] = ""
+
+    @classmethod
+    def beyond(cls, value: float, limit: Literal["above", "below"], unit: str) -> Quantity:
+        """A limit."""
+        return cls(value, float("nan"), unit, limit)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -277,6 +287,12 @@ class View:
         c[1:] += self.c - self.residual
         c[0] = np.sqrt(self.n) * self.x.mean()
         return idct(c, norm="ortho", workers=-1)
+
+    def time(self, sample: float, std: float) -> Quantity:
+        """A place in time [samples]; that of a record's end is where something else might have been seen."""
+        if sample <= 0.0 or sample >= self.n:
+            return Quantity.beyond(sample / self.rate, "below" if sample <= 0.0 else "above", "s")
+        return Quantity(sample / self.rate, std / self.rate, "s")
 
     def own(self, value: float, std: float, per: str = "") -> Quantity:
         """An amplitude in the recording's own unit."""

@@ -24,7 +24,9 @@ _SHOWN = 3
 _EXACT = 1e-5
 _COUNTS = frozenset({"count", "jumps", "order", "longest"})
 # Values that the samples have, in whose unit people look for them.
-_AS_RECORDED = frozenset({"step", "level", "lower", "lower_level"})
+_AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
+# Places in time, and what is counted, of which limits have words of their own.
+_PLACES = frozenset({"start", "end", "time"})
 # Units for what is small in another one, the largest first, and their factor.
 _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
     "g": (("mg", 1e3), ("µg", 1e6)),
@@ -47,6 +49,8 @@ def quantity(q: Quantity, name: str = "") -> str:
     """Value, error and unit; counts are whole, shares in per cent, a long list is cut short."""
     if isinstance(q.value, tuple):
         return _several(q.value, q.unit)
+    if q.limit:
+        return f"{_beyond(q.limit, name)} {quantity(Quantity(_rounded(q.value), 0.0, q.unit), name)}"
     if name in _COUNTS and np.isfinite(q.value):
         return f"{round(q.value):,}{'' if q.unit in ('', '1') else f' {q.unit}'}"
     if name == "fraction":
@@ -56,6 +60,20 @@ def quantity(q: Quantity, name: str = "") -> str:
     known = std > _EXACT * abs(value)
     text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
     return f"{text}{f' {unit}' if unit else ''}"
+
+
+def _beyond(limit: str, name: str) -> str:
+    """What stands before a limit, e.g. "below"."""
+    if name in _PLACES:
+        return {"below": "at or before", "above": "at or after"}[limit]
+    if name in _COUNTS:
+        return {"below": "at most", "above": "at least"}[limit]
+    return limit
+
+
+def _rounded(limit: float) -> float:
+    """With three digits."""
+    return float(f"{limit:.3g}")
 
 
 def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:

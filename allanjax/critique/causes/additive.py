@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,9 @@ from allanjax.terms import NoiseTerm
 # Below this signal-to-noise ratio nothing is looked at more closely.
 _WORTH = 3.5
 _ROUNDS = 3
+# An end of a bank as likely as that, compared with the best shape, is within two standard deviations; the
+# probability that is left beyond a limit.
+_LIKELY, _BEYOND = float(np.exp(-2.0)), 0.05
 
 
 def additive(
@@ -112,6 +116,33 @@ def known(
 def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:
     """What puts a term, if there is one, into a model."""
     return lambda model: model if term is None else model + term
+
+
+def shape_parameter(
+    values: Float[np.ndarray, " shapes"],
+    likelihood: Float[np.ndarray, " shapes"],
+    spacing: float | Float[np.ndarray, " shapes"] = 1.0,
+) -> tuple[float, float, Literal["", "above", "below"]]:
+    """Mean and deviation of a shape's parameter; where an end of the bank is likely, a limit instead.
+
+    Args:
+        values: of the parameter, increasing.
+        likelihood: of each.
+        spacing: of the values, where a flat prior is to count them by it.
+
+    Returns:
+        The mean, the standard deviation and ""; or the 95 % limit, nan, and on which side of it it is.
+    """
+    weight = likelihood * spacing / np.sum(likelihood * spacing)
+    ends = likelihood[[0, -1]] / likelihood.max()
+    if ends.max() < _LIKELY:
+        return *mean_and_std(values, weight), ""
+    share = np.cumsum(weight)
+    # Between the two values of the bank that the limit is between.
+    between = np.convolve(np.pad(values, 1, mode="edge"), [0.5, 0.5], "valid")
+    if ends[1] >= ends[0]:
+        return float(between[np.searchsorted(share, _BEYOND)]), float("nan"), "above"
+    return float(between[np.searchsorted(share, 1.0 - _BEYOND) + 1]), float("nan"), "below"
 
 
 def mean_and_std(

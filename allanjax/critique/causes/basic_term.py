@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from allanjax.critique.bank import SLOW, Bank
-from allanjax.critique.causes.spectral import SHAPE, FineLevels, relative_errors
+from allanjax.critique.causes.spectral import SHAPE, FineLevels, limited, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.critique.weighing import SETS, odds
@@ -81,8 +81,7 @@ class BasicTerm(Cause):
         scale = unit_scale(unit, view.axis.sensor)
         parameters = {parameter.name: Quantity(value / scale, std / scale, unit)}
         if term == MARKOV:
-            time = _correlation_time(view, noise)
-            parameters["correlation_time"] = Quantity(time, relative_errors(view, noise)[SHAPE] * time, "s")
+            parameters["correlation_time"] = _correlation_time(view, noise)
         return parameters
 
 
@@ -108,7 +107,7 @@ def _p_value(view: View, term: str) -> float:
     return float(chi2.sf(ratio, 1)) * (1.0 if term == RAMP else 0.5)
 
 
-def _correlation_time(view: View, noise: Noise) -> float:
+def _correlation_time(view: View, noise: Noise) -> Quantity:
     """By maximum likelihood, between its neighbours in the grid."""
     levels = FineLevels(view)
 
@@ -116,5 +115,11 @@ def _correlation_time(view: View, noise: Noise) -> float:
         own = density(Markov(1.0, float(np.exp(u))), levels.frequency, view.rate)
         return levels.log_likelihood(extra=view.rate * own)
 
-    middle, step = np.log(noise.shape), np.log(view.family.times[1] / view.family.times[0])
-    return float(np.exp(levels.shape_of(likelihood, (middle - step, middle + step))[0]))
+    times = np.log(view.family.times)
+    middle, step = np.log(noise.shape), times[1] - times[0]
+    u = levels.shape_of(likelihood, (middle - step, middle + step))[0]
+    std = relative_errors(view, noise)[SHAPE]
+    # Beyond the grid a Markov process is another term: white noise, or a random walk.
+    u, std, limit = limited(u, std, (times[0], times[-1]))
+    T = float(np.exp(u))
+    return Quantity(T, std * T, "s", limit)

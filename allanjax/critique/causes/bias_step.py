@@ -10,7 +10,7 @@ import numpy as np
 
 from allanjax import terms
 from allanjax.critique.bank import FINEST, Bank, amplitude_price, step_bank, step_coefficients
-from allanjax.critique.causes.additive import adding, additive, known, mean_and_std
+from allanjax.critique.causes.additive import adding, additive, known, mean_and_std, shape_parameter
 from allanjax.critique.pair import best_pair
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
@@ -140,9 +140,13 @@ def _term(view: View, place: float, amplitude: float) -> terms.BiasStep:
 def _parameters(
     view: View, places: np.ndarray, amplitude: float, std: float, likelihood: np.ndarray
 ) -> Mapping[str, Quantity]:
-    place, spread = mean_and_std(places, likelihood)
-    spread = np.hypot(spread, (places[1] - places[0]) / np.sqrt(12.0))
+    spacing = places[1] - places[0]
+    place, spread, limit = shape_parameter(places, likelihood)
+    # Only at the record's ends does a bank end where a step might be beyond it.
+    if limit and (places[0] if limit == "below" else view.n - places[-1]) > 2.0 * spacing:
+        (place, spread), limit = mean_and_std(places, likelihood), ""
+    spread = np.hypot(spread, spacing / np.sqrt(12.0))
     return {
-        "time": Quantity(place / view.rate, float(spread) / view.rate, "s"),
+        "time": Quantity(place / view.rate, float(spread) / view.rate, "s", limit),
         "amplitude": view.own(amplitude, std),
     }

@@ -170,7 +170,9 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
         axes=names,
         parameters={
             "axes": Quantity(names, 0.0, ""),
-            "correlation": Quantity(mean, float(np.hypot(_error(mean, links), np.sqrt(spread))), "1"),
+            "correlation": Quantity(mean, float(np.hypot(_error(mean, links), np.sqrt(spread))), "1")
+            if mean < _STRONGEST - 1e-9
+            else Quantity.beyond(_STRONGEST, "above", "1"),
             "noise": Quantity((links[0].noise,), 0.0, ""),
             "pairs": Quantity(signs, 0.0, ""),
         },

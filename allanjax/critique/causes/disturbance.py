@@ -9,7 +9,7 @@ from scipy.special import gammaincc
 
 from allanjax.critique.bank import folds
 from allanjax.critique.filling import filled
-from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
+from allanjax.critique.view import Candidate, Cause, View, in_time
 
 _SHORTEST = 0.1  # s
 _LONGEST = 0.25  # of the record
@@ -60,13 +60,13 @@ class Disturbance(Cause):
             return None
         p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
         # It begins and ends below the noise: a share of it is not seen.
-        std = np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m) / view.rate
+        std = float(np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m))
         peak = float(np.max(abs(view.x[start:end] - np.median(view.x))))
         return Candidate(
             self.name,
             {
-                "start": Quantity(start / view.rate, std, "s"),
-                "end": Quantity(end / view.rate, std, "s"),
+                "start": view.time(start, std),
+                "end": view.time(end, std),
                 "peak": view.own(peak, view.spikes[1]),
             },
             gain,

@@ -12,7 +12,7 @@ from scipy.fft import dct, dst
 from scipy.ndimage import uniform_filter1d
 
 from allanjax import terms
-from allanjax.critique.causes.spectral import SHARES, FineLevels
+from allanjax.critique.causes.spectral import SHARES, FineLevels, Limit, limited
 from allanjax.critique.noise import MARKOV, density
 from allanjax.critique.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, in_time
 from allanjax.model import Model
@@ -63,7 +63,7 @@ class LowPass(Cause):
         gains = screen.gains
         if gains.max() < _WORTH:
             return None
-        filter_, bandwidth, half_power, std = screen.best()
+        filter_, bandwidth, told = screen.best()
         behind = screen.behind(view, filter_, bandwidth)
         visible = _visible(view, behind)
         after = view.behind(visible)
@@ -85,8 +85,11 @@ class LowPass(Cause):
         return Candidate(
             self.name,
             {
-                "bandwidth": Quantity(half_power, std, "Hz"),
-                "order": Quantity(float(filter_[0]), 0.0, "1"),
+                "bandwidth": told,
+                # Steeper filters than the steepest one that is looked for look like it.
+                "order": Quantity.beyond(float(filter_[0]), "above", "1")
+                if filter_[0] == max(order for order, _ in _FILTERS)
+                else Quantity(float(filter_[0]), 0.0, "1"),
             },
             gain,
             float(np.exp(-max(gain, 0.0))),
@@ -261,8 +264,8 @@ class _Screen(FineLevels):
         value, powers = self.scored(passed, deep / passed)
         return value, float(powers[-1])
 
-    def best(self) -> tuple[tuple[int, bool], float, float, float]:
-        """The best filter, its bandwidth, its half-power frequency, and how well that is known [Hz].
+    def best(self) -> tuple[tuple[int, bool], float, Quantity]:
+        """The best filter, its bandwidth [Hz], and its half-power frequency as it is known.
 
         Other filters being possible, and quantization, which rises where a filter falls.
         """
@@ -279,7 +282,10 @@ class _Screen(FineLevels):
         self.columns = best.columns
         weight = np.exp([one.gain - best.gain for one in found])
         off = [one.std**2 + (one.half_power - best.half_power) ** 2 for one in found]
-        return best.filter_, best.bandwidth, best.half_power, float(np.sqrt(weight @ off / weight.sum()))
+        if best.limit:
+            return best.filter_, best.bandwidth, Quantity.beyond(best.half_power, best.limit, "Hz")
+        std = float(np.sqrt(weight @ off / weight.sum()))
+        return best.filter_, best.bandwidth, Quantity(best.half_power, std, "Hz")
 
     def _leave_ends_out(self) -> None:
         """Leave out the highest frequencies, where the ends are all that is left.
@@ -300,13 +306,18 @@ class _Screen(FineLevels):
         bounds = (np.log(self.grid[max(k - 1, 0)]), np.log(self.grid[min(k + 1, _GRID - 1)]))
         u, std, gain = self.shape_of(lambda u: self.gain(filter_, float(np.exp(u))), bounds)
         bandwidth = float(np.exp(u))
+        u, std, limit = limited(u, std, (np.log(self.grid[0]), np.log(self.grid[-1])))
+        if limit:
+            told = float(np.exp(u))
+            told = _half_power(self.rate, told, filter_) or told
+            return _Maximum(filter_, bandwidth, told, 0.0, gain - price, self.columns, limit)
         half, above = (_half_power(self.rate, float(np.exp(x)), filter_) for x in (u, u + std))
         std = bandwidth * std if half is None else abs((above or self.rate / 2.0) - half)
-        return _Maximum(filter_, bandwidth, half or bandwidth, std, gain - price, self.columns)
+        return _Maximum(filter_, bandwidth, half or bandwidth, std, gain - price, self.columns, "")
 
 
 class _Maximum(NamedTuple):
-    """Best bandwidth of one kind of filter [Hz], deviation of its half-power frequency, and the noise."""
+    """Best bandwidth of one kind of filter [Hz], its half-power frequency or a limit of that, the noise."""
 
     filter_: tuple[int, bool]
     bandwidth: float
@@ -314,6 +325,7 @@ class _Maximum(NamedTuple):
     std: float
     gain: float
     columns: Float[np.ndarray, "terms bins"]
+    limit: Limit
 
 
 def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float | None:

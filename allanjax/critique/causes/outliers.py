@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from allanjax.critique.bank import any_of, folds
-from allanjax.critique.causes.additive import mean_and_std
+from allanjax.critique.causes.additive import shape_parameter
 from allanjax.critique.filling import filled
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
@@ -70,12 +71,12 @@ class Outliers(Cause):
             return None
         gain -= _price(view.n)
         # Of all that there are, also of those too small to be seen.
-        spread, relative = _known(scores[missing], threshold)
+        spread, relative, limit = _known(scores[missing], threshold)
         spread *= bulk
         parameters = {
             "count": Quantity(float(len(times)), float(np.sqrt(len(times) * 0.05)), "1"),
             "times": Quantity(tuple(float(k / view.rate) for k in times), 1.0 / view.rate, "s"),
-            "scale": view.own(spread, relative * spread),
+            "scale": dataclasses.replace(view.own(spread, relative * spread), limit=limit),
         }
         p_value = _p_value(float(np.max(abs(z))), view.n)
         return Candidate(
@@ -161,8 +162,10 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     return -float(refined.fun), float(min(share, 0.5)), float(scale)
 
 
-def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float]:
-    """The scale of those that scores above a threshold belong to, and its relative deviation.
+def _known(
+    found: Float[np.ndarray, " k"], threshold: float
+) -> tuple[float, float, Literal["", "above", "below"]]:
+    """The scale of those that scores above a threshold belong to, and its relative deviation; or a limit.
 
     Of normal errors only those are found that are larger: the normal law is cut off there.
     """
@@ -170,8 +173,8 @@ def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, flo
     width = np.sqrt(1.0 + np.exp(2.0 * log))
     each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
     total = each.sum(axis=0)
-    middle, spread = mean_and_std(log, np.exp(total - total.max()))
-    return float(np.exp(middle)), spread
+    middle, spread, limit = shape_parameter(log, np.exp(total - total.max()))
+    return float(np.exp(middle)), spread, limit
 
 
 def _threshold(share: float, scale: float) -> float:

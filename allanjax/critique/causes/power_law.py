@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critique.causes.spectral import FineLevels, relative_errors
+from allanjax.critique.causes.spectral import FineLevels, limited, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, Noise, density
 from allanjax.critique.view import MARGIN, Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.terms import PowerLaw as PowerLawTerm
 
 # The exponent lies this near to the best one of the grid.
 _REACH = 0.6
+# Exponents that a term may have, less a little; rounds in which the best one is looked for.
+_EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
 
 
 class PowerLaw(Cause):
@@ -31,7 +33,7 @@ class PowerLaw(Cause):
         if POWER_LAW not in noise.power or gain < MARGIN:
             return None
         after = view.allowing(allowed)
-        exponent, std = _exponent(view, noise)
+        exponent, std, limit = limited(*_exponent(view, noise), _EXPONENTS)
         amplitude = float(np.sqrt(noise.power[POWER_LAW]))
         relative = relative_errors(view, noise)[POWER_LAW]
 
@@ -43,7 +45,7 @@ class PowerLaw(Cause):
             return total
 
         parameters = {
-            "exponent": Quantity(exponent, std, "1"),
+            "exponent": Quantity(exponent, std, "1", limit),
             "amplitude": view.own(amplitude, 0.5 * relative * amplitude, "/√Hz"),
         }
         low = view.rate / (2.0 * view.n)
@@ -67,6 +69,13 @@ def _exponent(view: View, noise: Noise) -> tuple[float, float]:
         law = density(PowerLawTerm(1.0, exponent), levels.frequency, view.rate)
         return levels.log_likelihood(extra=view.rate * law)
 
-    bounds = (max(noise.shape - _REACH, -0.95), min(noise.shape + _REACH, 2.95))
-    exponent, std, _ = levels.shape_of(likelihood, bounds)
+    low, high = _EXPONENTS
+    middle = noise.shape
+    # What ends at the end of what is near is looked for farther on.
+    for _ in range(_ROUNDS):
+        bounds = (max(middle - _REACH, low), min(middle + _REACH, high))
+        exponent, std, _ = levels.shape_of(likelihood, bounds)
+        if abs(exponent - middle) < 0.95 * _REACH or exponent in (low, high):
+            break
+        middle = exponent
     return exponent, std

@@ -9,6 +9,7 @@ from scipy.special import gammaincc
 from allanjax import terms
 from allanjax.critique.bank import any_of
 from allanjax.critique.causes.bump import LINE, LOWEST, Spectrum
+from allanjax.critique.causes.spectral import limited
 from allanjax.critique.noise import Noise
 from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
 
@@ -80,11 +81,13 @@ class Resonance(Cause):
         if view.passes is not None:
             # As it is recorded, behind the filter.
             amplitude *= np.sqrt(np.interp(f0, view.family.frequency, view.passes))
-        deviation = np.sqrt(np.diag(covariance)) * [f0, Q, amplitude]
+        relative = np.sqrt(np.diag(covariance))
+        # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.
+        spacing = view.rate / (2.0 * view.n)
         parameters = {
-            "frequency": Quantity(float(f0), float(deviation[0]), "Hz"),
-            "quality_factor": Quantity(float(Q), float(deviation[1]), "1"),
-            "amplitude": view.own(float(amplitude), float(deviation[2])),
+            "frequency": _logarithmic(theta[0], relative[0], (LOWEST * spacing, view.rate / 2.0), "Hz"),
+            "quality_factor": _logarithmic(theta[1], relative[1], (_BUMP_Q, f0 / (LINE * spacing)), "1"),
+            "amplitude": view.own(float(amplitude), float(relative[2] * amplitude)),
         }
         half = f0 / Q
         return Candidate(
@@ -98,6 +101,12 @@ class Resonance(Cause):
             "frequency",
             lambda model: model + terms.Resonance(float(amplitude), float(f0), float(Q)),
         )
+
+
+def _logarithmic(u: float, std: float, bounds: tuple[float, float], unit: str) -> Quantity:
+    """A quantity of which the logarithm is known, between bounds."""
+    u, std, limit = limited(float(u), float(std), (float(np.log(bounds[0])), float(np.log(bounds[1]))))
+    return Quantity(float(np.exp(u)), float(np.exp(u)) * std, unit, limit)
 
 
 def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " n-1"]:

@@ -36,8 +36,7 @@ class Saturation(Cause):
             clipped = raw == level
             count += int(clipped.sum())
             (upper if side > 0.0 else lower)[clipped] += side * far
-            name = "level" if not parameters else "other_level"
-            parameters[name] = view.own(level, 0.0)
+            parameters["upper_level" if side > 0.0 else "lower_level"] = view.own(level, 0.0)
         if count > 0.9 * view.n:
             return None
         x, sigma = imputed(view.x, lower, upper, count)

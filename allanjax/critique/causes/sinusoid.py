@@ -42,7 +42,15 @@ class Sinusoid(Cause):
         # Prior: the amplitude's of `evidence`, any phase, any frequency.
         gain -= np.log(snr * (snr + 1.0) * np.log1p(1e4))
         gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
-        parameters = {"frequency": Quantity(f, f_std, "Hz"), "amplitude": view.own(amplitude, std)}
+        frequency = Quantity(f, f_std, "Hz")
+        lowest = _PERIODS / view.duration
+        # A line of fewer periods is seen at the lowest frequency that is looked at.
+        if (
+            f < lowest + 1.0 / view.duration
+            and refined(view.c, v, lowest - 1.0 / view.duration, view.rate)[-1] > z
+        ):
+            frequency = Quantity.beyond(float(f), "below", "Hz")
+        parameters = {"frequency": frequency, "amplitude": view.own(amplitude, std)}
 
         def held_out() -> float:
             root = np.sqrt(v)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,6 +13,9 @@ from allanjax.critique.noise import FIXED, MARKOV, POWER_LAW, Noise, density
 from allanjax.critique.view import View
 from allanjax.terms import Markov, PowerLaw
 
+Limit: TypeAlias = Literal["", "above", "below"]
+# A maximum this near to a bound is at it, absolutely and in its deviations; the normal law's 95 % point.
+_AT_BOUND, _NEAR_BOUND, _ONE_SIDED = 5e-3, 1.0, 1.645
 #: The free shape among the powers of `relative_errors`.
 SHAPE = "shape"
 
@@ -131,7 +135,10 @@ class FineLevels:
     def shape_of(
         self, likelihood: Callable[[float], float], bounds: tuple[float, float]
     ) -> tuple[float, float, float]:
-        """Where a likelihood is largest, its standard deviation there by the curvature, and the maximum."""
+        """Where a likelihood is largest, its standard deviation there by the curvature, and the maximum.
+
+        `limited` says whether that is at a bound.
+        """
         found = minimize_scalar(
             lambda u: -likelihood(u), bounds=bounds, method="bounded", options={"xatol": 1e-3}
         )
@@ -139,6 +146,15 @@ class FineLevels:
         sides = [likelihood(u + _STEP), likelihood(u - _STEP)]
         curvature = (-2.0 * found.fun - sum(sides)) / _STEP**2
         return u, float(1.0 / np.sqrt(max(curvature, 1e-2))), -float(found.fun)
+
+
+def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, float, Limit]:
+    """An estimate and its deviation, or where it is at a bound the 95 % limit on this side of it."""
+    if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
+        return min(u, bounds[1]) - _ONE_SIDED * std, float("nan"), "above"
+    if u < bounds[0] + max(_AT_BOUND, _NEAR_BOUND * std):
+        return max(u, bounds[0]) + _ONE_SIDED * std, float("nan"), "below"
+    return u, std, ""
 
 
 def relative_errors(view: View, noise: Noise) -> dict[str, float]:

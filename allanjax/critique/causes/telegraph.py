@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,7 +12,7 @@ from scipy.stats import chi2
 
 from allanjax import terms
 from allanjax.critique.bank import Bank, folds
-from allanjax.critique.causes.additive import additive
+from allanjax.critique.causes.additive import additive, shape_parameter
 from allanjax.critique.noise import centred
 from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
 
@@ -47,11 +48,12 @@ class Telegraph(Cause):
             return None
         whole = np.concatenate([np.repeat(path, length), np.full(view.n - blocks * length, path[-1])])
         dwell, spread = (x * length / view.rate for x in found.dwell)
+        limit = found.limit
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
             return {
                 "amplitude": view.own(abs(a), std),
-                "dwell_time": Quantity(dwell, spread, "s"),
+                "dwell_time": Quantity(dwell, spread, "s", limit),
                 "jumps": Quantity(float(jumps), 0.0, "1"),
             }
 
@@ -83,6 +85,7 @@ class Levels:
         sigma: the blocks' noise.
         upper: probability that a block is on the second level.
         dwell: mean time between jumps [blocks], and its deviation.
+        limit: on which side of `dwell` that time is, if it may be anywhere there.
         log_likelihood: of all blocks, over all paths and dwell times, less than that of a known block at its
             level by what is lost [nats].
     """
@@ -91,6 +94,7 @@ class Levels:
     upper: Float[np.ndarray, " blocks"]
     dwell: tuple[float, float]
     log_likelihood: float
+    limit: Literal["", "above", "below"] = ""
 
     def price(self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]) -> float:
         """What not knowing the path costs [nats]: its likelihood, at its best levels, over that of all."""
@@ -135,14 +139,14 @@ def two_levels(
         values = share @ means / np.maximum(share.sum(axis=-1), 1e-9)
     total, upper = _chain(likelihoods(values[[int(np.argmax(total))]]), dwells)
     probable = np.exp(total - np.logaddexp.reduce(total))
-    log = float(probable @ np.log(dwells))
-    spread = float(np.sqrt(probable @ (np.log(dwells) - log) ** 2))
+    log, spread, limit = shape_parameter(np.log(dwells), probable)
     dwell = float(np.exp(log))
     return Levels(
         sigma,
         probable @ upper,
         (dwell, dwell * spread),
         float(np.logaddexp.reduce(total) - np.log(_DWELLS)),
+        limit,
     )
 
 

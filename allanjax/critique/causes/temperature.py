@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 
 from allanjax.critique.bank import SLOW, Bank, any_of
-from allanjax.critique.causes.additive import additive, mean_and_std
+from allanjax.critique.causes.additive import additive, shape_parameter
 from allanjax.critique.noise import centred
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
@@ -51,11 +51,12 @@ class Temperature(Cause):
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
             # The bank is not evenly spaced: its points count by the lags they stand for.
-            lag, spread = mean_and_std(lags * step, likelihood * np.gradient(lags.astype(float)))
+            spacing = np.gradient(lags.astype(float))
+            lag, spread, limit = shape_parameter(lags * step, likelihood, spacing)
             spread = np.hypot(spread, step / np.sqrt(12.0))
             return {
                 "coefficient": view.own(a, std, f"/[{name}]"),
-                "lag": Quantity(lag / view.rate, float(spread) / view.rate, "s"),
+                "lag": Quantity(lag / view.rate, float(spread) / view.rate, "s", limit),
                 "channel": Quantity((name,), 0.0, ""),
             }
 

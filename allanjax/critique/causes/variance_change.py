@@ -118,18 +118,19 @@ class VarianceChange(Cause):
         spreads = _spreads(kind, score, a, b)
         m = kind.worth * np.array([inside.sum(), (~inside).sum()], float)
         level = np.array([kind.squares[inside].mean(), kind.squares[~inside].mean()])
-        excess = max(kind.excess(float(level[0] / level[1])), _LEAST)
-        ratio = float(np.sqrt(1.0 + excess))
-        # d ratio = d excess / (2 ratio); the ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
-        std = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m)))) / (2.0 * ratio)
+        found = kind.excess(float(level[0] / level[1]))
+        excess = max(found, _LEAST)
+        # The ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
+        scatter = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m))))
+        ratio = _ratio(found, scatter)
         quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
         after = view.with_x(view.recoloured(np.where(inside, quieter, view.e)))
         return Candidate(
             self.name,
             {
-                "start": Quantity(a / view.rate, spreads[0] / view.rate, "s"),
-                "end": Quantity(b / view.rate, spreads[1] / view.rate, "s"),
-                "ratio": Quantity(ratio, std, "1"),
+                "start": view.time(a, spreads[0]),
+                "end": view.time(b, spreads[1]),
+                "ratio": ratio,
                 "noise": Quantity((kind.name,), 0.0, ""),
             },
             mean - 3.0,
@@ -139,6 +140,18 @@ class VarianceChange(Cause):
             (a / view.rate, b / view.rate),
             "time",
         )
+
+
+def _ratio(excess: float, scatter: float) -> Quantity:
+    """Of the noise's deviations, from what it has grown by and the scatter of that, as shares of the power.
+
+    Of a noise that has all but vanished it is known only below what it is.
+    """
+    if excess < max(_LEAST, 2.0 * scatter - 1.0):
+        return Quantity.beyond(float(np.sqrt(1.0 + max(excess + 1.645 * scatter, _LEAST))), "below", "1")
+    ratio = float(np.sqrt(1.0 + excess))
+    # d ratio = d excess / (2 ratio).
+    return Quantity(ratio, scatter / (2.0 * ratio), "1")
 
 
 def _p_value(score: float, kinds: Sequence[_Kind]) -> float:

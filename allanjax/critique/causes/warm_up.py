@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from allanjax import terms
 from allanjax.critique.bank import SLOW, Bank
-from allanjax.critique.causes.additive import additive, mean_and_std
+from allanjax.critique.causes.additive import additive, shape_parameter
 from allanjax.critique.view import Candidate, Cause, Quantity, View
 
 _TIMES = 48
@@ -32,12 +32,12 @@ class WarmUp(Cause):
         times, bank = _bank(view.n, view.rate)
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
-            log_time, spread = mean_and_std(np.log(times), likelihood)
+            log_time, spread, limit = shape_parameter(np.log(times), likelihood)
             spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
             T = float(np.exp(log_time))
             return {
                 "amplitude": view.own(a, std),
-                "time_constant": Quantity(T, float(spread) * T, "s"),
+                "time_constant": Quantity(T, float(spread) * T, "s", limit),
             }
 
         return additive(
