@@ -33,7 +33,8 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
         import pandas as pd
 
         table = pd.concat(parted).sort_index()
-    return mark_outlying(table), (*notes, *_too_few(table))
+    table = mark_outlying(table)
+    return table, (*_warned(table), *_unmeasured(table), *notes, *_alike(table), *_too_few(table))
 
 
 def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
@@ -72,6 +73,42 @@ def _told(split: Split, names: Sequence[str], group: str) -> str:
     )
 
 
+def _warned(table: pd.DataFrame) -> list[str]:
+    """Which recordings have warnings."""
+    warned = table.loc[table["warnings"] != "", ["recording", "warnings"]].drop_duplicates("recording")
+    if warned.empty:
+        return []
+    count = f"{len(warned)} recording{'s' * (len(warned) > 1)} with warnings"
+    return [f"{count}: {listed([f'{name} ({text})' for name, text in warned.itertuples(index=False)])}"]
+
+
+def _unmeasured(table: pd.DataFrame) -> list[str]:
+    """What has been fitted and is no measurement of a sensor."""
+    of = table.loc[~table["measured"], ["recording", "axis"]].drop_duplicates()
+    if of.empty:
+        return []
+    axes = [f"{name} {', '.join(part['axis'])}" for name, part in of.groupby("recording", sort=False)]
+    return [
+        "the fitted curve is far off, and the coefficients are not a measurement of the sensor: "
+        f"{listed(axes)}. They are not compared; see what allanjax critique finds"
+    ]
+
+
+def _alike(table: pd.DataFrame) -> list[str]:
+    """Where so many units are outlying that they could be a grade of their own."""
+    notes = []
+    for family in families(table):
+        odd = table["outlying"].to_numpy()[family.rows] & (family.rows >= 0)
+        units = [name for name, is_odd in zip(family.recordings, odd.any(axis=1), strict=True) if is_odd]
+        if len(units) >= max(FEWEST_UNITS, len(family.recordings) / 8):
+            title = title_of(family.coefficient, Axis("", family.sensor, ""))
+            notes.append(
+                f"{len(units)} of {len(family.recordings)} units are outlying in {family.sensor} {title}: if "
+                "they are of another grade than the others, say so by group= (--group)"
+            )
+    return notes
+
+
 def _too_few(table: pd.DataFrame) -> list[str]:
     """Which groups are too small for a judgement."""
     counts = table.groupby("group", sort=False)["recording"].nunique()
@@ -79,7 +116,8 @@ def _too_few(table: pd.DataFrame) -> list[str]:
     if small.empty:
         return []
     if list(small.index) == [""]:
-        whose = f"{small.iloc[0]} unit{'s' * (small.iloc[0] > 1)}"
+        count = int(small.iloc[0])
+        whose = f"{count} unit{'s' * (count > 1)}"
     else:
         whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()])}"
     return [f"{whose}: too few to say whether one is unlike the others, which takes {FEWEST_UNITS}"]

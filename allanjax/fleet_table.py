@@ -46,6 +46,7 @@ def table_schema() -> pa.Schema:
             "p_value": number,
             "terms": text,
             "outlying": flag,
+            "warnings": text,
         }
     )
 
@@ -77,6 +78,7 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
                     "p_value": axis["p_value"],
                     "terms": " + ".join(_terms(axis)),
                     "outlying": False,
+                    "warnings": "; ".join(fit.get("warnings", ())),
                 }
             )
     return rows

@@ -17,7 +17,7 @@ FEWEST_UNITS = 3
 
 # How much alike units scatter [ln]: a Student's t folded at zero, of this scale and these degrees of freedom.
 # White noise comes from the electronics and is much the same in units of one make; what drifts is not.
-_SCATTER = {"angle_random_walk": 0.15, "quantization": 0.15}
+_SCATTER = {"angle_random_walk": 0.1, "quantization": 0.1}
 _SCATTER_OF_OTHERS = 0.4
 _DEGREES = 8.0
 WIDTHS = np.concatenate([[0.0], np.geomspace(0.005, 5.0, 48)])
@@ -29,9 +29,9 @@ _MEDIAN_DISTANCE = 0.6745
 _SUSPECT = 2.5
 # Of the axes of a unit that is found, those are marked that would be so far out by chance as rarely as this.
 _ALSO = 0.02
-# Several suspects are tested, each as if it were the only one, beside a scatter that is estimated: simulated
-# fleets have up to 1.3 times as many marks as each test by itself would make (benchmarks/fleet_outliers.py).
-_SHARE = 0.7
+# Of the probability of a false mark: several suspects are tested, each as if it were the only one, and units may
+# scatter more than the prior expects (benchmarks/fleet_outliers.py).
+_SHARE = 0.5
 # Logarithms agree no better than rounding.
 _ROUNDING = 1e-9
 
@@ -116,7 +116,7 @@ def outlying(axes: list[Values], probability: float, coefficient: str = "") -> B
     width τ, and each estimate about its own unit's coefficient as its interval says: the variance of
     ln(value) is τ² + s², with s from the end of the interval that faces the centre. A suspect is compared
     with the other units: the probability of a value so far out is integrated over what they leave open, their
-    centre (flat prior) and τ. Its prior is a folded Student's t with 8 degrees of freedom and a scale of 15 %
+    centre (flat prior) and τ. Its prior is a folded Student's t with 8 degrees of freedom and a scale of 10 %
     (of angle random walk and quantization) or 40 % (of the others): of many units the data overrule it; of
     three to ten it is what allows a judgement at all. Three units alone leave open that they agree by chance
     and that a fourth at four times their median is no rarer than they are.
@@ -256,10 +256,6 @@ def _median(values: Values) -> float:
 
 
 def median_width(distance: Float[np.ndarray, " units"], s: Float[np.ndarray, " units"]) -> float:
-    """Scatter τ for which half of the distances are within their median under a normal law."""
-    from scipy.optimize import brentq
-
-    def excess(width: float) -> float:
-        return float(np.median(distance / np.hypot(width, s))) - _MEDIAN_DISTANCE
-
-    return 0.0 if excess(0.0) <= 0.0 else float(brentq(excess, 0.0, 2.0 * distance.max() / _MEDIAN_DISTANCE))
+    """Scatter τ of units, from half of them, beside their own standard deviations."""
+    width = float(np.median(distance)) / _MEDIAN_DISTANCE
+    return float(np.sqrt(max(width**2 - float(np.median(s)) ** 2, 0.0)))

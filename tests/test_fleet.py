@@ -22,10 +22,10 @@ from allanjax.errors import AllanjaxError
 from allanjax.fleet import characterize_fleet
 from allanjax.fleet_cluster import connected, outcomes
 from allanjax.fleet_files import matching_files, recording_names
-from allanjax.fleet_table import fleet_table, table_schema
+from allanjax.fleet_summary import judged
+from allanjax.fleet_table import table_of, table_schema
 from allanjax.io import write
 from allanjax.notation import parse_model
-from allanjax.outliers import FALSE_ALARMS, outlying
 from allanjax.plot_fleet import plot_fleet
 from allanjax.recording import Recording
 
@@ -280,69 +280,18 @@ def test_names_of_recordings_tell_them_apart():
     assert names == ["x_a_imu", "y_a_imu", "imu.csv.gz", "imu.npz", "gyro.1"]
 
 
-# ---------------------------------------------------------------------------- outlying units
-def marks(value, error, probability=FALSE_ALARMS, limit=None):
-    """Marks of units with relative standard errors; a limit stands in for what was not detected."""
-    value, error = np.asarray(value, float), np.broadcast_to(error, len(value))
-    ratio = np.exp(1.96 * error)
-    limit = np.full(len(value), np.nan) if limit is None else np.asarray(limit, float)
-    detected = np.isnan(limit)
-    shown = np.where(detected, value, 0.0)
-    marked = outlying(shown, shown / ratio, shown * ratio, limit, detected, probability)
-    return list(np.flatnonzero(marked))
-
-
-@pytest.mark.parametrize(("spread", "smallest", "largest"), [(0.1, 0.01, 0.01), (0.05, 0.01, 0.2)])
-def test_fleets_of_like_units_are_marked_as_often_as_they_say(spread, smallest, largest):
-    rng = np.random.default_rng(2)
-    fleets, probability = 600, 0.1
-    alarms = 0
-    for _ in range(fleets):
-        error = np.exp(rng.uniform(np.log(smallest), np.log(largest), 20))
-        value = 3.0 * np.exp(np.hypot(spread, error) * rng.standard_normal(20))
-        alarms += bool(marks(value, error, probability))
-    # Four standard errors about the probability; where intervals differ the test may be milder, and is.
-    sigma = np.sqrt(fleets * probability * (1.0 - probability))
-    assert alarms < fleets * probability + 4.0 * sigma
-    if smallest == largest:
-        assert alarms > fleets * probability - 4.0 * sigma
-
-
-def test_several_odd_units_do_not_hide_each_other():
-    value = np.exp(0.05 * np.random.default_rng(3).standard_normal(20))
-    value[[2, 7, 11, 13]] *= [2.5, 3.0, 3.0, 0.3]
-    assert marks(value, 0.01) == [2, 7, 11, 13]
-
-
-def test_an_interval_excuses_a_value():
-    value = np.exp(0.03 * np.random.default_rng(4).standard_normal(16))
-    value[[3, 8]] = 2.5
-    error = np.full(16, 0.02)
-    error[8] = 0.5
-    assert marks(value, error) == [3]
-
-
-def test_limits_are_never_marked_but_what_is_far_above_them_is():
-    rng = np.random.default_rng(5)
-    limit = np.exp(0.2 * rng.standard_normal(12))
-    limit[0], limit[1] = np.nan, 50.0
-    value = np.full(12, 20.0)
-    assert marks(value, 0.1, limit=limit) == [0]
-    # Far below limits nothing is unusual.
-    assert marks(value / 400.0, 0.1, limit=limit) == []
-
-
-def test_few_units_cannot_be_told_apart():
-    assert marks([1.0, 100.0], 0.01) == []
-    assert marks([1.0, 1.1, 100.0], 0.01) == []
-    assert marks([2.0] * 5, 0.01) == []
-
-
 # ---------------------------------------------------------------------------- table and picture
-def row(unit, axis, coefficient, value, *, detected=True, outlying=False):
+def fleet_table(rows):
+    """A table as `characterize_fleet` makes it."""
+    table, _ = judged(table_of(rows))
+    return table
+
+
+def row(unit, axis, coefficient, value, *, detected=True, outlying=False, group=""):
     return {
         "recording": f"unit_{unit}",
         "file": f"unit_{unit}.csv",
+        "group": group,
         "axis": axis,
         "sensor": axis.split("_")[0],
         "coefficient": coefficient,
@@ -353,9 +302,11 @@ def row(unit, axis, coefficient, value, *, detected=True, outlying=False):
         "unit": "deg/√h",
         "detected": detected,
         "upper_limit_95": 1.08 * value,
+        "measured": True,
         "p_value": 0.5,
         "terms": "angle_random_walk",
         "outlying": outlying,
+        "warnings": "",
     }
 
 
