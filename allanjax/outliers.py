@@ -17,7 +17,7 @@ FEWEST_UNITS = 3
 
 # How much alike units scatter [ln]: a Student's t folded at zero, of this scale and these degrees of freedom.
 # White noise comes from the electronics and is much the same in units of one make; what drifts is not.
-_SCATTER = {"angle_random_walk": 0.1, "quantization": 0.1}
+_SCATTER = {"angle_random_walk": 0.12, "quantization": 0.12}
 _SCATTER_OF_OTHERS = 0.4
 _DEGREES = 8.0
 WIDTHS = np.concatenate([[0.0], np.geomspace(0.005, 5.0, 48)])
@@ -29,8 +29,8 @@ _MEDIAN_DISTANCE = 0.6745
 _SUSPECT = 2.5
 # Of the axes of a unit that is found, those are marked that would be so far out by chance as rarely as this.
 _ALSO = 0.02
-# Of the probability of a false mark: several suspects are tested, each as if it were the only one, and units may
-# scatter more than the prior expects (benchmarks/fleet_outliers.py).
+# Of the probability of a false mark: several suspects are tested, each as if it were the only one, and units
+# may scatter more than the prior expects (benchmarks/fleet_outliers.py).
 _SHARE = 0.5
 # Logarithms agree no better than rounding.
 _ROUNDING = 1e-9
@@ -116,7 +116,7 @@ def outlying(axes: list[Values], probability: float, coefficient: str = "") -> B
     width τ, and each estimate about its own unit's coefficient as its interval says: the variance of
     ln(value) is τ² + s², with s from the end of the interval that faces the centre. A suspect is compared
     with the other units: the probability of a value so far out is integrated over what they leave open, their
-    centre (flat prior) and τ. Its prior is a folded Student's t with 8 degrees of freedom and a scale of 10 %
+    centre (flat prior) and τ. Its prior is a folded Student's t with 8 degrees of freedom and a scale of 12 %
     (of angle random walk and quantization) or 40 % (of the others): of many units the data overrule it; of
     three to ten it is what allows a judgement at all. Three units alone leave open that they agree by chance
     and that a fourth at four times their median is no rarer than they are.

@@ -283,8 +283,8 @@ itself and knew the scatter from the fleet alone (`benchmarks/rosner.py`). Repro
 
 Six coefficients on three axes; log-normal scatter of 0, 5, 10 or 15 % of white noise, and once or three times
 that of B and K, of the unit or of each axis; errors of 1 to 10 %. Share of fleets with any mark at all (aim:
-at most 0.01), and of those that are said to fall into groups. Last columns: any mark, where the scatter is 20 or
-30 % (that of B and K up to 90 %), beyond what is usual.
+at most 0.01), and of those that are said to fall into groups. Last columns: any mark, where the scatter is 20
+or 30 % (that of B and K up to 90 %), beyond what is usual.
 
 {alarms}
 
@@ -299,8 +299,8 @@ column: one bad axis, marked and no other.
 ## Grades
 
 Fleets of several grades, each 4, 7 or 10 times the one before, scatter 5 or 15 %, errors of 1 to 10 %, one
-unit of each at 2 to 4 times its grade; {each} fleets a row. Of one sensor, whose bad units may lie among the other
-grade's and cannot be told then, or of two, of which one has the bad units. Without groups and with them.
+unit of each at 2 to 4 times its grade; {each} fleets a row. Of one sensor, whose bad units may lie among the
+other grade's and cannot be told then, or of two, of which one has the bad units. Without groups and with them.
 
 {grades}
 """

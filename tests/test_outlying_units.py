@@ -83,7 +83,7 @@ def test_the_probability_is_the_integral_over_centre_and_scatter():
         w = 1.0 / (width**2 + s[:3] ** 2)
         mean = np.sum(w * x[:3]) / w.sum()
         density = np.prod(norm.pdf(x[:3], mean, 1.0 / np.sqrt(w))) / np.sqrt(w.sum())
-        return student.pdf(width / 0.1, 8) * density, mean, w.sum()
+        return student.pdf(width / 0.12, 8) * density, mean, w.sum()
 
     def tail(width):
         density, mean, total = weight(width)
