@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 HELP = (
     "Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary, and "
     "writes fleet.parquet (one row a recording, axis and coefficient), fleet.png (how each coefficient is "
-    "distributed over the fleet, outlying units marked), errors.csv, and each recording's fit to "
-    "recordings/NAME.json as soon as it is done. Where one of the files is bad, the others go on. A later "
-    "run with the same --out computes only what is not there yet."
+    "distributed over the fleet, outlying units marked), errors.csv, notes.txt (what to know before reading "
+    "the table), and each recording's fit to recordings/NAME.json as soon as it is done. Where one of the "
+    "files is bad, the others go on. A later run with the same --out computes only what is not there yet; "
+    "the table is of the files that are named."
 )
 EPILOG = epilog(
     "allanjax fleet 'logs/*.parquet' --out results",
@@ -34,6 +35,8 @@ EPILOG = epilog(
     "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
+
+_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
 
 
 @with_options
@@ -88,7 +91,7 @@ def fleet_command(
         print_error(str(error))
         raise typer.Exit(1) from error
     print(result, flush=True)
-    print(f"wrote {', '.join(str(out / name) for name in ('fleet.parquet', 'fleet.png', 'errors.csv'))}")
+    print(f"wrote {', '.join(str(out / name) for name in _WRITTEN)}")
     for failure in result.errors:
         print_error(f"{failure['file']}: {failure['message']}")
     exit_if_failed(result.errors, result.files)

@@ -53,8 +53,9 @@ class FleetResult(ByValue):
         table: one row a recording, axis and coefficient, in the usual units; see `fleet_table.table_schema`.
         errors: what has no result and why: `file`, and a `message` that names the axis unless it is all.
         files: the recordings; `resumed` of them have results from an earlier run.
-        notes: what to know before reading the table: groups that the units fall into, groups too small for a
-            judgement, recordings of an earlier run that are left out.
+        notes: what to know before reading the table: recordings of an earlier run that are left out,
+            recordings with warnings, what is no measurement, groups that the units fall into or that are too
+            small for a judgement.
     """
 
     table: pd.DataFrame
@@ -114,13 +115,15 @@ def characterize_fleet(
     A recording that is longer than `piece` is read in pieces of that many samples, side by side, and never
     in memory as a whole: its coefficients are those of an `AllanAccumulator`.
 
-    Writes `fleet.parquet` (the table), `fleet.png` (each coefficient's distribution over the fleet) and
-    `errors.csv` (file, message) to `out`, and each recording's fit to `out/recordings` as soon as it is
-    done. A recording that fails does not stop the others; neither does a worker that dies, whose recording
-    another one takes. A later run with the same `out` computes only what is not there yet: recordings whose
-    file (path, size, time of its last change), options or version of allanjax are others, and those that
-    failed. The table is always of the files that are given: a note tells which recordings of an earlier run
-    are not among them; what was computed of them stays in `out/recordings`.
+    Writes `fleet.parquet` (the table), `fleet.png` (each coefficient's distribution over the fleet),
+    `errors.csv` (file, message) and `notes.txt` (what to know before reading the table, a line each) to
+    `out`, and each recording's fit to `out/recordings` as soon as it is done. A recording that fails does not
+    stop the others; neither does a worker that dies, whose recording another one takes.
+
+    A later run with the same `out` computes only what is not there yet: recordings whose file (path, size,
+    time of its last change), options or version of allanjax are others, and those that failed. The table is
+    always of the files that are given: a note tells which recordings of an earlier run are not among them;
+    what was computed of them stays in `out/recordings`.
 
     Units are compared with the others of their group (see `mark_outlying`). Where a coefficient shows that
     the units of a group are of several grades, a note says so, and they are compared within these.
@@ -296,4 +299,5 @@ def _write(result: FleetResult, out: Path) -> None:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
         writer.writerows(result.errors)
+    (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
     plt.close(result.plot(out / "fleet.png"))

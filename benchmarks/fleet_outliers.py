@@ -300,7 +300,8 @@ column: one bad axis, marked and no other.
 
 Fleets of several grades, each 4, 7 or 10 times the one before, scatter 5 or 15 %, errors of 1 to 10 %, one
 unit of each at 2 to 4 times its grade; {each} fleets a row. Of one sensor, whose bad units may lie among the
-other grade's and cannot be told then, or of two, of which one has the bad units. Without groups and with them.
+other grade's and cannot be told then, or of two, of which one has the bad units. Without groups and with
+them.
 
 {grades}
 """

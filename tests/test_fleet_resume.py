@@ -155,6 +155,7 @@ def test_recordings_that_are_left_out_are_told(run, files, tmp_path):
     assert f"fleet.parquet: {files[0]}, {files[1]}. What was computed stays in " in note
     assert note in str(result)
     assert note in result._repr_html_()
+    assert (tmp_path / "out" / "notes.txt").read_text(encoding="utf-8").splitlines() == list(result.notes)
     # Named again they are there again, and nothing is said.
     whole, computed = run()
     assert (computed, whole.resumed) == ([], 3)
