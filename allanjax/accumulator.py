@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
+from allanjax.axes import Axis, DeadAxis, axes_of, scales_of
 from allanjax.columns import recognise
 from allanjax.equality import equal
 from allanjax.errors import AllanjaxError, FitError, RecordingError
@@ -28,7 +29,6 @@ from allanjax.fit import (
 )
 from allanjax.notation import ModelLike
 from allanjax.pyramid import Pyramid
-from allanjax.recording import Axis, DeadAxis, axes_of, scales_of
 from allanjax.result import Fit
 from allanjax.segments import SegmentedLevel, SegmentSpectra, check_terms
 from allanjax.validation import Source

@@ -17,19 +17,22 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
             `allanjax/jax` in the user's cache directory.
 
     Returns:
-        The directory, or None if there is no cache: it was switched off or, with a warning, is not writable.
+        The directory, or None if there is no cache: it was switched off or is not writable, which brings a
+        warning if that directory was asked for.
     """
     chosen = os.environ.get("ALLANJAX_CACHE", "") if directory is None else os.fspath(directory)
     if chosen.lower() == "off":
         return None
     path = Path(chosen).expanduser() if chosen else _user_cache() / "allanjax" / "jax"
+    why: str | None = "not writable"
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        _warn(path, error.strerror)
-        return None
+        why = error.strerror
     if not os.access(path, os.W_OK | os.X_OK):
-        _warn(path, "not writable")
+        # A home that can not be written to, as in a container, is nobody's mistake.
+        if chosen:
+            _warn(path, why)
         return None
     import jax
 

@@ -1,6 +1,5 @@
 """The command line: `allanjax characterize`, `critique`, `fleet`, `simulate` and `demo`."""
 
-import json
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,28 +12,32 @@ import typer
 from allanjax import cli_critique, cli_fleet
 from allanjax.accumulator import accumulate
 from allanjax.cli_common import (
+    FAILURES,
+    INTERRUPTED,
     RESULTS,
     Files,
+    Input,
     Out,
     epilog,
     exit_if_failed,
+    inputs,
     prepare,
     print_error,
-    result_names,
+    print_json,
+    reason,
+    reported,
     stage,
 )
 from allanjax.cli_options import Sensor, parsed_model, with_options
 from allanjax.io import read_recording
 from allanjax.io.chunks import open_chunks
 from allanjax.options import FitOptions
+from allanjax.plain import speak_plainly
 
 if TYPE_CHECKING:
     from allanjax.recording import Recording
     from allanjax.result import Fit
     from allanjax.spectrum import PowerSpectrum
-
-_WIDTH = 110
-
 
 app = typer.Typer(
     name="allanjax",
@@ -49,7 +52,14 @@ app = typer.Typer(
 
 def main() -> None:
     """Entry point of the command `allanjax`."""
-    app(prog_name="allanjax")
+    for stream in (sys.stdout, sys.stderr):
+        speak_plainly(stream)
+    try:
+        app(prog_name="allanjax")
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            print("interrupted", file=sys.stderr)
+        raise
 
 
 def _show_version(wanted: bool) -> None:
@@ -99,44 +109,39 @@ def characterize(
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
 ) -> None:
-    from allanjax.errors import AllanjaxError
     from allanjax.export import SCHEMA_VERSION, to_dict, write_results
 
     directory = out if as_json else out or RESULTS
-    prepare()
+    prepare(directory)
     fits: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []
-    for file, name in zip(files, result_names(files), strict=True):
-        try:
-            spectrum: Future[PowerSpectrum] | None = None
-            if stream:
-                fit = _accumulate_and_fit(file, options)
+    with inputs(files, directory) as given:
+        for file in given:
+            try:
+                spectrum: Future[PowerSpectrum] | None = None
+                if stream:
+                    fit = _accumulate_and_fit(file, options)
+                else:
+                    spectrum, fit = _read_and_fit(file, options)
+                if directory is not None:
+                    with stage(f"{file.label}: writing results"):
+                        drawn = None if spectrum is None else spectrum.result()
+                        paths = write_results(fit, drawn, directory, file.name)
+            except FAILURES as failure:
+                errors.append(reported(file, reason(failure, file.label)))
+                continue
+            if as_json:
+                fits.append({"file": file.label, **to_dict(fit)})
             else:
-                spectrum, fit = _read_and_fit(file, options)
+                _print_fit(fit)
             if directory is not None:
-                with stage(f"{file}: writing results"):
-                    drawn = None if spectrum is None else spectrum.result()
-                    paths = write_results(fit, drawn, directory, name)
-        except (AllanjaxError, OSError) as error:
-            errors.append({"file": str(file), "message": str(error)})
-            print_error(str(error))
-            continue
-        if as_json:
-            fits.append({"file": str(file), **to_dict(fit)})
-        else:
-            _print_fit(fit)
-        if directory is not None:
-            print(
-                f"wrote {', '.join(str(path) for path in paths)}", file=sys.stderr if as_json else sys.stdout
-            )
-        for axis, reason in fit.without_result.items():
-            message = f"{axis}: no result, {reason}"
-            errors.append({"file": str(file), "message": message})
-            print_error(f"{file}: {message}")
+                told = ", ".join(str(path) for path in paths)
+                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
+            for axis, why in fit.without_result.items():
+                errors.append(reported(file, f"{axis}: no result, {why}"))
     if as_json:
-        document = {"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors}
-        print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
-    exit_if_failed(errors, files)
+        print_json({"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors})
+    exit_if_failed(errors, len(given))
 
 
 app.command("critique", help=cli_critique.HELP, epilog=cli_critique.EPILOG)(cli_critique.critique_command)
@@ -194,7 +199,7 @@ def simulate(
     from allanjax.simulate import simulate_recording
 
     recordings: tuple[Recording, ...]
-    with _reported(), stage("simulating"):
+    with _failures_told(), stage("simulating"):
         if model is not None:
             n = round(duration * rate)
             recordings = (simulate_recording({sensor: model}, n, rate, seed, name=out.stem),)
@@ -213,25 +218,23 @@ def demo(
         "allanjax-demo"
     ),
 ) -> None:
-    prepare()
+    prepare(out)
     with stage("loading allanjax"):
-        from rich.console import Console
-
         from allanjax.demo import compare, comparison_table, demo_recording
         from allanjax.export import write_results
         from allanjax.io import write
-    with _reported():
+    with _failures_told():
         out.mkdir(parents=True, exist_ok=True)
         file = out / "demo.csv"
         with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
             recording = demo_recording()
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        spectrum, fit = _read_and_fit(file, FitOptions())
+        spectrum, fit = _read_and_fit(Input(file, str(file), file.stem), FitOptions())
         with stage("writing results"):
             paths = write_results(fit, spectrum.result(), out, file.stem)
     comparisons = compare(fit)
-    Console(width=_WIDTH).print(comparison_table(comparisons))
+    print(comparison_table(comparisons))
     inside = sum(comparison.inside for comparison in comparisons)
     print(f"{inside} of {len(comparisons)} intervals hold the truth; of 95 % ones, one in twenty should not.")
     print(f"wrote {', '.join(str(path) for path in paths)}")
@@ -240,34 +243,34 @@ def demo(
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
 
 
-def _read_and_fit(file: Path, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
+def _read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
     """The fit of a file's recording, and its spectrum, which is estimated while the fit compiles."""
-    with stage(f"{file}: reading"):
-        recording = read_recording(file, options.reading)
+    with stage(f"{file.label}: reading"):
+        recording = read_recording(file.path, options.reading, file.label)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
     with (
-        stage(f"{file}: fitting {size} (the first run on a machine also compiles)"),
+        stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"),
         ThreadPoolExecutor(1) as pool,
     ):
         spectrum = pool.submit(_spectrum, recording)
         return spectrum, options.fit(recording)
 
 
-def _accumulate_and_fit(file: Path, options: FitOptions) -> "Fit":
+def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
     """The fit of a file that is never in memory as a whole."""
     from allanjax.errors import AllanjaxError
 
     if options.regressors:
         raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
-    with stage(f"{file}: reading") as say:
+    with stage(f"{file.label}: reading") as say:
 
         def progress(done: int, total: int | None) -> None:
             share = f" of {total:,} ({100.0 * done / total:.0f} %)" if total else ""
-            say(f"{file}: {done:,}{share} samples read")
+            say(f"{file.label}: {done:,}{share} samples read")
 
-        accumulator = accumulate(open_chunks(file, options.reading), progress=progress)
+        accumulator = accumulate(open_chunks(file.path, options.reading, label=file.label), progress=progress)
     size = f"{accumulator.n:,} samples of {len(accumulator.axes)} axes"
-    with stage(f"{file}: fitting {size} (the first run on a machine also compiles)"):
+    with stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"):
         return options.fit_accumulated(accumulator)
 
 
@@ -286,12 +289,10 @@ def _print_fit(fit: "Fit") -> None:
 
 
 @contextmanager
-def _reported() -> Iterator[None]:
+def _failures_told() -> Iterator[None]:
     """Bad input and failing files end the program with a message; anything else is a bug and shows itself."""
-    from allanjax.errors import AllanjaxError
-
     try:
         yield
-    except (AllanjaxError, OSError) as error:
-        print_error(str(error))
-        raise typer.Exit(1) from error
+    except FAILURES as failure:
+        print_error(reason(failure, "allanjax"))
+        raise typer.Exit(1) from failure

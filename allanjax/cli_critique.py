@@ -1,7 +1,6 @@
 """The command `allanjax critique`."""
 
 import dataclasses
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,14 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from allanjax.cli_common import (
+    FAILURES,
     RESULTS,
     Files,
+    Input,
     Out,
     epilog,
     exit_if_failed,
+    inputs,
     prepare,
-    print_error,
-    result_names,
+    print_json,
+    reason,
+    reported,
     stage,
 )
 from allanjax.cli_options import with_options
@@ -29,7 +32,8 @@ HELP = (
     "Say what a simulation of static recordings from their noise terms gets wrong, and why. Prints a story a "
     "file, and writes NAME_critique.json and a picture of every finding. Where one of several files is bad, "
     "the others go on. With --json the document of one file (allanjax/critique.schema.json) is printed as it "
-    "is, with a list of errors in it; those of several files come as {schema_version, critiques, errors}."
+    "is, with a list of errors in it; those of several files, or of none that could be read, come as "
+    "{schema_version, critiques, errors}."
 )
 EPILOG = epilog(
     "allanjax critique imu.csv",
@@ -53,66 +57,56 @@ def critique_command(
     ] = False,
 ) -> None:
     from allanjax.critique.export import SCHEMA_VERSION, to_dict
-    from allanjax.errors import AllanjaxError
 
     directory = out if as_json else out or RESULTS
-    prepare()
+    prepare(directory)
     critiques: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []
-    for file, name in zip(files, result_names(files), strict=True):
-        try:
-            found = _read_and_criticize(file, reading)
-            paths = [] if directory is None else _write(found, directory, name, file)
-        except (AllanjaxError, OSError) as error:
-            errors.append({"file": str(file), "message": str(error)})
-            print_error(str(error))
-            continue
-        if as_json:
-            critiques.append({"file": str(file), **to_dict(found)})
-        else:
-            print(found, flush=True)
-        for dead in found.dead:
-            message = f"{dead.axis.name}: not compared, {dead.reason}"
-            errors.append({"file": str(file), "message": message})
-            print_error(f"{file}: {message}")
-        if paths:
-            print(
-                f"wrote {', '.join(str(path) for path in paths)}", file=sys.stderr if as_json else sys.stdout
-            )
+    with inputs(files, directory) as given:
+        for file in given:
+            try:
+                found = _read_and_criticize(file, reading)
+                paths = [] if directory is None else _write(found, directory, file)
+            except FAILURES as failure:
+                errors.append(reported(file, reason(failure, file.label)))
+                continue
+            if as_json:
+                critiques.append({"file": file.label, **to_dict(found)})
+            else:
+                print(found, flush=True)
+            if paths:
+                told = ", ".join(str(path) for path in paths)
+                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
+            for dead in found.dead:
+                errors.append(reported(file, f"{dead.axis.name}: not compared, {dead.reason}"))
     if as_json:
-        document: dict[str, Any] = {"schema_version": SCHEMA_VERSION}
-        if len(files) > 1:
-            document |= {"critiques": critiques}
-        elif critiques:
+        document: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "critiques": critiques}
+        if len(given) == 1 and critiques:
             (document,) = critiques
             del document["file"]
-        document["errors"] = errors
-        print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
-    exit_if_failed(errors, files)
+        print_json({**document, "errors": errors})
+    exit_if_failed(errors, len(given))
 
 
-def _read_and_criticize(file: Path, reading: ReadOptions) -> "Critique":
-    with stage(f"{file}: loading allanjax"):
+def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
+    with stage(f"{file.label}: loading allanjax"):
         from allanjax.critique import critique
-    with stage(f"{file}: reading"):
-        recording = read_recording(file, reading)
+    with stage(f"{file.label}: reading"):
+        recording = read_recording(file.path, reading, file.label)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
-    with stage(f"{file}: fitting {size} (the first run on a machine also compiles)") as tell:
-        return critique(recording, progress=lambda text: tell(f"{file}: {text}"))
+    with stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)") as tell:
+        return critique(recording, progress=lambda text: tell(f"{file.label}: {text}"))
 
 
-def _write(critique: "Critique", directory: Path, name: str, file: Path) -> list[Path]:
+def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
     """The JSON file and the pictures; returns their paths."""
-    from matplotlib import pyplot as plt
-
     from allanjax.critique.export import write_json
     from allanjax.critique.plot import figure_names, plot_critique
 
-    named = dataclasses.replace(critique, name=name)
-    with stage(f"{file}: writing results"):
+    named = dataclasses.replace(critique, name=file.name)
+    with stage(f"{file.label}: writing results"):
         directory.mkdir(parents=True, exist_ok=True)
-        paths = [directory / f"{name}_critique.json"]
+        paths = [directory / f"{file.name}_critique.json"]
         write_json(critique, paths[0])
-        for figure in plot_critique(named, directory):
-            plt.close(figure)
+        plot_critique(named, directory)
     return paths + [directory / picture for picture in figure_names(named)]

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from allanjax.cli_common import (
+    FAILURES,
     RESULTS,
     epilog,
     exit_if_failed,
     prepare,
     print_error,
+    reason,
     stage,
 )
 from allanjax.cli_options import with_options
@@ -70,9 +72,7 @@ def fleet_command(
         typer.Option(help="Address of a running Dask scheduler to use instead, e.g. tcp://cluster:8786."),
     ] = None,
 ) -> None:
-    from allanjax.errors import AllanjaxError
-
-    prepare()
+    prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet import characterize_fleet
     try:
@@ -87,14 +87,14 @@ def fleet_command(
                 progress=progress,
                 **options.arguments(),
             )
-    except (AllanjaxError, OSError) as error:
-        print_error(str(error))
-        raise typer.Exit(1) from error
+    except FAILURES as failure:
+        print_error(reason(failure, "allanjax"))
+        raise typer.Exit(1) from failure
     print(result, flush=True)
     print(f"wrote {', '.join(str(out / name) for name in _WRITTEN)}")
-    for failure in result.errors:
-        print_error(f"{failure['file']}: {failure['message']}")
-    exit_if_failed(result.errors, result.files)
+    for error in result.errors:
+        print_error(f"{error['file']}: {error['message']}")
+    exit_if_failed(result.errors, len(result.files))
 
 
 @contextmanager

@@ -2,17 +2,14 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from allanjax.model import Model
 from allanjax.notation import parse_model
 from allanjax.recording import Recording
 from allanjax.result import Coefficient, Fit
 from allanjax.simulate import simulate_recording
+from allanjax.text_table import text_table
 from allanjax.wording import plain
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 RATE = 100.0
 DURATION = 1500.0
@@ -71,21 +68,14 @@ def compare(fit: Fit) -> list[Comparison]:
     ]
 
 
-def comparison_table(comparisons: Iterable[Comparison]) -> "Table":
+def comparison_table(comparisons: Iterable[Comparison]) -> str:
     """The comparisons for a terminal, each coefficient in its usual unit."""
-    from rich.table import Table
-
-    table = Table(title="found, and put in", title_justify="left")
-    for heading in ("axis", "coefficient", "found", "put in", "95 %"):
-        table.add_column(heading)
+    rows = []
     for comparison in comparisons:
         c = comparison.found.in_unit()
         truth = replace(comparison.found, value=comparison.truth).in_unit().value
-        table.add_row(
-            c.axis.name,
-            c.title,
-            c.describe(),
-            f"{plain(truth, 4)} {c.unit}" if truth else "nothing",
-            "inside" if comparison.inside else "OUTSIDE",
+        put_in = f"{plain(truth, 4)} {c.unit}" if truth else "nothing"
+        rows.append(
+            (c.axis.name, c.title, c.describe(), put_in, "inside" if comparison.inside else "OUTSIDE")
         )
-    return table
+    return text_table("found, and put in", ("axis", "coefficient", "found", "put in", "95 %"), rows)

@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any, ClassVar, Self
 
 from allanjax.equality import ByValue
+from allanjax.plain import printable
 from allanjax.recording import Axis
 from allanjax.units import convert, si_unit
 from allanjax.wording import format_interval, format_with_error
@@ -80,7 +81,7 @@ class Estimate(ByValue):
         amount = self._amount()
         if self.unit != self.usual_unit:
             amount += f" = {self.in_unit()._amount()}"
-        return f"{self.axis.name} {self.title}: {self._sentence(amount)}"
+        return printable(f"{self.axis.name} {self.title}: {self._sentence(amount)}")
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self}>"

@@ -61,7 +61,8 @@ def write_json(fit: Fit, path: str | os.PathLike[str]) -> None:
     text = json.dumps(to_dict(fit), indent=2, ensure_ascii=False, allow_nan=False)
     # Numbers of a list side by side: in texts there are no line breaks.
     text = _NUMBERS.sub(lambda match: f"[{', '.join(match[1].split()).replace(',,', ',')}]", text)
-    Path(path).write_text(text + "\n", encoding="utf-8")
+    # A name may come from a file name that is no text.
+    Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
@@ -117,8 +118,6 @@ def write_results(
 
     Without a spectrum, as of a recording that was read in chunks, there is no NAME_psd.png.
     """
-    from matplotlib import pyplot as plt
-
     from allanjax.plot import plot_allan
     from allanjax.plot_spectrum import plot_psd
 
@@ -130,9 +129,9 @@ def write_results(
     write_json(fit, paths[0])
     write_curve_csv(fit, paths[1])
     write_coefficients_csv(fit, paths[2])
-    plt.close(plot_allan(fit, path=paths[3]))
+    plot_allan(fit, path=paths[3])
     if spectrum is not None:
-        plt.close(plot_psd(spectrum, fit, path=paths[4]))
+        plot_psd(spectrum, fit, path=paths[4])
     return paths
 
 

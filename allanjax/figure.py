@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import textwrap
+import warnings
+import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -33,6 +35,9 @@ _PANEL_WIDTH, _PANEL_HEIGHT, _STRIP_HEIGHT = 4.1, 2.5, 0.8
 _HEADING, _GAP, _X_LABEL, _LINE = 0.3, 0.25, 0.45, 0.155
 _KEY_COLUMNS = 62
 _FONT_SIZE = 8.5
+_WINDOWLESS = frozenset({"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"})
+# The figure that was drawn last where there are no windows, if it was not saved.
+_waiting: weakref.WeakSet[Figure] = weakref.WeakSet()
 # Residuals beyond so many per cent are marked at the edge: a line must not hide all else.
 _WIDEST = 100.0
 
@@ -74,26 +79,51 @@ def look() -> AbstractContextManager[None]:
     """The settings under which a picture is drawn."""
     import matplotlib
 
-    return matplotlib.rc_context({"font.size": _FONT_SIZE, "axes.linewidth": 0.7})
+    return matplotlib.rc_context({"font.size": _FONT_SIZE, "axes.linewidth": 0.7, "text.usetex": False})
+
+
+def literal(text: str) -> str:
+    """The text for a picture as it is: a name may have dollars, which are no formula's."""
+    return text.encode("utf-8", "replace").decode("utf-8").replace("$", r"\$")
+
+
+def save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Save a figure, whatever characters are in its names."""
+    with warnings.catch_warnings():
+        # The font may lack some of them.
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        figure.savefig(path, dpi=130)
 
 
 def finished(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    """The figure, saved if there is a path."""
+    """The figure, saved if there is a path.
+
+    Figures do not pile up in pyplot: one that is saved is closed there, and so is, where there are no windows
+    to show it in, the one before it. A closed figure can be saved and shown by itself as before.
+    """
     import matplotlib
     import matplotlib.pyplot as plt
 
     if path is not None:
-        figure.savefig(path, dpi=130)
+        save(figure, path)
+    backend = matplotlib.get_backend().lower()
     # A notebook shows the figure returned; left open there, it would show it twice.
-    if "inline" in matplotlib.get_backend():
+    if "inline" in backend or (path is not None and not plt.isinteractive()):
         plt.close(figure)
+    elif backend in _WINDOWLESS:
+        for former in tuple(_waiting):
+            plt.close(former)
+        _waiting.clear()
+        # For `plt.savefig` and the like.
+        _waiting.add(figure)
     return figure
 
 
 def rows_of(
     names: Sequence[str], axes: Sequence[Axis] | None, chosen: Sequence[str] | None
 ) -> list[list[int]]:
-    """Indices of the axes to draw, one row a sensor."""
+    """Indices of the axes to draw, one row a sensor; a single name stands for itself."""
+    chosen = [chosen] if isinstance(chosen, str) else chosen
     if chosen is not None and not chosen:
         raise AllanjaxError(f"name at least one axis to plot of {', '.join(names)}")
     for name in chosen or ():
@@ -156,7 +186,7 @@ def draw_title(figure: Figure, cells: Cells, name: str, facts: str, has_model: b
 
     width, height = cells.size
     at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
-    title = _shortened(name, int(width * 8))
+    title = literal(_shortened(name, int(width * 8)))
     figure.text(y=1.0 - 0.12 / height, s=title, fontsize=13, fontweight="bold", **at)
     figure.text(y=1.0 - 0.4 / height, s=facts, color="0.35", fontsize=9.5, **at)
     points: dict[str, Any] = {"color": POINTS, "marker": "o", "markersize": 3, "linewidth": 0.8}

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.errors import AllanjaxError
-from allanjax.figure import POINTS, finished, look
+from allanjax.figure import POINTS, finished, literal, look
 from allanjax.recording import Axis
 from allanjax.result import title_of
 from allanjax.units import Sensor
@@ -279,7 +279,7 @@ def _name_units(
         clear = level + step
         more = len(names) - _NAMED
         panel.annotate(
-            names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more",
+            literal(names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more"),
             places[i],
             (column, level),
             xycoords="axes fraction",

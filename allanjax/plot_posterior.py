@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
 from allanjax.errors import AllanjaxError
+from allanjax.figure import finished, literal
 from allanjax.posterior import AxisPosterior, Posterior
 from allanjax.result import Coefficient, Fit
 from allanjax.units import unit_scale
@@ -93,10 +94,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
                 else:
                     _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
                 _label(panel, marginals, row, column)
-        if path is not None:
-            figure.savefig(path, dpi=130)
-    _close_inline(figure)
-    return figure
+        return finished(figure, path)
 
 
 def _label(panel: Axes, marginals: Sequence[Coefficient], row: int, column: int) -> None:
@@ -253,10 +251,7 @@ def plot_posterior(
             left.set_title(f"{result.axis.name}{state}", loc="left", fontweight="bold")
             for panel in (left, right):
                 _finish(panel)
-        if path is not None:
-            figure.savefig(path, dpi=130)
-    _close_inline(figure)
-    return figure
+        return finished(figure, path)
 
 
 def _axis_index(curve: AllanDeviation, result: AxisPosterior) -> int:
@@ -276,7 +271,7 @@ def _draw_title(
     name = posterior.fit.name or "posterior"
     figure.text(
         y=1.0 - 0.12 / height,
-        s=name if len(name) < 70 else f"{name[:69]}…",
+        s=literal(name if len(name) < 70 else f"{name[:69]}…"),
         fontsize=13,
         fontweight="bold",
         **at,
@@ -387,12 +382,3 @@ def _finish(panel: Axes) -> None:
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_minor_formatter(NullFormatter())
-
-
-def _close_inline(figure: Figure) -> None:
-    """A notebook shows the figure returned; left open there, it would show it twice."""
-    import matplotlib
-    import matplotlib.pyplot as plt
-
-    if "inline" in matplotlib.get_backend():
-        plt.close(figure)

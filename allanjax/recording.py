@@ -10,50 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.columns import Column, recognise
 from allanjax.equality import ByValue
-from allanjax.errors import RecordingError, UnitError
-from allanjax.units import SENSORS, Sensor, parse_sample_unit
-from allanjax.validation import Source, check_length, check_rate, check_values, dead_reason
+from allanjax.errors import RecordingError
+from allanjax.plain import printable
+from allanjax.validation import Source, check_length, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
 
 # Slack, in samples, within which a time counts as a sample's own.
 _TIME_SLACK = 1e-6
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One axis of one sensor.
-
-    Attributes:
-        name: e.g. `gyro_x`.
-        sensor: `gyro` or `accel`.
-        unit: the recording's own unit, for display.
-    """
-
-    name: str
-    sensor: Sensor
-    unit: str
-
-
-@dataclass(frozen=True)
-class DeadAxis:
-    """An axis without noise, which can have no result: constant, or without a single number.
-
-    Attributes:
-        axis: which.
-        reason: what is wrong with it, for people.
-    """
-
-    axis: Axis
-    reason: str
-
-    @classmethod
-    def of(cls, axis: Axis, value: float) -> "DeadAxis":
-        """An axis that has this value [its own unit] throughout; nan for no number."""
-        return cls(axis, dead_reason(value, axis.unit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +220,7 @@ class Recording(ByValue):
         title = f" {self.name!r}" if self.name else ""
         dead = f"; without {', '.join(dead.axis.name for dead in self.dead)}" if self.dead else ""
         size = f"{self.n} samples at {self.rate:g} Hz, {self.duration:.6g} s"
-        return f"<Recording{title}: {axes}; {size}{dead}>"
+        return printable(f"<Recording{title}: {axes}; {size}{dead}>")
 
     def _repr_html_(self) -> str:
         own = self.own_values
@@ -315,108 +283,9 @@ def _left_out(dead: Sequence[DeadAxis]) -> tuple[str, ...]:
     return tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
 
 
-def axes_of(
-    columns: Sequence[Column], gyro_unit: str | None, accel_unit: str | None, source: Source
-) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """The axes that these columns are, and notes.
-
-    Raises:
-        RecordingError: none, or two columns are the same one.
-        UnitError: a unit is missing, unknown, or given twice and differently.
-    """
-    check_axes(columns, source)
-    units = [
-        _unit_of(column, gyro_unit if column.sensor == "gyro" else accel_unit, source) for column in columns
-    ]
-    axes = tuple(
-        Axis(column.name, column.sensor, unit)
-        for column, unit in zip(columns, units, strict=True)
-        if column.sensor is not None
-    )
-    increments = [
-        axis.name for axis in axes if parse_sample_unit(axis.unit, axis.sensor).quantity == "increment"
-    ]
-    return axes, (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
-
-
-def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
-    """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
-    return np.array([_scale(axis.unit, axis.sensor, rate) for axis in axes])
-
-
-def default_names(
-    count: int, gyro_unit: str | None, accel_unit: str | None, remedy: str, source: Source
-) -> tuple[str, ...]:
-    """Names of `count` columns that have none, as the units given imply.
-
-    Raises:
-        RecordingError: the units do not settle the names; the message says to use `remedy`.
-    """
-    given = (gyro_unit, accel_unit)
-    sensors = [sensor for sensor, unit in zip(SENSORS, given, strict=True) if unit is not None]
-    if len(sensors) == 1 and count == 1:
-        return (sensors[0],)
-    if sensors and count == 3 * len(sensors):
-        return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
-    stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
-    raise source.error(
-        f"{count} columns without names and {stated} given: what each column is can not be told. "
-        f"Name them by {remedy}, e.g. gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
-    )
-
-
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
     """Rows whose time in s from the first is in [start, stop)."""
     first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
     last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
     first = min(max(first, 0), samples)
     return slice(first, max(first, min(last, samples)))
-
-
-def check_axes(columns: Sequence[Column], source: Source) -> None:
-    """Raise `RecordingError` if there is no axis, or two columns are the same one."""
-    if not columns:
-        raise source.error("no gyro or accelerometer column; name the columns by columns= (--columns)")
-    seen: dict[str, Column] = {}
-    for column in columns:
-        other = seen.setdefault(column.name, column)
-        if other is not column:
-            raise source.error(
-                f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one by "
-                "columns= (--columns)"
-            )
-
-
-def _unit_of(column: Column, given: str | None, source: Source) -> str:
-    """Display label of the column's unit, from its label or the argument."""
-    sensor = column.sensor or "gyro"
-    option = f"{sensor}_unit= (--{sensor}-unit)"
-    example = "deg/s" if sensor == "gyro" else "m/s^2"
-    text = column.unit or given
-    if text is None:
-        raise UnitError(
-            f"{source.label}: column {column.label!r} has no unit; pass {option}, "
-            f"or write it in the header as `{column.name} [{example}]`"
-        )
-    try:
-        unit = parse_sample_unit(text, sensor)
-        argument = unit if given is None else parse_sample_unit(given, sensor)
-    except UnitError as error:
-        raise UnitError(f"{source.label}: column {column.label!r}: {error}") from error
-    if (unit.scale, unit.quantity) != (argument.scale, argument.quantity):
-        raise UnitError(
-            f"{source.label}: column {column.label!r} is in {unit.name} by its header but {option} says "
-            f"{argument.name}; leave out {option} or correct the header"
-        )
-    if column.increment and unit.quantity == "rate":
-        raise UnitError(
-            f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} is "
-            f"a unit of rates; give the increments' unit in {option}, or rename the column by columns= "
-            "(--columns)"
-        )
-    return unit.name
-
-
-def _scale(unit: str, sensor: Sensor, rate: float) -> float:
-    sample_unit = parse_sample_unit(unit, sensor)
-    return sample_unit.scale * (rate if sample_unit.quantity == "increment" else 1.0)

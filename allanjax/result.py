@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import os
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
@@ -18,8 +19,10 @@ from allanjax.estimate import Estimate
 from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.names import called
+from allanjax.plain import printable
 from allanjax.recording import Axis, DeadAxis
 from allanjax.terms import Parameter
+from allanjax.text_table import WIDTH, html_table, text_table
 from allanjax.units import Sensor, default_coefficient_unit, rate_unit_of
 from allanjax.wording import duration, plain, significant
 
@@ -31,8 +34,7 @@ if TYPE_CHECKING:
     from allanjax.posterior import AxisPosterior
     from allanjax.selection import TermSelection
 
-
-_WIDTH = 110
+_HEADINGS = ("axis", "coefficient", "estimate ± 1σ", "95 % interval")
 #: What to do about a curve that is far off.
 NEXT = (
     "Next: look at the picture; allanjax critique FILE looks for the cause; "
@@ -253,7 +255,9 @@ class AxisFit(ByValue):
         if not np.isfinite(self.mean):
             return ""
         unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
-        return f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
+        return (
+            f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
+        )
 
     def verdict(self) -> str:
         """One line on how well the model fits."""
@@ -378,35 +382,12 @@ class Fit(ByValue):
         return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length})"
 
     def __str__(self) -> str:
-        import textwrap
-
-        from rich.console import Console
-        from rich.table import Table
-
-        warnings = [textwrap.fill(f"warning: {w}", _WIDTH, subsequent_indent="  ") for w in self.warnings]
-        table = Table(title=self._title(), title_justify="left")
-        for heading in ("axis", "coefficient", "estimate ± 1σ", "95 % interval"):
-            table.add_column(heading)
-        previous = None
-        for axis, label, value, interval in self._cells():
-            if previous not in (None, axis):
-                table.add_section()
-            table.add_row(axis if axis != previous else "", label, value, interval)
-            previous = axis
-        console = Console(width=_WIDTH, record=False, color_system=None)
-        with console.capture() as capture:
-            console.print(table)
-        return "\n".join([*warnings, capture.get().rstrip("\n")])
+        # Broken here, for they stand outside of the table.
+        warnings = [textwrap.fill(f"warning: {w}", WIDTH, subsequent_indent="  ") for w in self.warnings]
+        return "\n".join([*map(printable, warnings), text_table(self._title(), _HEADINGS, self._cells())])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>{h}</th>" for h in ("axis", "coefficient", "estimate ± 1σ", "95 % interval"))
-        rows = "".join(
-            "<tr>"
-            + "".join(f"<td style='text-align:left'>{html.escape(cell)}</td>" for cell in row)
-            + "</tr>"
-            for row in self._cells()
-        )
         warnings = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
-        return f"{warnings}<p>{html.escape(self._title())}</p><table><tr>{head}</tr>{rows}</table>"
+        return warnings + html_table(self._title(), _HEADINGS, self._cells())

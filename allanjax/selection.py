@@ -32,10 +32,12 @@ from allanjax.terms import (
     Quantization,
     RateRandomWalk,
 )
+from allanjax.text_table import text_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_NUMBERS = ("probability", "nats behind")
 _GRID = 16
 # Sets whose odds against the best are shorter than this cannot be told from it (Kass & Raftery 1995: "strong"
 # evidence begins at 20).
@@ -182,27 +184,15 @@ class TermSelection(ByValue):
         return pd.DataFrame(rows)
 
     def __str__(self) -> str:
-        from rich.console import Console
-        from rich.table import Table
-
-        table = Table(title=f"{self.name}: noise terms by evidence".lstrip(": "), title_justify="left")
-        for heading in ("axis", "noise terms", "probability", "nats behind"):
-            table.add_column(
-                heading, justify="right" if heading in ("probability", "nats behind") else "left"
-            )
+        rows = []
         for axis in self.axes:
-            table.add_section()
             for rank, s in enumerate(axis.ranking[: max(3, len(axis.indistinguishable))]):
                 behind = axis.best.log_evidence - s.log_evidence
                 mark = "" if rank == 0 else " (not told apart)" if s in axis.indistinguishable else ""
-                name = axis.axis.name if rank == 0 else ""
-                table.add_row(
-                    name, f"{s}{mark}".replace("_", " "), f"{100 * s.probability:.3g} %", f"{behind:.1f}"
-                )
-        console = Console(width=110, record=False, color_system=None)
-        with console.capture() as capture:
-            console.print(table)
-        return capture.get().rstrip("\n")
+                words = f"{s}{mark}".replace("_", " ")
+                rows.append((axis.axis.name, words, f"{100 * s.probability:.3g} %", f"{behind:.1f}"))
+        title = f"{self.name}: noise terms by evidence".lstrip(": ")
+        return text_table(title, ("axis", "noise terms", *_NUMBERS), rows, right=_NUMBERS)
 
     __repr__ = __str__
 

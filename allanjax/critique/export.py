@@ -40,7 +40,8 @@ def to_dict(critique: Critique) -> dict[str, Any]:
 def write_json(critique: Critique, path: str | os.PathLike[str]) -> None:
     """Write `to_dict(critique)` to a file of JSON."""
     text = json.dumps(to_dict(critique), indent=2, ensure_ascii=False, allow_nan=False)
-    Path(path).write_text(text + "\n", encoding="utf-8")
+    # A name may come from a file name that is no text.
+    Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def _axis(axis: AxisCritique) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from allanjax.critique.comparison import Comparison, Whitened, octave_bins, summ
 from allanjax.critique.result import AxisCritique, Critique, Finding
 from allanjax.critique.story import UNEXPLAINED, changes, left, sentence
 from allanjax.critique.words import filled, p_value, what
-from allanjax.figure import POINTS, Unit, facts_of, finished, look
+from allanjax.figure import POINTS, Unit, facts_of, finished, literal, look
 from allanjax.recording import Axis
 from allanjax.spectrum import density_unit
 from allanjax.units import default_coefficient_unit, unit_scale
@@ -158,7 +158,7 @@ def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], Whi
 
 def _title(figure: Figure, critique: Critique, text: str, record: Whitened) -> None:
     name = f"{critique.name}, {text}" if critique.name else text
-    figure.suptitle(f"{name}\n{facts_of(record.n, critique.rate)}", x=0.01, ha="left", fontsize=11)
+    figure.suptitle(f"{literal(name)}\n{facts_of(record.n, critique.rate)}", x=0.01, ha="left", fontsize=11)
 
 
 def _draw_curves(panels: Any, stages: Any, axis: Axis) -> None:
@@ -376,6 +376,6 @@ def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
         lines += ["", "before → after:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_TOLD]:
             lines.append(f"{what(before)} → {left(before, after)}")
-    text = "\n".join(filled(line, _COLUMNS) for line in lines)
+    text = literal("\n".join(filled(line, _COLUMNS) for line in lines))
     written = panel.text(0.0, 1.0, text, va="top", transform=panel.transAxes, linespacing=1.35)
     written.set_in_layout(False)

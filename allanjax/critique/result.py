@@ -15,6 +15,7 @@ from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError
 from allanjax.misfit import Misfit
 from allanjax.model import Model
+from allanjax.plain import printable
 from allanjax.recording import Axis, DeadAxis
 from allanjax.result import Fit
 
@@ -123,7 +124,7 @@ class Finding(ByValue):
     def __str__(self) -> str:
         from allanjax.critique.story import sentence
 
-        return sentence(self)
+        return printable(sentence(self))
 
     def __repr__(self) -> str:
         from allanjax.critique.story import nats
@@ -284,7 +285,7 @@ class Critique(ByValue):
     def __str__(self) -> str:
         from allanjax.critique.story import story
 
-        return story(self)
+        return printable(story(self))
 
     __repr__ = __str__
 

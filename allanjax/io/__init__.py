@@ -67,11 +67,12 @@ def read(
     )
 
 
-def read_recording(path: str | os.PathLike[str], options: ReadOptions) -> Recording:
-    """What `read` does with these options.
+def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
+    """What `read` does with these options; messages name the file `label`.
 
     Raises:
         RecordingError, UnitError: as `read`.
     """
     path = Path(path)
-    return assemble(_READERS[format_of(path)](path, str(path)), name_of(path), options)
+    label = str(path) if label is None else label
+    return assemble(_READERS[format_of(path, label)](path, label), name_of(path), options)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from allanjax.axes import Axis, axes_of, scales_of
 from allanjax.io.assembly import no_rate_error, rows_of_times, stated_rate
 from allanjax.io.binary import chunked_npy, chunked_parquet
 from allanjax.io.formats import format_of, name_of
@@ -18,7 +19,7 @@ from allanjax.io.options import ReadOptions, TimeChoice
 from allanjax.io.table import ChunkedTable, as_float
 from allanjax.io.text import chunked_text
 from allanjax.io.timestamps import gap_in_stream, rate_from_times, seconds_from_first
-from allanjax.recording import Axis, axes_of, rows_between, scales_of
+from allanjax.recording import rows_between
 from allanjax.validation import (
     Source,
     bad_cells_message,
@@ -141,23 +142,26 @@ def read_chunks(
     )
 
 
-def open_chunks(path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20) -> ChunkedRecording:
-    """What `read_chunks` does with these options.
+def open_chunks(
+    path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20, label: str | None = None
+) -> ChunkedRecording:
+    """What `read_chunks` does with these options; messages name the file `label`.
 
     Raises:
         RecordingError, UnitError: as `read_chunks`.
     """
     path = Path(path)
-    source = Source(str(path))
+    label = str(path) if label is None else label
+    source = Source(label)
     if chunk < 1:
         raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
-    kind = format_of(path)
+    kind = format_of(path, label)
     if kind not in _READERS:
         raise source.error(
             f"a file of this kind (.{kind}) can not be read in chunks; save it as .npy, Parquet, HDF5 or "
             "CSV, or read it as a whole by read()"
         )
-    table = _READERS[kind](path, str(path))
+    table = _READERS[kind](path, label)
     first = next(table.rows(chunk), None)
     if first is None:
         raise source.error("the file has no rows; give a file with one row of numbers per sample")

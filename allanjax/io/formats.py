@@ -10,15 +10,15 @@ Format = Literal["parquet", "npy", "npz", "hdf5", "mat", "text"]
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
-def format_of(path: Path) -> Format:
-    """The file's format.
+def format_of(path: Path, label: str) -> Format:
+    """The format of a file, which messages name `label`.
 
     Raises:
         RecordingError: there is no such file, or it can not be opened, or is empty.
     """
-    source = Source(str(path))
+    source = Source(label)
     if path.is_dir():
-        raise source.error("a directory; give a file")
+        raise source.error(f"a folder; give a file, or a pattern such as '{path / '*.csv'}'")
     try:
         with path.open("rb") as stream:
             magic = stream.read(520)

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from allanjax.axes import check_axes, default_names
 from allanjax.columns import Column, recognise, split_unit
 from allanjax.io.options import ReadOptions, TimeChoice
 from allanjax.io.table import Table
-from allanjax.recording import check_axes, default_names
 from allanjax.units import SENSORS
 
 Indexed = tuple[int, Column]
