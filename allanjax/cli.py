@@ -1,5 +1,6 @@
 """The command line: `allanjax characterize`, `critique`, `fleet`, `simulate` and `demo`."""
 
+import math
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -193,6 +194,9 @@ def simulate(
     if preset is not None and preset not in SENSORS:
         raise typer.BadParameter(f"no sensor {preset!r}; there are {', '.join(SENSORS)}", param_hint="SENSOR")
     model = None if terms is None else parsed_model(terms, sensor)
+    for name, value in (("--duration", duration), ("--rate", rate)):
+        if not 0.0 < value < math.inf:
+            raise typer.BadParameter(f"must be positive, not {value:g}", param_hint=name)
     prepare()
     from allanjax.io import write
     from allanjax.recording import Recording

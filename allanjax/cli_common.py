@@ -116,7 +116,7 @@ FAILURES = (AllanjaxError, OSError, MemoryError)
 def reason(failure: BaseException, label: str) -> str:
     """What went wrong with the file of this label, in words."""
     if isinstance(failure, MemoryError):
-        return f"{label}: not enough memory; read a stretch by --start and --stop, or use --stream"
+        return f"{label}: not enough memory; take a stretch by --start and --stop, or --stream"
     if isinstance(failure, OSError) and failure.strerror:
         return f"{label if failure.filename is None else failure.filename}: {failure.strerror}"
     return str(failure)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from allanjax.errors import AllanjaxError
 from allanjax.io.options import ReadOptions
 from allanjax.options import FitOptions
 
@@ -55,7 +56,10 @@ def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
 
 
 def _read_options(**values: Any) -> ReadOptions:
-    return ReadOptions(**values)
+    try:
+        return ReadOptions(**values)
+    except AllanjaxError as error:
+        raise typer.BadParameter(str(error), param_hint="--start, --stop") from error
 
 
 def _typed(name: str) -> Any:
@@ -98,8 +102,8 @@ def _fit_options(
     ] = None,
 ) -> FitOptions:
     model = None if terms is None else fit_model(terms)
-    names = () if regressors is None else tuple(name.strip() for name in regressors.split(","))
-    return FitOptions(reading, model, objective, names)
+    names = (name.strip() for name in (regressors or "").split(","))
+    return FitOptions(reading, model, objective, tuple(name for name in names if name))
 
 
 _BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options": _fit_options}
@@ -107,7 +111,6 @@ _BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options":
 
 def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
     """The model that --terms writes down; a wrong command line if it writes down none."""
-    from allanjax.errors import AllanjaxError
     from allanjax.notation import parse_model
 
     try:

@@ -157,11 +157,12 @@ def terms_to_fit(
     """The model to fit, given or chosen, and which of its terms each axis has.
 
     Raises:
-        FitError: a step or a warm-up without a time, or with "allan".
+        FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
     """
     if selection is None:
         template = basic_terms() if model is None else as_model(model, axes)
         template = _with_known_transients(template, objective)
+        _check_distinct(template)
         return template, np.ones((len(axes), len(template)), bool)
     sets = [axis.chosen.terms for axis in selection]
     # A Markov process is part of the template where it is needed only: it costs time.
@@ -178,6 +179,17 @@ def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
             f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; "
             "record longer or use fewer terms"
         )
+
+
+def _check_distinct(template: Model) -> None:
+    """Raise FitError for two terms that differ in nothing but their amplitudes, which are to be found."""
+    seen = set()
+    for term in template.terms:
+        shape = [getattr(term, p.name) for p in term.parameters() if not term.is_free(p)]
+        if len(term.parameters()) == len(shape) + 1:
+            if (key := (type(term), *shape)) in seen:
+                raise FitError(f"no data tell {term.name()} from {term.name()}: leave one of them out")
+            seen.add(key)
 
 
 def _with_known_transients(template: Model, objective: Objective) -> Model:
@@ -204,7 +216,9 @@ def _regressors(
 ) -> dict[str, Float[np.ndarray, " n"]]:
     """The auxiliary channels of these names, without their means."""
     if names and objective != "whittle":
-        raise AllanjaxError('regressors are profiled out of the spectrum only: give objective="whittle"')
+        raise AllanjaxError(
+            'regressors are profiled out of the spectrum only: give objective="whittle" (--objective whittle)'
+        )
     channels = {}
     for name in names:
         if name not in recording.auxiliary:

@@ -195,7 +195,7 @@ def test_columns_without_names_that_can_not_be_told(text, noise, count, units):
     [
         (
             "gyro_x,gyro_q",
-            "columns= has 2 entries, but the file has 3 columns, with the names gyro_x [deg/s]",
+            "columns= (--columns) asks for gyro_q, and the file has gyro_x [deg/s], gyro_y",
         ),
         ("gyro_x,gyro_x,-", "gyro_x more than once"),
         ("-,-,mag", "no gyro or accelerometer column among mag"),

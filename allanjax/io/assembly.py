@@ -34,6 +34,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         times, _, time_notes = seconds_from_first(stamps, options.time_unit, rate, source)
         notes += time_notes
         rows = rows_of_times(times, options.start, options.stop)
+        check_stretch(rows, float(times[-1]), source)
         source = source.after(rows.start)
         check_length(rows.stop - rows.start, source)
         label = " + ".join(column.label for column, _ in stamps)
@@ -43,6 +44,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         raise no_rate_error(source)
     else:
         rows = rows_between(samples, rate, options.start, options.stop)
+        check_stretch(rows, samples / rate, source)
         source = source.after(rows.start)
     if rows != slice(0, samples):
         notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} taken")
@@ -73,6 +75,15 @@ def no_rate_error(source: Source) -> RecordingError:
         "no sample rate: pass rate= in Hz (--rate), or name a column of time stamps by time= (--time) "
         "or in the header, e.g. `time [s]`"
     )
+
+
+def check_stretch(rows: slice, duration: float, source: Source) -> None:
+    """Raise `RecordingError` if no row is left of a recording that lasts `duration` [s]."""
+    if rows.start == rows.stop:
+        raise source.error(
+            f"nothing is left of its {duration:.6g} s; give a time within them by start= or stop= "
+            "(--start, --stop)"
+        )
 
 
 def stated_rate(table: Table, rate: float | None) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from allanjax.axes import Axis, axes_of, scales_of
-from allanjax.io.assembly import no_rate_error, rows_of_times, stated_rate
+from allanjax.io.assembly import check_stretch, no_rate_error, rows_of_times, stated_rate
 from allanjax.io.binary import chunked_npy, chunked_parquet
 from allanjax.io.formats import format_of, name_of
 from allanjax.io.hdf5 import chunked_hdf5
@@ -190,6 +190,7 @@ def open_chunks(
             rows = rows_between(n, rate, start, stop)
             if rows != slice(0, n):
                 notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} taken")
+            check_stretch(rows, n / rate, source)
             n = rows.stop - rows.start
             check_length(n, source)
     if layout.auxiliary:

@@ -85,6 +85,13 @@ def _chosen(table: Table, columns: str | Sequence[str]) -> list[Indexed]:
             recognised = [(i, recognise(label)) for i, label in enumerate(table.labels)]
             # Time stamps stay, as what the rate is taken from.
             return [(i, column) for i, column in recognised if i in picked or column.role == "time"]
+        unknown = [name for name, match in zip(names, matches, strict=True) if not match]
+        if len(entries) != len(table.columns) and unknown:
+            raise table.source.error(
+                f"columns= (--columns) asks for {', '.join(unknown)}, and the file has "
+                f"{', '.join(table.labels)}; choose among these, or give one name per column in order, - to "
+                "skip one"
+            )
     if len(entries) != len(table.columns):
         has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
         raise table.source.error(

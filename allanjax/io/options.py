@@ -4,6 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
+import numpy as np
+
+from allanjax.errors import RecordingError
+
 TimeChoice = str | Literal[False] | None
 
 
@@ -30,6 +34,16 @@ class ReadOptions:
     time_unit: str | None = _option("Unit of the time stamps: s, ms, us or ns.")
     start: float | None = _option("Leave out what is before this time, in s.")
     stop: float | None = _option("Leave out what is from this time on, in s.")
+
+    def __post_init__(self) -> None:
+        start, stop = self.start, self.stop
+        for name, time in (("start", start), ("stop", stop)):
+            if time is not None and not np.isfinite(time):
+                raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
+        if start is not None and stop is not None and start >= stop:
+            raise RecordingError(
+                f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"
+            )
 
     def given(self) -> dict[str, Any]:
         """Names and values of the options that are given."""

@@ -14,9 +14,13 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write a recording in its own units as .csv, .parquet or .npz, with a column `time [s]`.
 
     Raises:
-        RecordingError: another suffix.
+        RecordingError: another suffix, or a folder that is not there.
     """
     path = Path(path)
+    if path.is_dir():
+        raise RecordingError(f"{path}: a folder; give a file to write, .csv, .parquet or .npz")
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path}: there is no folder {path.parent}; make it, or write elsewhere")
     columns = recording.columns
     match path.suffix.lower():
         case ".csv":
