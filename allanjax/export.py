@@ -142,6 +142,8 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "name": axis.name,
         "sensor": axis.sensor,
         "unit": axis.unit,
+        "mean_si": None,
+        "rms_si": None,
         "converged": False,
         "dead": True,
         "reason": dead.reason,

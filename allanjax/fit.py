@@ -45,12 +45,12 @@ def fit(
     objective: Objective = "allan",
     *,
     regressors: Sequence[str] = (),
+    as_is: bool = False,
+    vibrating: bool = False,
     rate: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
-    as_is: bool = False,
-    vibrating: bool = False,
 ) -> Fit:
     """Estimate the coefficients of a noise model from every axis of a recording.
 
@@ -74,10 +74,10 @@ def fit(
         objective: "allan" or "whittle".
         regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
             with "whittle" only.
-        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
-            and a file may state their own.
         as_is: whether to use all of the recording whatever it looks like; the warnings stay.
         vibrating: whether the platform moves or vibrates, and is to: motion is no reason for a warning then.
+        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
+            and a file may state their own.
 
     Returns:
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
@@ -136,7 +136,7 @@ def _fitted(
 
 def _without_result(recording: Recording, model: ModelLike | None, objective: Objective, reason: str) -> Fit:
     """The curve of a recording that no coefficients can be of."""
-    template, _ = terms_to_fit(model or basic_terms(), None, recording.axes, objective)
+    template, _ = terms_to_fit(model, None, recording.axes, objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
     results = tuple(without_result(axis, template, reason) for axis in recording.axes)
     return Fit(recording.name, template, curve, results, recording.notes, objective, dead=recording.dead)
