@@ -26,7 +26,10 @@ from allanjax.fit import (
     fit_allan,
     terms_to_fit,
     with_curve,
+    with_what_was_seen,
+    without_coefficients,
 )
+from allanjax.inspection import Inspection, Windows, look
 from allanjax.notation import ModelLike
 from allanjax.pyramid import Pyramid
 from allanjax.result import Fit
@@ -38,7 +41,7 @@ if TYPE_CHECKING:
 
 # Samples that are gathered before they are looked at: a call of a compiled program costs as much as many.
 _GATHERED = 1 << 17
-_FORMAT = 1
+_FORMAT = 2
 _TOO_FINE = "the Allan variances did not determine the fit; it is that of the averaged spectra (whittle)"
 
 _T = TypeVar("_T")
@@ -82,6 +85,7 @@ class AllanAccumulator:
         empty = np.zeros((0, len(self.axes)))
         self._pyramid = Pyramid.of(empty, start)
         self._spectra = SegmentSpectra.of(empty, self.rate, start)
+        self._windows = Windows.of(empty)
         # Axes that have not had a number so far; there are zeros for them in what follows.
         self._silent = np.ones(len(self.axes), bool)
         self._gathered: list[Float[np.ndarray, "n axes"]] = []
@@ -147,6 +151,7 @@ class AllanAccumulator:
         merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name)
         merged._pyramid = self._pyramid.merge(right._pyramid)
         merged._spectra = self._spectra.merge(right._spectra)
+        merged._windows = self._windows.merge(right._windows)
         merged._silent = self._silent & right._silent
         return merged
 
@@ -179,6 +184,7 @@ class AllanAccumulator:
             self.rate, list(itertools.compress(self.axes, keep)), start=self.start, name=self.name
         )
         living._pyramid, living._spectra = self._pyramid.of_axes(keep), self._spectra.of_axes(keep)
+        living._windows = self._windows.of_axes(keep)
         return living
 
     def result(self) -> AllanDeviation:
@@ -190,13 +196,31 @@ class AllanAccumulator:
         living = self._living()
         return AllanDeviation.of_pyramid(living._pyramid, self.rate, living.axes)
 
-    def fit(self, model: ModelLike | None = None, objective: Objective = "allan") -> Fit:
+    def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
+        """What the samples so far look like, as `allanjax.inspect` says it of a recording.
+
+        Its `stretch` is what an accumulator of better samples would begin and end with.
+        """
+        living = self._living()
+        return look(living._windows, living.axes, self.rate, name=self.name, as_is=as_is, vibrating=vibrating)
+
+    def fit(
+        self,
+        model: ModelLike | None = None,
+        objective: Objective = "allan",
+        *,
+        as_is: bool = False,
+        vibrating: bool = False,
+    ) -> Fit:
         """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
 
         Without a model its terms are chosen by their evidence in the averaged spectra. "allan" fits the
         pyramid's Allan variances with their own covariance, or the spectra where that does not converge (of
         10⁹ samples with a strong random walk the covariance of 28 octaves loses its digits; a note says so);
         "whittle" the averaged spectra.
+
+        What was handled cannot be taken out again: there is no result then, unless `as_is`, and the reason
+        names the stretch to read (`start=`, `stop=` of `read_chunks`). `vibrating` as in `fit`.
 
         Raises:
             FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
@@ -209,14 +233,19 @@ class AllanAccumulator:
         check_terms(template)
         check_length(curve, template, self.name)
         notes = ambiguities(selection)
+        seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()
+        if seen.refusal:
+            return without_coefficients(seen, curve, template, objective, notes, dead)
         if objective == "allan":
             results, fitted = fit_allan(curve, axes, template, active)
             if all(result.converged for result in results):
-                return Fit(self.name, template, fitted, results, notes, objective, selection, dead)
+                found = Fit(self.name, template, fitted, results, notes, objective, selection, dead)
+                return with_what_was_seen(found, seen)
             notes += (_TOO_FINE,)
         results = spectra.fit(template, axes, active)
         results, curve = with_curve(curve, template, results)
-        return Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
+        found = Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
+        return with_what_was_seen(found, seen)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:
         """Write the state to a file, whole or not at all; `restore` goes on from there.
@@ -235,6 +264,7 @@ class AllanAccumulator:
         }
         arrays = {"header": np.array(json.dumps(header))}
         arrays |= _packed(self._pyramid, "pyramid") | _packed(self._spectra, "spectra")
+        arrays |= _packed(self._windows, "windows")
         path = Path(path)
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
@@ -266,6 +296,7 @@ class AllanAccumulator:
                 found._silent = np.array(header.get("silent", [False] * len(axes)), bool)
                 found._pyramid = _unpacked(Pyramid, arrays, "pyramid")
                 found._spectra = _unpacked(SegmentSpectra, arrays, "spectra")
+                found._windows = _unpacked(Windows, arrays, "windows")
         except FileNotFoundError as error:
             raise RecordingError(f"{path}: no such file; check the path") from error
         except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
@@ -279,6 +310,7 @@ class AllanAccumulator:
         values, start = np.concatenate(self._gathered), self.start + self._pyramid.n
         self._pyramid = self._pyramid.merge(Pyramid.of(values, start))
         self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
+        self._windows = self._windows.updated(values)
         self._gathered = []
 
     def __eq__(self, other: object) -> bool:

@@ -256,7 +256,7 @@ def _read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectr
         stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"),
         ThreadPoolExecutor(1) as pool,
     ):
-        spectrum = pool.submit(_spectrum, recording)
+        spectrum = pool.submit(_spectrum, options.inspect(recording).quiet(recording))
         return spectrum, options.fit(recording)
 
 
@@ -273,9 +273,14 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
             say(f"{file.label}: {done:,}{share} samples read")
 
         accumulator = accumulate(open_chunks(file.path, options.reading, label=file.label), progress=progress)
+        seen = options.inspect(accumulator)
+        if seen.stretch is not None:
+            # What was handled cannot be taken out again, but the file can be read again without.
+            reading = options.reading.within(seen.stretch)
+            accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     size = f"{accumulator.n:,} samples of {len(accumulator.axes)} axes"
     with stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"):
-        return options.fit_accumulated(accumulator)
+        return options.fit_accumulated(accumulator, seen)
 
 
 def _spectrum(recording: "Recording") -> "PowerSpectrum":

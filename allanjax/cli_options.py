@@ -100,10 +100,18 @@ def _fit_options(
         str | None,
         typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
     ] = None,
+    as_is: Annotated[
+        bool,
+        typer.Option("--as-is", help="Use all of a recording, also where it was handled or disturbed."),
+    ] = False,
+    vibrating: Annotated[
+        bool,
+        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
+    ] = False,
 ) -> FitOptions:
     model = None if terms is None else fit_model(terms)
     names = (name.strip() for name in (regressors or "").split(","))
-    return FitOptions(reading, model, objective, tuple(name for name in names if name))
+    return FitOptions(reading, model, objective, tuple(name for name in names if name), as_is, vibrating)
 
 
 _BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options": _fit_options}

@@ -20,12 +20,12 @@ from allanjax.deterministic import lines_of, take_out_lines
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.gls import Solution, solve
 from allanjax.inference import Inference, infer
-from allanjax.inspection import inspect
+from allanjax.inspection import Inspection, inspect
 from allanjax.io.given import RecordingLike, as_recording
 from allanjax.misfit import Misfit, misfit_of, widened
 from allanjax.model import Model
 from allanjax.notation import ModelLike, as_model
-from allanjax.recording import Axis, Recording
+from allanjax.recording import Axis, DeadAxis, Recording
 from allanjax.result import AxisFit, Fit, fitted_model
 from allanjax.selection import TermSelection, basic_terms, select_terms
 from allanjax.starts import Starts, find_starts
@@ -97,18 +97,11 @@ def fit(
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
     # The time of a step counts from the first sample.
     seen = inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
-    if seen.refusal:
-        found = _without_result(recording, model, objective, seen.refusal)
-    else:
-        found = _fitted(seen.quiet(recording), model, objective, regressors)
-    results = zip(found.results, seen.mean, seen.rms, strict=True)
-    return dataclasses.replace(
-        found,
-        results=tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in results),
-        warnings=seen.warnings,
-        notes=found.notes + seen.notes,
-        stretch=seen.stretch,
-    )
+    if not seen.refusal:
+        return with_what_was_seen(_fitted(seen.quiet(recording), model, objective, regressors), seen)
+    template, _ = terms_to_fit(model, None, recording.axes, objective)
+    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+    return without_coefficients(seen, curve, template, objective, recording.notes, recording.dead)
 
 
 def _fitted(
@@ -134,18 +127,33 @@ def _fitted(
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
 
 
-def _without_result(recording: Recording, model: ModelLike | None, objective: Objective, reason: str) -> Fit:
-    """The curve of a recording that no coefficients can be of."""
-    template, _ = terms_to_fit(model, None, recording.axes, objective)
-    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
-    results = tuple(without_result(axis, template, reason) for axis in recording.axes)
-    return Fit(recording.name, template, curve, results, recording.notes, objective, dead=recording.dead)
-
-
-def without_result(axis: Axis, template: Model, reason: str) -> AxisFit:
-    """An axis that has no coefficients, and why."""
+def without_coefficients(
+    seen: Inspection,
+    curve: AllanDeviation,
+    template: Model,
+    objective: Objective,
+    notes: tuple[str, ...],
+    dead: tuple[DeadAxis, ...],
+) -> Fit:
+    """The curve of a recording that no coefficients can be of, and why."""
     nothing = np.zeros((0, 0))
-    return AxisFit(axis, False, reason, np.nan, 0, np.nan, np.nan, {}, nothing, template)
+    results = tuple(
+        AxisFit(axis, False, seen.refusal, np.nan, 0, np.nan, np.nan, {}, nothing, template)
+        for axis in seen.axes
+    )
+    return with_what_was_seen(Fit(seen.name, template, curve, results, notes, objective, None, dead), seen)
+
+
+def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
+    """The fit with the warnings, the stretch, and the level of each axis."""
+    results = zip(found.results, seen.mean, seen.rms, strict=True)
+    return dataclasses.replace(
+        found,
+        results=tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in results),
+        warnings=seen.warnings,
+        notes=found.notes + seen.notes,
+        stretch=seen.stretch,
+    )
 
 
 def terms_to_fit(

@@ -103,6 +103,8 @@ def characterize_fleet(
     objective: Objective = "allan",
     *,
     regressors: Sequence[str] = (),
+    as_is: bool = False,
+    vibrating: bool = False,
     group: Groups | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -135,7 +137,7 @@ def characterize_fleet(
         files: paths and patterns such as `logs/**/*.parquet`; on a cluster of several machines, in a place
             that all see under the same path. Files below `out` are left out.
         out: folder for the results.
-        model, objective, regressors: as for `fit`.
+        model, objective, regressors, as_is, vibrating: as for `fit`.
         group: which units are alike: a regular expression whose parentheses match the group in a file's path
             or recording's name, e.g. `logs/(\\w+)/`; a CSV file with the columns file and group; a mapping
             from file to group; or a function of the path. See `fleet_groups.group_names`.
@@ -159,7 +161,7 @@ def characterize_fleet(
     out = Path(out)
     paths = matching_files(files, out)
     added = None if model is None else as_model(model)
-    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors))
+    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors), as_is, vibrating)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
     groups = group_names(group, recordings)
     folder = out / _RECORDINGS

@@ -46,6 +46,8 @@ def table_schema() -> pa.Schema:
             "p_value": number,
             "terms": text,
             "outlying": flag,
+            "start_s": number,
+            "stop_s": number,
             "warnings": text,
         }
     )
@@ -57,6 +59,7 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
     Axes without result have no rows.
     """
     rows = []
+    start, stop = fit["stretch_s"] or (None, None)
     for axis in fit["axes"]:
         for c in axis["coefficients"]:
             rows.append(
@@ -78,7 +81,9 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
                     "p_value": axis["p_value"],
                     "terms": " + ".join(_terms(axis)),
                     "outlying": False,
-                    "warnings": "; ".join(fit.get("warnings", ())),
+                    "start_s": start,
+                    "stop_s": stop,
+                    "warnings": "; ".join(fit["warnings"]),
                 }
             )
     return rows

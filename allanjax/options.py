@@ -1,13 +1,14 @@
 """How a recording is read and fitted: one object that commands and fleets hand on as a whole."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from allanjax.accumulator import AllanAccumulator
 from allanjax.fit import Objective, fit
+from allanjax.inspection import Inspection, inspect
 from allanjax.io.options import ReadOptions
 from allanjax.model import Model
 from allanjax.recording import Recording
@@ -20,13 +21,15 @@ class FitOptions:
 
     Attributes:
         reading: how they are read.
-        model, objective, regressors: as `fit` takes them.
+        model, objective, regressors, as_is, vibrating: as `fit` takes them.
     """
 
     reading: ReadOptions = ReadOptions()
     model: Model | None = None
     objective: Objective = "allan"
     regressors: tuple[str, ...] = ()
+    as_is: bool = False
+    vibrating: bool = False
 
     def arguments(self) -> dict[str, Any]:
         """All options by name, as `characterize_fleet` takes them."""
@@ -39,15 +42,32 @@ class FitOptions:
         Raises:
             AllanjaxError: as `fit`.
         """
-        return fit(recording, self.model, self.objective, regressors=self.regressors)
+        return fit(recording, self.model, self.objective, regressors=self.regressors, **self._looking)
 
-    def fit_accumulated(self, accumulator: AllanAccumulator) -> Fit:
+    def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """The fit of what was accumulated, which has no channels to regress on.
+
+        Args:
+            accumulator: of a recording, or of the stretch of it that `seen` says.
+            seen: how the whole of it looked, if that is another.
 
         Raises:
             AllanjaxError: as `AllanAccumulator.fit`.
         """
-        return accumulator.fit(self.model, self.objective)
+        if seen is None or seen.stretch is None:
+            return accumulator.fit(self.model, self.objective, **self._looking)
+        found = accumulator.fit(self.model, self.objective, as_is=True, vibrating=self.vibrating)
+        return replace(found, warnings=seen.warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
+
+    def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
+        """What a recording, or what was accumulated of one, looks like, as its fit will see it."""
+        return (
+            of.inspect(**self._looking) if isinstance(of, AllanAccumulator) else inspect(of, **self._looking)
+        )
+
+    @property
+    def _looking(self) -> dict[str, bool]:
+        return {"as_is": self.as_is, "vibrating": self.vibrating}
 
     def to_dict(self) -> dict[str, Any]:
         """The options in JSON's types, all that there are; equal if, and only if, the options are."""

@@ -363,7 +363,9 @@ class Fit(ByValue):
         cells = []
         for result in self.results:
             if not result.converged:
-                cells.append((result.axis.name, "", result.verdict(), ""))
+                told = any(result.reason in warning for warning in self.warnings)
+                why = "no result: see the warning above" if told else result.verdict()
+                cells.append((result.axis.name, "", why, ""))
                 continue
             for c in result.coefficients.values():
                 shown = c.in_unit()

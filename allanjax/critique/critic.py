@@ -142,6 +142,7 @@ def criticize(
         axes,
         shared,
         (
+            *fit.warnings,
             *fit.notes,
             *(
                 f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence"
@@ -156,11 +157,12 @@ def criticize(
 
 def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
     tell("fitting the noise model")
-    fit = fit_recording(recording)
+    # What was done to the recording is what is looked for.
+    fit = fit_recording(recording, as_is=True)
     if all(result.converged for result in fit):
         return fit
     # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
-    return fit_recording(recording, objective="whittle")
+    return fit_recording(recording, objective="whittle", as_is=True)
 
 
 def _stages(s: Search) -> tuple[Snapshot, ...]:

@@ -13,7 +13,7 @@ from allanjax.inspection.plausible import coarse, implausible
 from allanjax.inspection.quiet import Event, Quiet, quiet_part
 from allanjax.inspection.scores import mean_squares
 from allanjax.inspection.windows import Windows
-from allanjax.inspection.words import grid, refused, said_of_events, said_of_motion, span, unclear
+from allanjax.inspection.words import cannot_cut, grid, refused, said_of_events, said_of_motion, span, unclear
 from allanjax.recording import Axis, Recording
 
 #: Least share of the recording that coefficients may be of: one event leaves half of it wherever it is, two
@@ -36,6 +36,7 @@ class Inspection:
         notes: sentences of less weight.
         at_rest: whether nothing speaks against it.
         events: what happened to the sensor.
+        said: what happened that matters, in words.
     """
 
     name: str
@@ -50,10 +51,21 @@ class Inspection:
     notes: tuple[str, ...]
     at_rest: bool
     events: tuple[Event, ...]
+    said: str
 
     def quiet(self, recording: Recording) -> Recording:
         """The stretch of the recording that coefficients should be of."""
         return recording if self.stretch is None else recording.between(*self.stretch)
+
+    def uncut(self) -> Inspection:
+        """The same of samples that cannot be cut any more: what should be, is refused."""
+        if self.stretch is None:
+            return self
+        refusal = cannot_cut(self.said, span(*self.stretch, grid(self.n / self.rate)), self.stretch)
+        warnings = tuple(
+            f"no coefficients: {refusal}" if line.startswith(self.said) else line for line in self.warnings
+        )
+        return dataclasses.replace(self, stretch=None, refusal=refusal, warnings=warnings)
 
     def __str__(self) -> str:
         duration = self.n / self.rate
@@ -163,6 +175,7 @@ def look(
         (f"{note}: too little to change a coefficient by more than its error",) if note else (),
         not moving,
         quiet.events,
+        said,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 #: Windows that a long recording is divided into: between half as many and so many.
 MOST = 1024
@@ -101,6 +101,8 @@ class Windows:
 
     def merge(self, right: Windows) -> Windows:
         """The windows of this piece and of the one after it, and one of what is left at the seam."""
+        if self.n == 0:
+            return right
         left = self.closed()
         while left.size < right.size:
             left = left._coarser()
@@ -121,6 +123,11 @@ class Windows:
         before, two = last.between(0, len(self) - 1), last.between(len(self) - 1, len(self) + 1)
         one = two._paired(two.power[:, :1] + two.power[:, 1:], two.pairs[:, :1] + two.pairs[:, 1:])
         return before._joined(one)
+
+    def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Windows:
+        """The windows of some of the axes."""
+        columns = ("mean", "low", "high", "power", "peak", "repeats", "resolution", "rest")
+        return dataclasses.replace(self, **{name: getattr(self, name)[..., keep] for name in columns})
 
     def between(self, first: int, last: int) -> Windows:
         """The windows from number `first` up to but not including `last`."""

@@ -117,6 +117,15 @@ def unclear(said: str) -> str:
     return f"{said}: which of the two is the sensor at rest cannot be told; {_REMEDY}"
 
 
+def cannot_cut(said: str, where: str, stretch: tuple[float, float]) -> str:
+    """Why there are no coefficients of samples that are not kept, and what to do."""
+    start, stop = (f"{time:.6g}" for time in stretch)
+    return (
+        f"{said}, and what has been accumulated cannot be taken out again; {where} would do: read again with "
+        f"start={start}, stop={stop} (--start {start} --stop {stop}), or use all by as_is=True (--as-is)"
+    )
+
+
 def amount(value: float, axis: Axis) -> str:
     """A rate in the recording's unit, e.g. "0.21 deg/s"."""
     unit, scale = rate_unit_of(axis.unit, axis.sensor)

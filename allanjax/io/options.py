@@ -1,7 +1,7 @@
 """How a recording is read: one object, so that no reader and no command can leave an option out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +44,11 @@ class ReadOptions:
             raise RecordingError(
                 f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"
             )
+
+    def within(self, stretch: tuple[float, float]) -> "ReadOptions":
+        """For a stretch of what is read with these, in s from its first sample."""
+        origin = self.start or 0.0
+        return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
 
     def given(self) -> dict[str, Any]:
         """Names and values of the options that are given."""
