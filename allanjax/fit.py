@@ -92,16 +92,27 @@ def fit(
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
     _regressors(recording, regressors, objective)
-    terms = () if model is None else as_model(model, recording.axes).terms
-    timed = any(isinstance(term, Transient) for term in terms)
-    may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
-    # The time of a step counts from the first sample.
-    seen = inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
+    seen = inspected(recording, model, regressors, as_is, vibrating)
     if not seen.refusal:
         return with_what_was_seen(_fitted(seen.quiet(recording), model, objective, regressors), seen)
     template, _ = terms_to_fit(model, None, recording.axes, objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
     return without_coefficients(seen, curve, template, objective, recording.notes, recording.dead)
+
+
+def inspected(
+    recording: Recording,
+    model: ModelLike | None,
+    regressors: Sequence[str],
+    as_is: bool,
+    vibrating: bool,
+) -> Inspection:
+    """How the recording looks to a fit of this model, which may say that the mean moves."""
+    terms = () if model is None else as_model(model, recording.axes).terms
+    timed = any(isinstance(term, Transient) for term in terms)
+    may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
+    # The time of a step counts from the first sample.
+    return inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
 
 
 def _fitted(

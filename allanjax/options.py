@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from allanjax.accumulator import AllanAccumulator
-from allanjax.fit import Objective, fit
-from allanjax.inspection import Inspection, inspect
+from allanjax.fit import Objective, fit, inspected
+from allanjax.inspection import Inspection
 from allanjax.io.options import ReadOptions
 from allanjax.model import Model
 from allanjax.recording import Recording
@@ -42,7 +42,14 @@ class FitOptions:
         Raises:
             AllanjaxError: as `fit`.
         """
-        return fit(recording, self.model, self.objective, regressors=self.regressors, **self._looking)
+        return fit(
+            recording,
+            self.model,
+            self.objective,
+            regressors=self.regressors,
+            as_is=self.as_is,
+            vibrating=self.vibrating,
+        )
 
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """The fit of what was accumulated, which has no channels to regress on.
@@ -55,19 +62,15 @@ class FitOptions:
             AllanjaxError: as `AllanAccumulator.fit`.
         """
         if seen is None or seen.stretch is None:
-            return accumulator.fit(self.model, self.objective, **self._looking)
+            return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
         found = accumulator.fit(self.model, self.objective, as_is=True, vibrating=self.vibrating)
         return replace(found, warnings=seen.warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
         """What a recording, or what was accumulated of one, looks like, as its fit will see it."""
-        return (
-            of.inspect(**self._looking) if isinstance(of, AllanAccumulator) else inspect(of, **self._looking)
-        )
-
-    @property
-    def _looking(self) -> dict[str, bool]:
-        return {"as_is": self.as_is, "vibrating": self.vibrating}
+        if isinstance(of, AllanAccumulator):
+            return of.inspect(as_is=self.as_is, vibrating=self.vibrating)
+        return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
 
     def to_dict(self) -> dict[str, Any]:
         """The options in JSON's types, all that there are; equal if, and only if, the options are."""

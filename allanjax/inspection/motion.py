@@ -14,9 +14,9 @@ from allanjax.inspection.windows import Windows
 _DEG = np.pi / 180.0
 _G = 9.80665
 # Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] at rest has. The noisiest consumer
-# gyros have 2 deg/√h (0.033 deg/s at 1 s), a correlated part may make six times of it; the noisiest
-# accelerometers 1 mg/√Hz, 0.01 m/s² at 1 s.
-AT_REST = {"gyro": 0.3 * _DEG, "accel": 0.1}
+# gyros have 2 deg/√h, 0.033 deg/s at 1 s, and the noisiest accelerometers 1 mg/√Hz, 0.01 m/s²; a correlated
+# part, or a line, makes up to ten times of it.
+AT_REST = {"gyro": 0.3 * _DEG, "accel": 0.15}
 # Cluster times looked at: below, vibration and quantization are large at rest, too; above, drift is.
 _SHORTEST, _LONGEST = 0.3, 10.0
 # How far the mean may wander from one part of a record to another: zero-rate levels drift by less than
