@@ -25,7 +25,7 @@ READING = ReadOptions(
     start=1.5,
     stop=99.5,
 )
-FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"))
+FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"), True, True)
 WRITTEN = {"model": "N + B", "regressors": "temperature, voltage"}
 NAMES = {"model": "--terms"}
 

@@ -82,9 +82,8 @@ def _touched(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray,
 
 def _silent(windows: Windows) -> list[tuple[int, int]]:
     """Runs of windows in which an axis that usually changes does not: it is stuck, or switched off."""
-    pairs = np.maximum(windows.pairs[0], 1)[:, None]
     constant = windows.low == windows.high
-    usual = np.median(windows.repeats / pairs, axis=0) < _MOSTLY_NEW
+    usual = np.median(windows.repeated, axis=0) < _MOSTLY_NEW
     return [(a, b) for a, b in _spans((constant & usual).any(axis=1)) if b - a >= _STUCK]
 
 

@@ -198,10 +198,8 @@ def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: flo
     return first, max(last, first + 1)
 
 
-def _white(windows: Windows, rate: float) -> Float[np.ndarray, " axes"]:
-    """Bounds of the white noise N: the least product of Allan deviation and root of cluster time."""
-    squares = mean_squares(windows)
-    known = np.isfinite(squares).any(axis=(1, 2))
-    variance = np.nanmean(squares[known], axis=1) / 2.0
-    time = (2.0 ** np.arange(len(squares)))[known] / rate
-    return np.sqrt((variance * time[:, None]).min(axis=0))
+def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
+    """Allan deviation times root of cluster time, up to a second."""
+    squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
+    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
+    return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])

@@ -31,12 +31,14 @@ _ROOT_HOUR = _DEG / 60.0
 _BEST_GYRO = 3e-5 * _ROOT_HOUR
 # Least ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units it is 0.17
 # (fibre-optic gyros beside MEMS accelerometers) to 30, and 57 times less if rad/s are taken for deg/s.
-_LEAST_RATIO = 0.07
+_LEAST_RATIO = 0.1
 # White noise [m/s/√h] of accelerometers that are MEMS.
 _MEMS = 0.03
 _TIMES = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 # Stamps and a rate that agree do so within this.
 _SAME_RATE = 0.05
+# Ratio of the largest to the least of these products up to which noise is white: of quantization beside it.
+_FLAT = 6.0
 # Values of an axis that are few, and the samples they are counted among.
 _FEW, _COUNTED = 8, 1 << 14
 # Share of equal neighbours at which the noise is 0.4 steps of the resolution: below, it is not seen.
@@ -52,7 +54,7 @@ def implausible(
     axes: Sequence[Axis],
     rate: float,
     mean: Float[np.ndarray, " axes"],
-    white: Float[np.ndarray, " axes"],
+    white: Float[np.ndarray, "scales axes"],
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     moving: Collection[str] = (),
 ) -> dict[str, str]:
@@ -62,7 +64,8 @@ def implausible(
         axes: the recording's.
         rate: in Hz.
         mean: of each axis [rad/s or m/s²].
-        white: of each axis, an upper bound of its white noise N [rad/√s or m/s/√s].
+        white: Allan deviation times root of cluster time, of clusters up to a second [rad/√s or m/s/√s]; the
+            least is an upper bound of the white noise N.
         auxiliary: other columns, among which may be one of times.
         moving: sensors that are not at rest, for other reasons.
     """
@@ -110,23 +113,28 @@ def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], 
 
 
 def _gyro(
-    axes: Sequence[Axis], mean: Float[np.ndarray, " axes"], white: Float[np.ndarray, " axes"], moving: bool
+    axes: Sequence[Axis],
+    mean: Float[np.ndarray, " axes"],
+    white: Float[np.ndarray, "scales axes"],
+    moving: bool,
 ) -> str:
     """A gyro at rest reads the Earth's rate, 15 deg/h, its bias, and the noise that its kind can have."""
     gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
     if not gyros:
         return ""
     unit = axes[gyros[0]].unit
-    noise, bias = float(np.median(white[gyros])), float(abs(mean[gyros]).max())
+    noise, bias = float(np.median(white.min(axis=0)[gyros])), float(abs(mean[gyros]).max())
+    # Motion has its own spectrum; noise in another unit is as white as it was.
+    flat = bool(np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[gyros]) < 0.0)
     known = f"gyros average {bias / _DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
-    if noise > AT_REST["gyro"] or (bias > _LARGEST_BIAS and not moving):
+    if (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving):
         remedy = "is the unit right? (--gyro-unit)" if "deg" in unit else "are they deg/s? --gyro-unit deg/s"
         return f"{known}, beyond any gyro at rest; {remedy}"
     if 0.0 < noise < _BEST_GYRO:
         return f"{known}, and the best ones made have 0.0001 deg/√h; is the unit right? (--gyro-unit)"
     accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
     if accel and "rad" not in unit:
-        beside = float(np.median(white[accel])) * 60.0
+        beside = float(np.median(white.min(axis=0)[accel])) * 60.0
         if 0.0 < noise / _ROOT_HOUR < _LEAST_RATIO * beside and beside > _MEMS:
             return (
                 f"{known}, too little beside accelerometers of {beside:.2g} m/s/√h; are they rad/s? "
@@ -171,7 +179,7 @@ def coarse(
             line += f"; of {n} samples, N is known to {100.0 / np.sqrt(n):.0f} % at best"
         lines.append(line)
     scales = scales_of(axes, rate)
-    repeated = windows.repeats.sum(axis=0) / max(windows.pairs[0].sum(), 1)
+    repeated = np.average(windows.repeated, axis=0, weights=windows.count)
     # The rms difference of neighbours, were they not rounded, makes so many of them equal.
     rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1))
     chance = windows.resolution / np.where(rms > 0.0, rms, np.inf) / np.sqrt(2.0 * np.pi)

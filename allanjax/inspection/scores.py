@@ -76,8 +76,7 @@ def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
 
 def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
     """What the level alone can make of the differences where samples are rounded to few steps."""
-    pairs = np.maximum(windows.pairs[0], 1)
-    repeated = np.median(windows.repeats / pairs[:, None], axis=0)
+    repeated = np.median(windows.repeated, axis=0)
     share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
     resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
     return share * resolution**2 / 4.0

@@ -29,7 +29,7 @@ class Windows:
         power: sums of squares of the differences between the means of neighbouring clusters of 1, 2, 4, …,
             size/2 samples, which do not overlap; `pairs` are how many.
         peak: largest difference of two neighbouring samples.
-        repeats: pairs of equal neighbours.
+        repeats: samples equal to the one before, but for each sixteenth: 15 of 16 neighbours are compared.
         resolution: of each axis, the smallest step between samples that was seen.
         rest: samples after the last window, fewer than its size.
     """
@@ -79,6 +79,12 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.count)
+
+    @property
+    def repeated(self) -> Float[np.ndarray, "w axes"]:
+        """Share of the samples that are equal to the one before."""
+        compared = (SHORTEST - 1) * (self.count // SHORTEST)
+        return self.repeats / np.maximum(compared, 1)[:, None]
 
     @property
     def n(self) -> int:
@@ -144,7 +150,7 @@ class Windows:
         """The rest as a window."""
         r = self.rest
         power, pairs = np.zeros((len(self.power), 1, r.shape[1])), np.zeros((len(self.power), 1), int)
-        means, peak, repeats = r, np.zeros((1, r.shape[1])), np.zeros((1, r.shape[1]), int)
+        means, peak, repeats = r, np.zeros((1, r.shape[1])), _repeats(r.T)[None]
         for k in range(len(power)):
             even, odd = means[: len(means) // 2 * 2 : 2], means[1::2]
             d = odd - even
@@ -152,7 +158,7 @@ class Windows:
                 break
             power[k, 0], pairs[k] = np.sum(d * d, axis=0), len(d)
             if k == 0:
-                peak, repeats = abs(d).max(axis=0)[None], (d == 0.0).sum(axis=0)[None]
+                peak = abs(d).max(axis=0)[None]
             means = 0.5 * (odd + even)
         return dataclasses.replace(
             self.between(0, 0),
@@ -220,16 +226,23 @@ def _looked_at(values: Float[np.ndarray, "n axes"], size: int) -> tuple[np.ndarr
     # One axis after the other: sums over neighbours are then sums over what is side by side in memory.
     x = np.ascontiguousarray(values.T).reshape(axes, -1, size)
     low, high = x.min(axis=2), x.max(axis=2)
+    repeats = _repeats(x).T
     power = np.empty((size.bit_length() - 1, x.shape[1], axes))
-    peak, repeats = np.zeros(low.T.shape), np.zeros(low.T.shape, int)
+    peak = np.zeros(low.T.shape)
     for k in range(len(power)):
         d = x[:, :, 1::2] - x[:, :, ::2]
         if k == 0:
             peak = np.maximum(d.max(axis=2), -d.min(axis=2)).T
-            repeats = np.count_nonzero(d == 0.0, axis=2).T
         power[k] = np.einsum("awk,awk->wa", d, d)
         x = 0.5 * (x[:, :, 1::2] + x[:, :, ::2])
     return x[:, :, 0].T, low.T, high.T, power, peak, repeats
+
+
+def _repeats(x: Float[np.ndarray, "*w n"]) -> Int[np.ndarray, " *w"]:
+    """Samples that are equal to the one before, in blocks of the shortest window."""
+    count = x.shape[-1] // SHORTEST
+    blocks = x[..., : count * SHORTEST].reshape(*x.shape[:-1], count, SHORTEST)
+    return np.count_nonzero(blocks[..., 1:] == blocks[..., :-1], axis=(-2, -1))
 
 
 def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes"]:
