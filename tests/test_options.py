@@ -28,6 +28,7 @@ READING = ReadOptions(
 FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"), True, True)
 WRITTEN = {"model": "N + B", "regressors": "temperature, voltage"}
 NAMES = {"model": "--terms"}
+LOOKING = {"as_is": True, "vibrating": True}
 
 
 class EnoughError(AllanjaxError):
@@ -40,7 +41,8 @@ def arguments(given):
     for option in fields(given):
         if option.name != "reading":
             name = NAMES.get(option.name, f"--{option.name.replace('_', '-')}")
-            words += [name, str(WRITTEN.get(option.name, getattr(given, option.name)))]
+            value = getattr(given, option.name)
+            words += [name] if value is True else [name, str(WRITTEN.get(option.name, value))]
     return words
 
 
@@ -67,6 +69,7 @@ def seen(monkeypatch):
     monkeypatch.setattr(cli, "_spectrum", lambda recording: None)
     monkeypatch.setattr(cli, "open_chunks", noting("chunks"))
     monkeypatch.setattr(cli_critique, "read_recording", noting("read"))
+    monkeypatch.setattr(options, "inspected", noting("inspected", SimpleNamespace(quiet=lambda x: x)))
     monkeypatch.setattr(options, "fit", noting("fit"))
     monkeypatch.setattr(fleet, "characterize_fleet", noting("fleet"))
     monkeypatch.setenv("ALLANJAX_CACHE", "off")
@@ -85,7 +88,8 @@ def test_characterize(seen):
     assert seen["read"].args[1] == READING
     (_, model, objective), keywords = seen["fit"].args, seen["fit"].keywords
     assert (str(model), objective) == (str(FITTING.model), FITTING.objective)
-    assert keywords == {"regressors": FITTING.regressors}
+    assert keywords == {"regressors": FITTING.regressors} | LOOKING
+    assert seen["inspected"].args[1:] == (model, FITTING.regressors, True, True)
 
 
 def test_characterize_of_a_stream(seen):
@@ -96,8 +100,8 @@ def test_characterize_of_a_stream(seen):
 
 def test_what_was_accumulated_is_fitted_as_asked():
     asked = []
-    FITTING.fit_accumulated(SimpleNamespace(fit=lambda *args: asked.append(args)))
-    assert asked == [(FITTING.model, FITTING.objective)]
+    FITTING.fit_accumulated(SimpleNamespace(fit=lambda *args, **keywords: asked.append((args, keywords))))
+    assert asked == [((FITTING.model, FITTING.objective), LOOKING)]
 
 
 def test_critique(seen):
@@ -113,9 +117,10 @@ def test_fleet(seen):
     reading = ReadOptions(**{option.name: passed.pop(option.name) for option in fields(ReadOptions)})
     assert reading == READING
     assert passed.pop("model").terms == FITTING.model.terms
-    assert {name: passed[name] for name in ("objective", "regressors")} == {
+    assert {name: passed[name] for name in ("objective", "regressors", *LOOKING)} == {
         "objective": FITTING.objective,
         "regressors": FITTING.regressors,
+        **LOOKING,
     }
 
 
@@ -126,7 +131,7 @@ def test_a_worker_of_a_fleet(monkeypatch):
     monkeypatch.setattr(options, "fit", lambda *args, **keywords: seen.append((args, keywords)))
     fleet.characterize_recording("a.csv", FITTING)
     fitted = (recording, FITTING.model, FITTING.objective)
-    assert seen == [("a.csv", READING), (fitted, {"regressors": FITTING.regressors})]
+    assert seen == [("a.csv", READING), (fitted, {"regressors": FITTING.regressors} | LOOKING)]
 
 
 @pytest.mark.parametrize("reader", [read, read_chunks])
