@@ -284,8 +284,12 @@ def false_alarms(first: int, count: int) -> str:
             alarms[label].append(f"unit ({seed})")
     rows = [[k, str(counts[k]), str(len(alarms[k])), "; ".join(alarms[k])] for k in sorted(counts)]
     total = sum(map(len, alarms.values()))
-    head = f"{total} of {count} clean records ({100.0 * total / count:.1f} %), {1e3 * spent / count:.0f} ms each."
-    return head + "\n\n" + table(["record", "records", "alarms", "which"], rows)
+    head = f"{total} of {count} clean records ({100.0 * total / count:.1f} %)"
+    return (
+        f"{head}, {1e3 * spent / count:.0f} ms each."
+        + "\n\n"
+        + table(["record", "records", "alarms", "which"], rows)
+    )
 
 
 def after_touching(first: int, each: int) -> str:
@@ -360,7 +364,8 @@ def preset_text() -> str:
     found = [(name, aj.inspect(recording)) for name, recording in presets()]
     alarms = [f"{name}: {seen}" for name, seen in found if seen.said or not seen.at_rest]
     units = [f"{name}: {w}" for name, seen in found for w in seen.warnings if "unit" in w]
-    return f"{len(found)} records of the presets and the demo: alarms {alarms or 'none'}, units {units or 'none'}."
+    said = f"alarms {alarms or 'none'}, units {units or 'none'}"
+    return f"{len(found)} records of the presets and the demo: {said}."
 
 
 def main() -> None:
@@ -380,14 +385,14 @@ def main() -> None:
         false_alarms(options.first, options.clean),
         preset_text(),
         "## Touched records",
-        "Largest factor, over octaves of cluster time and six axes, between the Allan deviation of the touched "
-        "record and that of the same record untouched; before: of all of it, after: of the stretch that "
-        "coefficients are of. σ: of the white noise, from sample to sample. An estimate's own scatter at the "
-        "longest cluster times makes factors of 1.1 to 1.3.",
+        "Largest factor, over octaves of cluster time and six axes, between the Allan deviation of the "
+        "touched record and that of the same record untouched; before: of all of it, after: of the stretch "
+        "that coefficients are of. σ: of the white noise, from sample to sample. An estimate's own scatter "
+        "at the longest cluster times makes factors of 1.1 to 1.3.",
         after_touching(options.first, options.touched),
         "## Coefficients",
-        "N and K of a gyro and an accelerometer, 32,768 samples at 100 Hz: estimate over truth, and the share of "
-        "95 % intervals (or limits) that hold it; before: `as_is=True`.",
+        "N and K of a gyro and an accelerometer, 32,768 samples at 100 Hz: estimate over truth, and the share "
+        "of 95 % intervals (or limits) that hold it; before: `as_is=True`.",
         coefficients(options.first, options.fits),
     ]
     text = "\n\n".join(parts) + "\n"
