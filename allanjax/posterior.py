@@ -200,7 +200,7 @@ class AxisPosterior(ByValue):
         word = "angle" if self.axis.sensor == "gyro" else "velocity"
         return {
             float(time): Derived.of(
-                f"{word} error after {time:g} s",
+                f"{word} error after {duration(float(time))}",
                 self.axis,
                 unit,
                 error,
