@@ -74,12 +74,19 @@ def _told(split: Split, names: Sequence[str], group: str) -> str:
 
 
 def _warned(table: pd.DataFrame) -> list[str]:
-    """Which recordings have warnings."""
-    warned = table.loc[table["warnings"] != "", ["recording", "warnings"]].drop_duplicates("recording")
-    if warned.empty:
+    """Each warning with the recordings that have it, the most frequent first."""
+    of = table.drop_duplicates("recording")
+    found: dict[str, list[str]] = {}
+    for name, text in zip(of["recording"], of["warnings"], strict=True):
+        for warning in text.splitlines():
+            found.setdefault(warning, []).append(name)
+    if not found:
         return []
-    count = f"{len(warned)} recording{'s' * (len(warned) > 1)} with warnings"
-    return [f"{count}: {listed([f'{name} ({text})' for name, text in warned.itertuples(index=False)])}"]
+    count = int((of["warnings"] != "").sum())
+    more = f"; {len(found) - _NAMED} more of them are in the column warnings" if len(found) > _NAMED else ""
+    heading = f"{count} recording{'s' * (count > 1)} with warnings{more}"
+    most = sorted(found.items(), key=lambda pair: -len(pair[1]))[:_NAMED]
+    return [heading, *(f"  {listed(names)}: {warning}" for warning, names in most)]
 
 
 def _unmeasured(table: pd.DataFrame) -> list[str]:
@@ -148,8 +155,8 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     grouped = bool((table["group"] != "").any())
     headings = ("axis", "coefficient", *(["group"] if grouped else []))
     rows = []
-    # Each in the order in which it first occurs.
-    order = [table[name].factorize()[0] for name in ("axis", "coefficient", "group")]
+    # Axes and coefficients in the order in which they first occur.
+    order = [table[name].factorize(sort=name == "group")[0] for name in ("axis", "coefficient", "group")]
     for _, of in table.groupby(order, sort=True):
         axis, sensor, coefficient, unit, group = of[["axis", "sensor", "coefficient", "unit", "group"]].iloc[
             0

@@ -83,7 +83,7 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
                     "outlying": False,
                     "start_s": start,
                     "stop_s": stop,
-                    "warnings": "; ".join(fit["warnings"]),
+                    "warnings": "\n".join(fit["warnings"]),
                 }
             )
     return rows

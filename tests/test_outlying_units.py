@@ -248,8 +248,13 @@ def test_warnings_and_what_is_no_measurement_are_told():
     rows = unit_rows("gyro", ARW, np.ones((4, 2)))
     for row in rows[:2]:
         row.update(measured=False, detected=False, std=None, lower_95=None, upper_95=None, value=9.0)
-    rows[4]["warnings"] = rows[5]["warnings"] = "0–5 s are 170 times noisier than the rest"
+    rows[2]["warnings"] = rows[3]["warnings"] = "too short for B and K"
+    rows[4]["warnings"] = rows[5]["warnings"] = "0–5 s are 170 times noisier\ntoo short for B and K"
     table, notes = judged(table_of(rows))
     assert not table["outlying"].any()
-    assert notes[0] == "1 recording with warnings: unit_2 (0–5 s are 170 times noisier than the rest)"
-    assert "not a measurement of the sensor: unit_0 gyro_x, gyro_y. They are not compared" in notes[1]
+    assert notes[:3] == (
+        "2 recordings with warnings",
+        "  unit_1, unit_2: too short for B and K",
+        "  unit_2: 0–5 s are 170 times noisier",
+    )
+    assert "not a measurement of the sensor: unit_0 gyro_x, gyro_y. They are not compared" in notes[3]
