@@ -55,6 +55,16 @@ from allanjax.terms import (  # noqa: E402
 )
 from allanjax.units import convert  # noqa: E402
 
+
+def __getattr__(name: str) -> str:
+    """`allanjax.__version__`, which takes a while to find."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import version
+
+    return version(__name__)
+
+
 __all__ = [
     "SENSORS",
     "AllanAccumulator",

@@ -1,4 +1,4 @@
-"""The command line: `allanjax characterize`, `critique`, `fleet`, `simulate` and `demo`."""
+"""The command line: `allanjax characterize`, `critique`, `fleet`, `simulate`, `schema` and `demo`."""
 
 import math
 import sys
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from allanjax import cli_critique, cli_fleet
+from allanjax import cli_critique, cli_fleet, schemas
 from allanjax.accumulator import accumulate
 from allanjax.cli_common import (
     FAILURES,
@@ -34,6 +34,7 @@ from allanjax.io import read_recording
 from allanjax.io.chunks import open_chunks
 from allanjax.options import FitOptions
 from allanjax.plain import speak_plainly
+from allanjax.schemas import Name
 
 if TYPE_CHECKING:
     from allanjax.recording import Recording
@@ -214,6 +215,14 @@ def simulate(
             write(recording, path)
             size = f"{recording.n:,} samples at {recording.rate:g} Hz"
             print(f"wrote {path}: {', '.join(recording.names)}; {size}")
+
+
+@app.command(
+    help="Print the JSON schema of what characterize (fit), critique or fleet writes: files and --json.",
+    epilog=epilog("allanjax schema fit > fit.schema.json"),
+)
+def schema(name: Annotated[Name, typer.Argument(help="Of what.", metavar="fit|critique|fleet")]) -> None:
+    print_json(schemas.schema(name))
 
 
 @app.command(help="Characterize a simulated six-axis sensor, and compare what is found with what was put in.")

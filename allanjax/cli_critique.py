@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 HELP = (
     "Say what a simulation of static recordings from their noise terms gets wrong, and why. Prints a story a "
     "file, and writes NAME_critique.json and a picture of every finding. Where one of several files is bad, "
-    "the others go on. With --json the document of one file (allanjax/critique.schema.json) is printed as it "
-    "is, with a list of errors in it; those of several files, or of none that could be read, come as "
+    "the others go on. With --json (schema: allanjax schema critique) the document of one file is printed "
+    "as it is, with a list of errors in it; those of several files, or of none that could be read, come as "
     "{schema_version, critiques, errors}."
 )
 EPILOG = epilog(

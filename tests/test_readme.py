@@ -1,0 +1,96 @@
+"""The README's code runs as it stands there, from its first block to its last."""
+
+import dataclasses
+import re
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import allanjax as aj
+from allanjax import fleet
+from allanjax.cli import app
+from allanjax.io import write
+
+README = Path(__file__).parent.parent / "README.md"
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def blocks(language):
+    return [text for of, text in BLOCKS if of == language]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, small_recording):
+    """An empty folder with the files that the README speaks of."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ALLANJAX_CACHE", "off")
+    recording = small_recording["gyro_x"]
+    # A line for the critic to find: 6 times the standard deviation of its amplitude, √(4/n)·σ.
+    line = 12.0 / np.sqrt(recording.n) * recording.values.std() * np.cos(2.0 * np.pi * 0.7 * recording.time)
+    recording = dataclasses.replace(recording, values=recording.values + line[:, None])
+    write(recording, "imu.csv")
+    write(recording, "week.parquet")
+    return tmp_path
+
+
+def test_python_blocks_run_in_order(folder, capsys):
+    given = {"samples": np.random.default_rng(0).normal(size=(2000, 3))}
+    for text in blocks("python"):
+        exec(compile(text, str(README), "exec"), given)
+    for name in ("allan.png", "corner.png", "bands.png", "psd.png", "pictures", "rig.npz"):
+        assert (folder / name).exists(), name
+    assert given["rig"].n == 2000
+    assert given["FlickerAngle"](1e-5).phase_covariance(10.0) == pytest.approx(-1e-10 * np.log(10.0))
+    assert "noise terms by evidence" in capsys.readouterr().out
+
+
+def commands(text):
+    """The allanjax commands of a block, without comments, prompts and output."""
+    lines = text.replace("\\\n", " ").splitlines()
+    found = [re.sub(r"^\$ ", "", line) for line in lines]
+    return [shlex.split(line, comments=True)[1:] for line in found if line.startswith("allanjax ")]
+
+
+def test_commands_run(folder, monkeypatch):
+    passed = []
+
+    def characterized(*args, **options):
+        passed.append((args, options))
+        return SimpleNamespace(errors=(), files=())
+
+    # Of a fleet, a cluster and files that are not there, only that the command line is right.
+    monkeypatch.setattr(fleet, "characterize_fleet", characterized)
+    ran = [words for text in blocks("bash") for words in commands(text)]
+    assert [words[0] for words in ran] == ["characterize", "fleet", "fleet"]
+    for words in ran:
+        result = CliRunner().invoke(app, words)
+        assert result.exit_code == 0, result.output
+    assert [options["scheduler"] for _, options in passed] == [None, "tcp://cluster:8786"]
+    names = {path.name for path in (folder / "results").iterdir()}
+    told = re.search(r"prints a table and writes (.*?)\. Or", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert names == set(re.findall(r"`(imu[\w.]+)`", told[1]))
+
+
+def test_the_critique_says_what_the_readme_shows(folder):
+    (text,) = (text for text in blocks("text") if "allanjax critique" in text)
+    for words in commands(text):
+        result = CliRunner().invoke(app, words)
+        assert result.exit_code == 0, result.output
+    _, shown = text.split("allanjax critique bench.csv\n")
+    told = result.stdout[: result.stdout.index("left: ")]
+    # Digits beyond these may differ from one machine to the next.
+    rounded = [
+        re.sub(r"\d+\.?\d*(e-\d+)?", lambda number: f"{float(number[0]):.1g}", words)
+        for words in (told, shown[: shown.index("left: ")])
+    ]
+    assert rounded[0].split() == rounded[1].split()
+
+
+def test_the_version():
+    assert aj.__version__ == CliRunner().invoke(app, ["--version"]).stdout.split()[-1]
+    with pytest.raises(AttributeError, match="has no attribute 'colour'"):
+        aj.colour  # noqa: B018
