@@ -197,6 +197,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
         "at": _finite(misfit.at),
         "at_unit": misfit.unit,
         "rms_deviation": _finite(misfit.rms),
+        "octave_deviation": _finite(misfit.sustained),
     }
 
 

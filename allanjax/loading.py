@@ -15,6 +15,7 @@ from jaxtyping import Float
 from allanjax.allan import AllanDeviation
 from allanjax.errors import AllanjaxError
 from allanjax.export import INFINITY, SCHEMA_VERSION
+from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.notation import term_classes
 from allanjax.recording import Axis
@@ -120,7 +121,7 @@ def _axis(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         p, si = parameters[c["label"]].parameter, c["si"]
         limited = p.kind == "amplitude" and not c["held"]
         limit = si["upper_limit_95"]
-        coefficients[c["label"]] = Coefficient(
+        found = Coefficient(
             label=c["label"],
             term=c["term"],
             parameter=p,
@@ -134,6 +135,7 @@ def _axis(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
             detected=c["detected"],
             held=c["held"],
         )
+        coefficients[c["label"]] = found if c["measured"] else found.unmeasured()
     return AxisFit(
         axis=axis,
         converged=a["converged"],
@@ -146,7 +148,13 @@ def _axis(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         _covariance=np.array([_numbers(row) for row in a["covariance"]["values"]]),
         _model=fitted_model(template, coefficients),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
+        misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
     )
+
+
+def _misfit(m: Mapping[str, Any]) -> Misfit:
+    largest, rms, octave = (_number(m[f"{key}_deviation"]) for key in ("largest", "rms", "octave"))
+    return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave)
 
 
 def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> TermSelection | None:

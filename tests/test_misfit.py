@@ -15,9 +15,9 @@ from scipy.stats import chi2
 import allanjax as aj
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import AxisSpectrum
-from allanjax.export import to_dict, write_coefficients_csv, write_results
+from allanjax.export import to_dict, write_coefficients_csv, write_json, write_results
 from allanjax.fit import fit_allan, result_of
-from allanjax.fleet_table import fleet_table, rows_of
+from allanjax.fleet_table import mark_outlying, rows_of, table_of
 from allanjax.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
 from allanjax.recording import Axis, Recording
 from allanjax.selection import basic_terms
@@ -176,12 +176,12 @@ def recording():
 
 @pytest.fixture(scope="module")
 def fit(recording):
-    return aj.fit(recording, BASIC)
+    return aj.fit(recording, BASIC, as_is=True)
 
 
 @pytest.mark.parametrize("objective", ["allan", "whittle"])
 def test_a_curve_that_is_far_off_is_no_measurement(recording, fit, objective):
-    found = fit if objective == "allan" else aj.fit(recording, BASIC, "whittle")
+    found = fit if objective == "allan" else aj.fit(recording, BASIC, "whittle", as_is=True)
     assert [result.measured for result in found] == [False, False, True, True]
     assert found["gyro_z"].misfit is None
     N = found["gyro_z"]["angle_random_walk"]
@@ -235,6 +235,7 @@ def test_files_and_tables_have_no_errors_of_what_is_no_measurement(fit, recordin
         "at": misfit.at,
         "at_unit": "s",
         "rms_deviation": misfit.rms,
+        "octave_deviation": misfit.sustained,
     }
     assert (axis["measured"], good["measured"], good["misfit"]) == (False, True, None)
     for c in axis["coefficients"]:
@@ -253,6 +254,12 @@ def test_files_and_tables_have_no_errors_of_what_is_no_measurement(fit, recordin
     assert not own["detected"].any()
     assert own["reason"].str.startswith("not a measurement of this sensor: its Allan deviation is off").all()
     assert table[table["axis"] == "gyro_z"]["measured"].all()
+    write_json(fit, tmp_path / "fit.json")
+    loaded = aj.load(tmp_path / "fit.json")
+    assert [result.measured for result in loaded] == [False, False, True, True]
+    assert loaded["gyro_x"].misfit == misfit
+    assert str(loaded["gyro_x"]["angle_random_walk"]) == str(fit["gyro_x"]["angle_random_walk"])
+    assert str(loaded) == str(fit)
     assert fit.table()["measured"].tolist() == [False] * 10 + [True] * 10
     assert fit.table()["std"].isna().tolist() == [True] * 10 + [False] * 10
     assert all(path.exists() for path in write_results(fit, aj.power_spectrum(recording), tmp_path, "x"))
@@ -277,7 +284,7 @@ def test_a_fleet_marks_no_unit_by_what_is_no_measurement(fit):
             c["interval_95"] = [None if x is None else x * (1.0 + 0.01 * k) for x in c["interval_95"]]
         rows += rows_of({"axes": [like]}, f"unit{k}", f"{k}.csv")
     rows += rows_of({"axes": document["axes"][:1]}, "handled", "handled.csv")
-    table = fleet_table(rows)
+    table = mark_outlying(table_of(rows))
     assert not table["outlying"].any()
     handled = table[table["recording"] == "handled"]
     assert not handled["measured"].any()

@@ -152,6 +152,7 @@ def criticize(
             *(note for s in searches for note in s.notes),
         ),
         recording.dead,
+        fit.warnings,
     )
 
 

@@ -34,6 +34,7 @@ def to_dict(critique: Critique) -> dict[str, Any]:
         "axes": [_axis(axis) for axis in critique],
         "shared_findings": [_finding(finding) for finding in critique.shared_findings],
         "notes": list(critique.notes),
+        "warnings": list(critique.warnings),
     }
 
 

@@ -200,6 +200,7 @@ class Critique(ByValue):
         shared_findings: causes that concern several axes.
         notes: what the user should know.
         dead: axes of the recording that have no noise to compare, and why.
+        warnings: what was seen in the recording before anything else; see `Fit.warnings`.
     """
 
     name: str
@@ -209,6 +210,7 @@ class Critique(ByValue):
     shared_findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[AxisCritique]:
         return iter(self.axes)

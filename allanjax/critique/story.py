@@ -40,7 +40,8 @@ def story(critique: Critique) -> str:
     gain = f", worth {nats(critique.gain)} on held-out data" if count else ""
     lines = [f"{critique.name or 'recording'}: {head} in {_axes(len(critique))}{gain}"]
     # Before all that is said of coefficients: whether they are any.
-    lines[:0] = [_wrapped(text, "", "  ") for text in unmeasured(critique)]
+    first = [f"warning: {text}" for text in (*critique.warnings, *unmeasured(critique))]
+    lines[:0] = [_wrapped(text, "", "  ") for text in first]
     shared, previous = {name for f in critique.shared_findings for name in f.axes}, 2
     for axis in critique:
         block = _of_axis(axis, shared)
