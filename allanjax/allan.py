@@ -25,6 +25,7 @@ from allanjax.units import default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Estimator = Literal["exact", "pyramid"]
@@ -150,11 +151,17 @@ class AllanDeviation(ByValue):
             columns[f"{name} degrees of freedom"] = self.edf[:, k]
         return pd.DataFrame(columns)
 
-    def plot(self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None) -> "Figure":
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
         """Draw the deviations with their 68 % intervals; see `plot_allan`."""
         from allanjax.plot import plot_allan
 
-        return plot_allan(self, axes, path)
+        return plot_allan(self, axes, path, ax=ax)
 
     def __repr__(self) -> str:
         overlap = "overlapping" if self.overlapping else "non-overlapping"

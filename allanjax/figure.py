@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Okabe and Ito's colours, for the colour-blind; the dashes tell terms apart in black and white.
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
 _DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 1)))
 POINTS = "0.3"
 _SENSOR = {"gyro": "gyros", "accel": "accelerometers"}
@@ -136,6 +136,25 @@ def rows_of(
     return [row for row in rows if row]
 
 
+def figure_of(ax: Axes) -> Figure:
+    """The figure that the caller's axes are in."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
+
+
+def only_one(rows: Sequence[Sequence[int]]) -> int:
+    """The single axis that there is to draw.
+
+    Raises:
+        AllanjaxError: there are several.
+    """
+    indices = [k for row in rows for k in row]
+    if len(indices) > 1:
+        raise AllanjaxError('ax= has room for one axis: name it, e.g. axes="gyro_x"')
+    return indices[0]
+
+
 @dataclass(frozen=True)
 class Cells:
     """Where panels are, in inches: a heading, the panel, its strip and its key, in rows and columns."""
@@ -241,7 +260,7 @@ def marks(size: float) -> dict[str, Any]:
 def set_scales(
     panels: Mapping[int, Axes],
     strips: Mapping[int, Axes],
-    x: Float[np.ndarray, " m"],
+    x: Float[np.ndarray, ...],
     measured: Float[np.ndarray, "m axes"],
 ) -> None:
     """Same scales along a row, so that axes compare; terms far below what was measured leave the panel."""
@@ -292,7 +311,7 @@ def draw_key(key: Axes, cells: Cells, entries: Sequence[KeyEntry]) -> None:
 def term_style(fit: Fit, term_label: str) -> dict[str, Any]:
     """Line of a term: the same in every panel."""
     i = fit.template.term_labels.index(term_label)
-    return {"color": _COLOURS[i % len(_COLOURS)], "linestyle": _DASHES[i % len(_DASHES)], "linewidth": 1.3}
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": _DASHES[i % len(_DASHES)], "linewidth": 1.3}
 
 
 def wrapped(text: str) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
-from allanjax.allan import AllanDeviation
+from allanjax.allan import AllanDeviation, allan_deviation
+from allanjax.errors import AllanjaxError
 from allanjax.figure import (
     Cells,
     KeyEntry,
@@ -18,16 +20,19 @@ from allanjax.figure import (
     draw_residuals,
     draw_title,
     facts_of,
+    figure_of,
     finished,
     look,
     marks,
+    only_one,
     rows_of,
     set_scales,
     term_entry,
     term_style,
     wrapped,
 )
-from allanjax.recording import Axis
+from allanjax.guides import draw_slopes, write_values
+from allanjax.recording import Axis, Recording
 from allanjax.result import AxisFit, Fit, title_of
 from allanjax.terms.transient import Transient
 from allanjax.units import default_coefficient_unit, unit_scale
@@ -35,51 +40,96 @@ from allanjax.units import default_coefficient_unit, unit_scale
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+#: What can be drawn as an Allan deviation.
+Drawable: TypeAlias = Fit | AllanDeviation | Recording
 
 # Estimates with a larger relative error do not set the scale of the residuals.
 _PRECISE = 0.2
 
 
 def plot_allan(
-    fit_or_curve: Fit | AllanDeviation,
-    axes: Sequence[str] | None = None,
+    data: Drawable | Sequence[Drawable],
+    axes: Sequence[str] | str | None = None,
     path: str | os.PathLike[str] | None = None,
+    *,
+    labels: Sequence[str] | None = None,
+    ax: Axes | None = None,
 ) -> Figure:
     """Draw Allan deviation against cluster time, one panel an axis, gyros above accelerometers.
 
     Points are the estimates with their 68 % intervals. For a fit, a line is the model, broken lines are its
-    terms, with their coefficients below the panel, and a strip shows measured over model minus one; a grey
-    band in it is the model's own error where the model is incomplete. Deviations are in deg/h and µg.
+    terms, with N, B and K written on them and all coefficients below the panel, and a strip shows measured
+    over model minus one; a grey band in it is the model's own error where the model is incomplete. Deviations
+    are in deg/h and µg. Faint lines have the slopes −1, −½, 0, +½ and +1. Several curves are drawn over one
+    another, those of axes of one name in one panel, with their models but not the terms.
 
     Args:
-        fit_or_curve: what `fit` or `allan_deviation` returns.
+        data: what `fit` or `allan_deviation` returns, or a recording; or several of them, e.g. two units, or
+            one before and after.
         axes: names of the axes to draw, e.g. `["gyro_x", "gyro_z"]`; all of them by default. For the curve of
             an array: `["0", "1", ...]`.
         path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+        labels: what to call the curves of several; by default their recordings' names.
+        ax: matplotlib axes to draw a single axis into, without title, strip and key.
 
     Returns:
         The matplotlib figure.
 
     Raises:
-        AllanjaxError: there is no such axis.
+        AllanjaxError: there is no such axis; not a label for each curve; `ax` for more than one axis.
     """
     import matplotlib.pyplot as plt
 
-    fit = fit_or_curve if isinstance(fit_or_curve, Fit) else None
-    curve = fit_or_curve.curve if isinstance(fit_or_curve, Fit) else fit_or_curve
-    names = [str(k) for k in range(curve.deviation.shape[1])]
-    if curve.axes is not None:
-        names = [axis.name for axis in curve.axes]
-    rows = rows_of(names, curve.axes, axes)
+    wanted = [axes] if isinstance(axes, str) else axes
+    if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
+        from allanjax.plot_overlay import plot_several
+
+        return plot_several(data, wanted, path, labels, ax)
+    if labels is not None:
+        raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
+    fit, curve = fit_and_curve(data)
+    rows = rows_of(curve.names, curve.axes, wanted)
     with look():
+        if ax is not None:
+            _draw_into(ax, only_one(rows), fit, curve)
+            return finished(figure_of(ax), path)
         keys = {k: [] if fit is None else _key(fit, fit.results[k]) for row in rows for k in row}
         cells = Cells.of(rows, keys, has_strip=fit is not None)
         figure = plt.figure(figsize=cells.size)
-        title = fit.name if fit is not None and fit.name else _kind(curve)
+        title = fit.name if fit is not None and fit.name else kind_of(curve)
         draw_title(figure, cells, title, facts_of(curve.n, curve.rate), has_model=fit is not None)
         for i, row in enumerate(rows):
-            _draw_row(figure, cells, i, row, names, curve, fit, keys)
+            _draw_row(figure, cells, i, row, curve, fit, keys)
         return finished(figure, path)
+
+
+def fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
+    """What there is to draw of it."""
+    if isinstance(data, Fit):
+        return data, data.curve
+    if isinstance(data, Recording):
+        return None, allan_deviation(data)
+    if isinstance(data, AllanDeviation):
+        return None, data
+    raise AllanjaxError(
+        f"cannot draw {type(data).__name__} as an Allan deviation: give a fit, what allan_deviation returns, "
+        "or a recording"
+    )
+
+
+def _draw_into(panel: Axes, k: int, fit: Fit | None, curve: AllanDeviation) -> None:
+    """One axis in a panel of the caller's."""
+    unit = unit_of(None if curve.axes is None else curve.axes[k])
+    draw_measured(panel, curve, k, unit)
+    lines = {} if fit is None or not fit.results[k].converged else _draw_model(panel, fit, k, unit)
+    set_scales({k: panel}, {}, curve.cluster_time, curve.deviation[:, [k]] / unit.scale)
+    draw_slopes(panel)
+    if fit is not None and lines:
+        write_values(panel, fit.results[k], lines)
+    panel.set_xlabel("cluster time T [s]")
+    panel.set_ylabel(deviation_label(curve, unit))
 
 
 def _draw_row(
@@ -87,33 +137,40 @@ def _draw_row(
     cells: Cells,
     row: int,
     indices: Sequence[int],
-    names: Sequence[str],
     curve: AllanDeviation,
     fit: Fit | None,
     keys: dict[int, list[KeyEntry]],
 ) -> None:
     panels: dict[int, Axes] = {}
     strips: dict[int, Axes] = {}
-    unit = _unit(None if curve.axes is None else curve.axes[indices[0]])
+    lines: dict[int, dict[str, Line2D]] = {}
+    unit = unit_of(None if curve.axes is None else curve.axes[indices[0]])
     for column, k in enumerate(indices):
         panels[k] = lowest = cells.panel(figure, row, column)
-        panels[k].set_title(names[k], loc="left", fontweight="bold")
-        _draw_measured(panels[k], curve, k, unit)
+        panels[k].set_title(curve.names[k], loc="left", fontweight="bold")
+        draw_measured(panels[k], curve, k, unit)
         if fit is not None:
             strips[k] = lowest = cells.strip(figure, row, column)
             if fit.results[k].converged:
-                _draw_model(panels[k], fit, fit.results[k], unit)
+                lines[k] = _draw_model(panels[k], fit, k, unit)
             draw_key(cells.key(figure, row, column), cells, keys[k])
         lowest.set_xlabel("cluster time T [s]")
     if fit is not None:
         draw_residuals(strips, curve.cluster_time, _residuals(strips, fit))
     set_scales(panels, strips, curve.cluster_time, curve.deviation[:, list(panels)] / unit.scale)
-    panels[indices[0]].set_ylabel(f"{_kind(curve)}\n[{unit.name}]" if unit.name else _kind(curve))
+    for k, panel in panels.items():
+        draw_slopes(panel)
+        if fit is not None and k in lines:
+            write_values(panel, fit.results[k], lines[k])
+    panels[indices[0]].set_ylabel(deviation_label(curve, unit))
     if strips:
         strips[indices[0]].set_ylabel("measured /\nmodel − 1 [%]")
 
 
-def _draw_measured(panel: Axes, curve: AllanDeviation, k: int, unit: Unit) -> None:
+def draw_measured(
+    panel: Axes, curve: AllanDeviation, k: int, unit: Unit, label: str = "measured", **style: Any
+) -> None:
+    """The estimates with their 68 % intervals."""
     deviation = curve.deviation[:, k]
     lower, upper = curve.confidence_interval(0.68)
     spread = np.stack([deviation - lower[:, k], upper[:, k] - deviation])
@@ -121,28 +178,36 @@ def _draw_measured(panel: Axes, curve: AllanDeviation, k: int, unit: Unit) -> No
         curve.cluster_time,
         deviation / unit.scale,
         np.maximum(spread, 0.0) / unit.scale,
-        label="measured",
+        label=label,
         zorder=3,
-        **marks(2.6),
+        **{**marks(2.6), **style},
     )
 
 
-def _draw_model(panel: Axes, fit: Fit, result: AxisFit, unit: Unit) -> None:
-    rate = fit.curve.rate
-    # At whole numbers of samples only: between them a line above the Nyquist frequency is something else.
-    sizes = np.unique(np.rint(np.geomspace(1.0, fit.curve.cluster_size[-1], 400)))
-    time = sizes / rate
-    model = result.model.sampled(rate)
+def times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
+    """Cluster times [s] of a model's line.
+
+    At whole numbers of samples only: between them a line above the Nyquist frequency is something else.
+    """
+    return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
+
+
+def _draw_model(panel: Axes, fit: Fit, k: int, unit: Unit) -> dict[str, Line2D]:
+    """The model and its terms; the lines of these, by their labels."""
+    result, time = fit.results[k], times_to_draw(fit.curve)
+    model = result.model.sampled(fit.curve.rate)
     total = np.zeros(len(time))
+    lines = {}
     for label, term in zip(model.term_labels, model.terms, strict=True):
         if isinstance(term, Transient):
             continue
         variance = np.asarray(term.allan_variance(time))
         total += variance
-        panel.plot(
-            time, np.sqrt(variance) / unit.scale, label=title_of(label, result.axis), **term_style(fit, label)
-        )
+        style = term_style(fit, label)
+        y = np.sqrt(variance) / unit.scale
+        (lines[label],) = panel.plot(time, y, label=title_of(label, result.axis), **style)
     panel.plot(time, np.sqrt(total) / unit.scale, color="black", linewidth=1.4, label="model", zorder=2.5)
+    return lines
 
 
 def _residuals(strips: Mapping[int, Axes], fit: Fit) -> dict[int, Residual]:
@@ -176,12 +241,19 @@ def _key(fit: Fit, result: AxisFit) -> list[KeyEntry]:
     return [*entries, KeyEntry(wrapped(result.verdict()))]
 
 
-def _unit(axis: Axis | None) -> Unit:
+def unit_of(axis: Axis | None) -> Unit:
+    """The unit in which an axis's deviations are drawn."""
     if axis is None:
         return Unit("", 1.0)
     name = default_coefficient_unit(axis.sensor, 0.0)
     return Unit(name, unit_scale(name, axis.sensor))
 
 
-def _kind(curve: AllanDeviation) -> str:
+def deviation_label(curve: AllanDeviation, unit: Unit) -> str:
+    """What is on the vertical axis."""
+    return f"{kind_of(curve)}\n[{unit.name}]" if unit.name else kind_of(curve)
+
+
+def kind_of(curve: AllanDeviation) -> str:
+    """E.g. "Allan deviation"."""
     return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"

@@ -19,9 +19,11 @@ from allanjax.figure import (
     draw_residuals,
     draw_title,
     facts_of,
+    figure_of,
     finished,
     look,
     marks,
+    only_one,
     rows_of,
     set_scales,
     term_entry,
@@ -50,8 +52,10 @@ _BAND = "0.93"
 def plot_psd(
     spectrum: PowerSpectrum,
     fit: Fit | None = None,
-    axes: Sequence[str] | None = None,
+    axes: Sequence[str] | str | None = None,
     path: str | os.PathLike[str] | None = None,
+    *,
+    ax: Axes | None = None,
 ) -> Figure:
     """Draw one-sided power spectral density against frequency, gyros above accelerometers.
 
@@ -68,18 +72,24 @@ def plot_psd(
         axes: names of the axes to draw, e.g. `["gyro_x", "gyro_z"]`; all of them by default. For the spectrum
             of an array: `["0", "1", ...]`.
         path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+        ax: matplotlib axes to draw a single axis into, without title, strip and key.
 
     Returns:
         The matplotlib figure.
 
     Raises:
-        AllanjaxError: there is no such axis, or the fit is one of another recording.
+        AllanjaxError: there is no such axis, the fit is one of another recording, or `ax` is given for more
+            than one axis.
     """
     import matplotlib.pyplot as plt
 
     spectrum = spectrum.averaged()
-    rows = rows_of(spectrum.names, spectrum.axes, axes)
+    rows = rows_of(spectrum.names, spectrum.axes, [axes] if isinstance(axes, str) else axes)
     results = {} if fit is None else {k: _result(spectrum, fit, k) for row in rows for k in row}
+    if ax is not None:
+        with look():
+            _draw_into(ax, only_one(rows), spectrum, fit, results)
+            return finished(figure_of(ax), path)
     with look():
         walks = {k: _random_walk(spectrum, k) for row in rows for k in row}
         keys = {k: _key(fit, results.get(k), walks[k], spectrum) for k in walks}
@@ -90,6 +100,27 @@ def plot_psd(
         for i, row in enumerate(rows):
             _draw_row(figure, cells, i, row, spectrum, fit, results, walks, keys)
         return finished(figure, path)
+
+
+def _draw_into(
+    panel: Axes, k: int, spectrum: PowerSpectrum, fit: Fit | None, results: Mapping[int, AxisFit]
+) -> None:
+    """One axis in a panel of the caller's."""
+    unit = _unit(spectrum, k)
+    _draw_measured(panel, spectrum, k, unit)
+    if fit is not None and results[k].converged:
+        _draw_model(panel, spectrum, fit, results[k], unit)
+    set_scales({k: panel}, {}, spectrum.frequency, spectrum.density[:, [k]] / unit.scale)
+    panel.set_xlabel("frequency f [Hz]")
+    panel.set_ylabel(_label(unit))
+
+
+def _unit(spectrum: PowerSpectrum, k: int) -> Unit:
+    return Unit("", 1.0) if spectrum.axes is None else Unit(*density_unit(spectrum.axes[k]))
+
+
+def _label(unit: Unit) -> str:
+    return "one-sided PSD" + (f"\n[{unit.name}]" if unit.name else "")
 
 
 def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
@@ -131,7 +162,7 @@ def _draw_row(
     panels: dict[int, Axes] = {}
     strips: dict[int, Axes] = {}
     residuals: dict[int, Residual] = {}
-    unit = Unit("", 1.0) if spectrum.axes is None else Unit(*density_unit(spectrum.axes[indices[0]]))
+    unit = _unit(spectrum, indices[0])
     starts = _residual_groups(spectrum)
     for column, k in enumerate(indices):
         panels[k] = lowest = cells.panel(figure, row, column)
@@ -151,7 +182,7 @@ def _draw_row(
     middle = np.add.reduceat(spectrum.count * spectrum.frequency, starts)
     draw_residuals(strips, middle / np.add.reduceat(spectrum.count, starts), residuals)
     set_scales(panels, strips, spectrum.frequency, spectrum.density[:, list(panels)] / unit.scale)
-    panels[indices[0]].set_ylabel("one-sided PSD" + (f"\n[{unit.name}]" if unit.name else ""))
+    panels[indices[0]].set_ylabel(_label(unit))
     if strips:
         strips[indices[0]].set_ylabel("measured /\nmodel − 1 [%]")
 

@@ -28,6 +28,7 @@ from allanjax.wording import duration, plain, significant
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from allanjax.deterministic import AxisSpectrum
@@ -345,11 +346,17 @@ class Fit(ByValue):
         model = self[axis].model.sampled(self.curve.rate)
         return np.sqrt(np.asarray(model.allan_variance(cluster_time)))
 
-    def plot(self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Figure:
         """Draw the Allan deviations, the model and its terms; see `plot_allan`."""
         from allanjax.plot import plot_allan
 
-        return plot_allan(self, axes, path)
+        return plot_allan(self, axes, path, ax=ax)
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row a coefficient: axis, coefficient, value, std, lower_95, upper_95, unit, detected,

@@ -30,6 +30,7 @@ from allanjax.validation import Source, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Method = Literal["logarithmic", "welch"]
@@ -228,11 +229,17 @@ class PowerSpectrum(ByValue):
             columns[f"{name} [{unit}]" if unit else name] = self.density[:, k] / scale
         return pd.DataFrame(columns)
 
-    def plot(self, axes: Sequence[str] | None = None, path: str | os.PathLike[str] | None = None) -> "Figure":
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
         """Draw the densities with their 68 % intervals; see `plot_psd`."""
         from allanjax.plot_spectrum import plot_psd
 
-        return plot_psd(self, axes=axes, path=path)
+        return plot_psd(self, axes=axes, path=path, ax=ax)
 
     def _index(self, axis: str) -> int:
         if axis not in self.names:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import allanjax as aj
+from allanjax.misfit import Misfit
 from allanjax.plot import plot_allan
 from allanjax.simulate import simulate
 
@@ -63,6 +64,65 @@ def test_points_and_lines_are_the_deviations_in_display_units(small_fit):
     )
 
 
+def test_error_bars_end_where_the_intervals_do(small_fit):
+    lower, upper = small_fit.curve.confidence_interval(0.68)
+    for name, k, scale in (("gyro_y", 1, np.pi / 180 / 3600), ("accel_z", 3, 9.80665e-6)):
+        panel = panels(plot_allan(small_fit))[name]
+        (measured,) = [c for c in panel.containers if c.get_label() == "measured"]
+        ends = np.array([segment[:, 1] for segment in measured[2][0].get_segments()])
+        np.testing.assert_allclose(ends[:, 0], lower[:, k] / scale, rtol=1e-9)
+        np.testing.assert_allclose(ends[:, 1], upper[:, k] / scale, rtol=1e-9)
+
+
+def test_faint_lines_have_the_slopes_of_the_terms(small_fit):
+    panel = panels(plot_allan(small_fit))["gyro_x"]
+    slopes = {}
+    for line in panel.get_lines():
+        if line.get_label().startswith("slope "):
+            (x0, x1), (y0, y1) = np.log10(line.get_xdata()), np.log10(line.get_ydata())
+            slopes[line.get_label().removeprefix("slope ")] = (y1 - y0) / (x1 - x0)
+    assert slopes == pytest.approx({"−1": -1.0, "−½": -0.5, "0": 0.0, "+½": 0.5, "+1": 1.0})
+    assert set(slopes) <= {text.get_text() for text in panel.texts}
+    # They stay behind what was measured and change no scale.
+    measured = next(c for c in panel.containers if c.get_label() == "measured")[0]
+    assert all(
+        line.get_zorder() < measured.get_zorder() for line in panel.get_lines() if "slope" in line.get_label()
+    )
+    curve = small_fit.curve.cluster_time
+    assert panel.get_xlim() == pytest.approx((curve[0] / 1.4, curve[-1] * 1.4))
+
+
+def test_n_b_and_k_are_written_beside_their_lines(small_fit):
+    figure = plot_allan(small_fit)
+    figure.canvas.draw()
+    written = {
+        "gyro_x": {"N": "N = ", "B": "0.664 B, B = "},
+        "accel_z": {"N": "N = ", "K": "K = "},
+    }
+    for axis, expected in written.items():
+        panel, result = panels(figure)[axis], small_fit[axis]
+        lines = {line.get_label(): line for line in panel.get_lines()}
+        for c in result.coefficients.values():
+            beginning = expected.get(c.parameter.symbol)
+            found = [t for t in panel.texts if beginning and t.get_text().startswith(beginning)]
+            assert len(found) == (c.detected and beginning is not None)
+            if not found:
+                continue
+            number, unit = found[0].get_text().removeprefix(beginning).split(" ")
+            shown = c.in_unit()
+            assert unit == shown.unit
+            assert abs(float(number) - shown.value) < 0.06 * shown.std
+            # Within twice the text's height of the line of the same colour, at its angle.
+            line = lines[c.title]
+            assert found[0].get_color() == line.get_color()
+            pixels = panel.transData.transform(line.get_xydata())
+            place = panel.transData.transform(found[0].get_position())
+            nearest = int(np.argmin(np.hypot(*(pixels - place).T)))
+            assert np.hypot(*(pixels[nearest] - place)) < 2.0 * 6.5 * figure.dpi / 72
+            (dx, dy) = pixels[nearest + 1] - pixels[nearest - 1]
+            assert found[0].get_rotation() % 360 == pytest.approx(np.degrees(np.arctan2(dy, dx)) % 360, abs=1)
+
+
 def test_the_strip_shows_measured_over_model_in_percent(small_fit):
     figure = plot_allan(small_fit, axes=["gyro_y"])
     strip = next(axes for axes in figure.axes if "[%]" in axes.get_ylabel())
@@ -78,7 +138,8 @@ def test_the_strip_shows_measured_over_model_in_percent(small_fit):
 
 def test_the_models_own_error_is_a_band_in_the_strip(small_fit):
     first, second, *others = small_fit.results
-    incomplete = dataclasses.replace(second, discrepancy=0.04)
+    misfit = Misfit(largest=0.09, at=1.0, unit="s", rms=0.04, sustained=0.0)
+    incomplete = dataclasses.replace(second, discrepancy=0.04, misfit=misfit)
     figure = plot_allan(dataclasses.replace(small_fit, results=(first, incomplete, *others)), axes=["gyro_y"])
     strip = next(axes for axes in figure.axes if "[%]" in axes.get_ylabel())
     (band,) = strip.patches
@@ -104,6 +165,7 @@ def test_no_two_texts_overlap(small_fit, half_failed_fit):
         plot_allan(small_fit),
         plot_allan(half_failed_fit),
         plot_allan(small_fit, axes=["gyro_x"]),
+        plot_allan([small_fit, half_failed_fit], labels=["a", "the other of these two, at another time"]),
     ):
         figure.canvas.draw()
         renderer = figure.canvas.get_renderer()
@@ -174,6 +236,99 @@ def test_a_curve_alone_of_a_recording_and_of_an_array(small_recording):
     figure = plot_allan(curve)
     assert set(panels(figure)) == {"0", "1"}
     assert figure.axes[0].get_ylabel() == "Allan deviation"
+
+
+@pytest.fixture(scope="module")
+def other_recording(small_recording):
+    """Of another length, with one axis less and one of its own."""
+    shorter = small_recording.between(0.0, 150.0)["gyro_x", "accel_z"]
+    axes = (shorter.axes[0], dataclasses.replace(shorter.axes[1], name="accel_x"))
+    return dataclasses.replace(shorter, axes=axes, name="shorter")
+
+
+def test_several_are_drawn_over_one_another_axis_by_axis(small_fit, other_recording):
+    curve = aj.allan_deviation(other_recording)
+    figure = plot_allan([small_fit, other_recording, curve], labels=["fit", "recording", "curve"])
+    found = panels(figure)
+    assert list(found) == ["gyro_x", "gyro_y", "gyro_z", "accel_z", "accel_x"]
+    points = {name: {c.get_label(): c[0].get_xydata() for c in p.containers} for name, p in found.items()}
+    assert {name: list(p) for name, p in points.items()} == {
+        "gyro_x": ["fit", "recording", "curve"],
+        "gyro_y": ["fit"],
+        "gyro_z": ["fit"],
+        "accel_z": ["fit"],
+        "accel_x": ["recording", "curve"],
+    }
+    hour = np.pi / 180 / 3600
+    fitted = small_fit.curve
+    np.testing.assert_allclose(points["gyro_x"]["fit"][:, 1], fitted.deviation[:, 0] / hour)
+    np.testing.assert_allclose(points["gyro_x"]["recording"][:, 1], curve.deviation[:, 0] / hour)
+    np.testing.assert_allclose(points["accel_x"]["curve"][:, 1], curve.deviation[:, 1] / 9.80665e-6)
+    # Fits have their models, and their coefficients below.
+    line = next(x for x in found["gyro_x"].get_lines() if x.get_label() == "fit: model")
+    expected = small_fit.model_deviation("gyro_x", line.get_xdata()) / hour
+    np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-9)
+    key = " ".join(" ".join(texts(figure)).split())
+    walk = small_fit["gyro_x"]["angle_random_walk"].in_unit().describe()
+    assert f"fit: N = {walk}" in key
+    assert {"recording", "curve"} <= set(texts(figure))
+    assert found["gyro_x"].get_xlim()[1] > fitted.cluster_time[-1]
+    # Colours and markers tell them apart.
+    styles = {(c[0].get_color(), c[0].get_marker()) for c in found["gyro_x"].containers}
+    assert len({colour for colour, _ in styles}) == len({marker for _, marker in styles}) == 3
+
+
+def test_several_are_called_by_their_names_unless_they_share_one(small_fit, other_recording):
+    shown = texts(plot_allan([small_fit, other_recording], axes="accel_x"))
+    assert "shorter" in shown
+    shown = texts(plot_allan([other_recording, other_recording], axes="accel_x"))
+    assert {"1", "2"} <= set(shown)
+
+
+def test_one_axis_goes_into_axes_of_the_callers(small_fit, other_recording, tmp_path):
+    from matplotlib import pyplot as plt
+
+    figure, (left, middle, right) = plt.subplots(1, 3)
+    assert plot_allan(small_fit, "gyro_x", tmp_path / "mine.png", ax=left) is figure
+    assert (tmp_path / "mine.png").exists()
+    own = panels(plot_allan(small_fit))["gyro_x"]
+    assert left.get_ylabel() == own.get_ylabel()
+    for mine, its in zip(left.get_lines(), own.get_lines(), strict=True):
+        assert mine.get_label() == its.get_label()
+        if "slope" not in mine.get_label():
+            np.testing.assert_array_equal(mine.get_xydata(), its.get_xydata())
+    assert small_fit.plot("accel_z", ax=middle) is figure
+    assert middle.get_ylabel() == "Allan deviation\n[µg]"
+    plot_allan([small_fit, other_recording], ["gyro_x"], labels=["a", "b"], ax=right)
+    assert [t.get_text() for t in right.get_legend().get_texts()] == ["a", "b"]
+    assert len(figure.axes) == 3
+    curve = aj.allan_deviation(other_recording)
+    assert curve.plot("accel_x", ax=plt.subplots()[1]) is not figure
+    with pytest.raises(aj.AllanjaxError, match=r'ax= has room for one axis: name it, e\.g\. axes="gyro_x"'):
+        plot_allan(small_fit, ax=left)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda fit, other: plot_allan([]), "nothing to draw"),
+        (lambda fit, other: plot_allan([fit, other], labels=["a"]), "1 labels for 2 curves"),
+        (lambda fit, other: plot_allan(fit, labels=["a"]), "labels= names several curves"),
+        (lambda fit, other: plot_allan(3), "cannot draw int"),
+        (lambda fit, other: plot_allan([fit, np.ones(3)]), "cannot draw ndarray"),
+        (
+            lambda fit, other: plot_allan([fit, aj.allan_deviation(other, kind="hadamard")]),
+            "allan and hadamard deviations do not compare",
+        ),
+        (
+            lambda fit, other: plot_allan([fit, aj.allan_deviation(np.arange(99.0) ** 2, 1.0)]),
+            "arrays without a unit: draw them by themselves",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn_together_is_refused(change, message, small_fit, other_recording):
+    with pytest.raises(aj.AllanjaxError, match=message):
+        change(small_fit, other_recording)
 
 
 @pytest.mark.parametrize("axes", [["gyro_q"], []])

@@ -219,3 +219,21 @@ def test_what_does_not_belong_together_is_refused(spectrum, small_fit):
         plot_psd(power_spectrum(np.random.default_rng(0).normal(size=100), 100.0), small_fit)
     with pytest.raises(aj.AllanjaxError, match="come at 50 Hz, the fit's at 100 Hz"):
         plot_psd(dataclasses.replace(spectrum, rate=50.0), small_fit)
+
+
+def test_one_axis_goes_into_axes_of_the_callers(spectrum, small_fit, tmp_path):
+    from matplotlib import pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2)
+    assert plot_psd(spectrum, small_fit, "gyro_x", tmp_path / "mine.png", ax=left) is figure
+    assert (tmp_path / "mine.png").exists()
+    own = panels(plot_psd(spectrum, small_fit))["gyro_x"]
+    assert left.get_ylabel() == own.get_ylabel()
+    assert left.get_xlabel() == "frequency f [Hz]"
+    for name in ("model", "angle random walk"):
+        np.testing.assert_array_equal(lines_of(left)[name].get_xydata(), lines_of(own)[name].get_xydata())
+    assert spectrum.plot(["accel_z"], ax=right) is figure
+    measured = right.containers[0][0].get_ydata()
+    np.testing.assert_allclose(measured, spectrum.density[:, 3] / MICRO_G**2)
+    with pytest.raises(aj.AllanjaxError, match="ax= has room for one axis"):
+        plot_psd(spectrum, ax=left)
