@@ -151,9 +151,12 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "dof": 0,
         "p_value": None,
         "discrepancy": None,
+        "measured": False,
+        "misfit": None,
         "coefficients": [],
         "covariance": {"labels": [], "units": [], "values": []},
         "selection": None,
+        "selection_discrepancy": None,
         "regression": {},
     }
 

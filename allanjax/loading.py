@@ -18,7 +18,7 @@ from allanjax.export import INFINITY, SCHEMA_VERSION
 from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.notation import term_classes
-from allanjax.recording import Axis
+from allanjax.recording import Axis, DeadAxis
 from allanjax.result import AxisFit, Coefficient, Fit, fitted_model
 from allanjax.selection import AxisSelection, TermSelection, TermSet
 from allanjax.terms import NoiseTerm
@@ -72,17 +72,20 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
             "recording again"
         )
     template = Model(tuple(_term(term, classes) for term in document["model"]))
-    axes = tuple(Axis(a["name"], a["sensor"], a["unit"]) for a in document["axes"])
-    results = tuple(_axis(a, axis, template) for a, axis in zip(document["axes"], axes, strict=True))
+    alive = [a for a in document["axes"] if not a["dead"]]
+    axes = tuple(map(_axis, alive))
     name = document["recording"]["name"]
     return Fit(
         name=name,
         template=template,
         curve=_curve(document, axes),
-        results=results,
+        results=tuple(_result(a, axis, template) for a, axis in zip(alive, axes, strict=True)),
         notes=tuple(document["notes"]),
+        warnings=tuple(document["warnings"]),
+        stretch=None if document["stretch_s"] is None else tuple(document["stretch_s"]),
         objective=document["objective"],
-        selection=_selection(name, document["axes"], axes),
+        selection=_selection(name, alive, axes),
+        dead=tuple(DeadAxis(_axis(a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
 
 
@@ -114,14 +117,18 @@ def _curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviatio
     )
 
 
-def _axis(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
+def _axis(a: Mapping[str, Any]) -> Axis:
+    return Axis(a["name"], a["sensor"], a["unit"])
+
+
+def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
     parameters = {p.label: p for p in template.parameters}
     coefficients = {}
     for c in a["coefficients"]:
         p, si = parameters[c["label"]].parameter, c["si"]
-        limited = p.kind == "amplitude" and not c["held"]
+        limited = p.kind == "amplitude" and c["measured"] and not c["held"]
         limit = si["upper_limit_95"]
-        found = Coefficient(
+        coefficients[c["label"]] = Coefficient(
             label=c["label"],
             term=c["term"],
             parameter=p,
@@ -134,8 +141,8 @@ def _axis(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
             upper_limit=math.inf if limit is None and limited else limit,
             detected=c["detected"],
             held=c["held"],
+            measured=c["measured"],
         )
-        coefficients[c["label"]] = found if c["measured"] else found.unmeasured()
     return AxisFit(
         axis=axis,
         converged=a["converged"],
@@ -149,6 +156,8 @@ def _axis(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         _model=fitted_model(template, coefficients),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
         misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
+        mean=_number(a["mean_si"]),
+        rms=_number(a["rms_si"]),
     )
 
 

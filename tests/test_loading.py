@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 import allanjax as aj
+from allanjax.fit import with_misfit
 from allanjax.likelihood import likelihood
+from allanjax.misfit import Misfit
+from allanjax.recording import DeadAxis
 
 SCHEMA = json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
 
@@ -38,14 +41,32 @@ def whittle(small_recording):
     return aj.fit(recording, model, "whittle", regressors=["temperature"])
 
 
-@pytest.mark.parametrize("kind", ["chosen", "half_failed", "whittle"])
+def off(fit, sustained):
+    """The fit, had its second axis's curve been off by so much, and a third axis been dead."""
+    first, second, *others = fit.results
+    misfit = Misfit(largest=0.41, at=3.0, unit="s", rms=0.21, sustained=sustained)
+    second = with_misfit(dataclasses.replace(second, discrepancy=0.1), misfit)
+    dead = (DeadAxis.of(aj.Axis("accel_x", "accel", "g"), 0.0),)
+    seen = {"warnings": ("it was moved", "the unit is wrong"), "stretch": (1.5, 198.0)}
+    return dataclasses.replace(fit, results=(first, second, *others), dead=dead, **seen)
+
+
+@pytest.mark.parametrize("kind", ["chosen", "half_failed", "whittle", "off", "far_off"])
 def test_it_says_and_holds_the_same(kind, small_fit, half_failed_fit, whittle, tmp_path):
-    fit = {"chosen": small_fit, "half_failed": half_failed_fit, "whittle": whittle}[kind]
+    fit = {
+        "chosen": small_fit,
+        "half_failed": half_failed_fit,
+        "whittle": whittle,
+        "off": off(small_fit, 0.2),
+        "far_off": off(small_fit, 0.9),
+    }[kind]
+    assert [result.measured for result in fit].count(False) == (kind in ("half_failed", "far_off"))
     again = reloaded(fit, tmp_path)
     assert aj.to_dict(again) == aj.to_dict(fit)
     assert str(again) == str(fit)
     assert again.curve == fit.curve
     assert again.template == fit.template
+    assert (again.dead, again.warnings, again.stretch) == (fit.dead, fit.warnings, fit.stretch)
     for result, other in zip(fit, again, strict=True):
         assert other.verdict() == result.verdict()
         assert repr(other) == repr(result)
@@ -53,6 +74,7 @@ def test_it_says_and_holds_the_same(kind, small_fit, half_failed_fit, whittle, t
             assert other.model == result.model
             assert other.coefficients == result.coefficients
             assert other.regression == result.regression
+            assert other.misfit == result.misfit
             np.testing.assert_array_equal(other.covariance, result.covariance)
 
 
@@ -154,7 +176,7 @@ def test_the_files_of_other_commands(small_fit, half_failed_fit, tmp_path):
         (lambda d: d.update(schema_version=2), "of schema version 2, this allanjax reads 1; load it with"),
         (
             lambda d: d.pop("axes"),
-            "not a fit that allanjax wrote; such a file comes from allanjax characterize",
+            "not a fit that allanjax wrote; such a file comes from",
         ),
         (lambda d: d["axes"][0]["coefficients"][0].pop("si"), "or damaged: KeyError('si')"),
         (lambda d: d["curve"]["deviation"].pop("gyro_y"), "or damaged"),
