@@ -70,7 +70,7 @@ def test_a_model_that_is_far_off_has_a_limit_where_nothing_is_refused() -> None:
     design = AllanDesign.of(FIVE, curve.n, curve.rate, curve.cluster_size, curve.strides)
     active = np.ones((1, len(FIVE)), bool)
     starts = find_starts(design, curve.variance.T, active, [None], N, RATE)
-    solution, inference = solve_and_infer(design, curve.variance.T, active[0], active, starts)
+    solution, *_ = solve_and_infer(design, curve.variance.T, active[0], active, starts)
     assert solution.discrepancy[0] > 0.6
     for wild in (solution, solution._replace(discrepancy=np.array([10.0]))):
         inference = infer(design, curve.variance.T, active[0], active, wild)
