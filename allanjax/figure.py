@@ -315,8 +315,9 @@ def term_style(fit: Fit, term_label: str) -> dict[str, Any]:
 
 
 def wrapped(text: str) -> str:
-    """The text in lines of the key's width."""
-    return "\n".join(textwrap.wrap(text, _KEY_COLUMNS, break_long_words=False))
+    """The text in lines of the key's width, not broken between a number and its per cent."""
+    lines = textwrap.wrap(text.replace(" %", "\u00a0%"), _KEY_COLUMNS, break_long_words=False)
+    return "\n".join(lines).replace("\u00a0", " ")
 
 
 def facts_of(n: int, rate: float) -> str:

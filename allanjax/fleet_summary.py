@@ -13,7 +13,7 @@ from allanjax.grades import Split, found_split, pooled_values
 from allanjax.outliers import FEWEST_UNITS
 from allanjax.recording import Axis
 from allanjax.result import title_of
-from allanjax.wording import format_with_error
+from allanjax.wording import format_interval, format_with_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,5 +191,4 @@ def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
         return f"{format_with_error(values[0], stds[0])}{named}", ""
     low, median, high = np.quantile(values, (0.05, 0.5, 0.95))
     scatter = float(np.std(values, ddof=1))
-    texts = [format_with_error(x, scatter).split(" ±")[0].lstrip("(") for x in (low, high)]
-    return f"{format_with_error(median, scatter)}{named}", " … ".join(texts)
+    return f"{format_with_error(median, scatter)}{named}", format_interval(low, high, median, scatter)

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.wording import plain
+
 if TYPE_CHECKING:
     from allanjax.gls import Solution
 
@@ -68,7 +70,7 @@ class Misfit:
         if self.largest == 0.0:
             return f"its {self.curve} is off, nowhere by more than single estimates scatter"
         return (
-            f"its {self.curve} is off by up to {deviation(self.largest)} at {self.at:.3g} {self.unit}, "
+            f"its {self.curve} is off by up to {deviation(self.largest)} at {plain(self.at, 3)} {self.unit}, "
             f"{deviation(self.rms)} rms"
         )
 

@@ -16,6 +16,7 @@ from allanjax.equality import ByValue
 from allanjax.errors import RecordingError
 from allanjax.plain import printable
 from allanjax.validation import Source, check_length, check_rate, check_values
+from allanjax.wording import duration
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,7 +220,7 @@ class Recording(ByValue):
         axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
         title = f" {self.name!r}" if self.name else ""
         dead = f"; without {', '.join(dead.axis.name for dead in self.dead)}" if self.dead else ""
-        size = f"{self.n} samples at {self.rate:g} Hz, {self.duration:.6g} s"
+        size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
         return printable(f"<Recording{title}: {axes}; {size}{dead}>")
 
     def _repr_html_(self) -> str:
@@ -232,7 +233,7 @@ class Recording(ByValue):
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
         return (
             f"<table><caption>{html.escape(self.name or 'Recording')}: {self.n} samples at {self.rate:g} Hz, "
-            f"{self.duration:.6g} s</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th>"
+            f"{duration(self.duration)}</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th>"
             f"<th>mean</th><th>std</th></tr></thead><tbody>{rows}</tbody></table>"
             + (f"<ul>{notes}</ul>" if notes else "")
         )

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from allanjax.fleet_summary import _spread
 from allanjax.wording import duration, format_interval, format_with_error, plain, significant
 
 RNG = np.random.default_rng(12)
@@ -108,6 +109,13 @@ def test_what_is_not_known_is_written_as_what_it_is():
     assert format_interval(1.0, 1.4, 1.2, 0.0) == "1.00 … 1.40"
     assert significant(0.0) == "0"
     assert format_with_error(-0.001, 0.3) == "0.00 ± 0.30"
+
+
+def test_quantiles_of_a_fleet_have_the_medians_style():
+    """An exponent stays with the numbers that it belongs to."""
+    small = np.linspace(1.0e-5, 1.4e-5, 41)
+    assert _spread(small, small / 10.0, "m/s") == ("(1.20 ± 0.12)e-05 m/s", "(1.02 … 1.38)e-05")
+    assert _spread(1e8 * small, small, "1") == ("1,200 ± 120", "1,020 … 1,380")
 
 
 def test_one_table_has_one_style(small_fit):
