@@ -391,8 +391,8 @@ def main() -> None:
         "at the longest cluster times makes factors of 1.1 to 1.3.",
         after_touching(options.first, options.touched),
         "## Coefficients",
-        "N and K of a gyro and an accelerometer, 32,768 samples at 100 Hz: estimate over truth, and the share "
-        "of 95 % intervals (or limits) that hold it; before: `as_is=True`.",
+        "N and K of a gyro and an accelerometer, 32,768 samples at 100 Hz: estimate over truth, and the "
+        "share of 95 % intervals (or limits) that hold it; before: `as_is=True`.",
         coefficients(options.first, options.fits),
     ]
     text = "\n\n".join(parts) + "\n"

@@ -16,6 +16,8 @@ from allanjax.inspection.windows import Windows
 _MATTERS = 1.0
 # Of many events together, of which each alone would not matter, and the least of one that counts.
 _TOGETHER, _COUNTS = 2.0, 0.1
+# An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
+_TRIFLE = 0.005
 # Fewer windows than this have no scatter to speak of.
 _FEWEST = 32
 _ROUNDS = 8
@@ -89,6 +91,7 @@ def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False)
             stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
         sigmas, shares = excesses(part, stretches)
         matters = sigmas > (_MATTERS if sigmas.sum() < _TOGETHER else _COUNTS)
+        matters &= shares > _TRIFLE
         found += [
             _Found(first + s.first, first + s.last, s.kind, float(share), bool(m))
             for s, share, m in zip(stretches, shares, matters, strict=True)

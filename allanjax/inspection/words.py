@@ -63,7 +63,7 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
     size = amount(abs(largest.size), axis)
     listed, are = _listed(spans), "is" if len(spans) == 1 else "are"
     if kind in ("noisier", "quieter"):
-        return f"{listed} {are} {two_digits(largest.size)} times {kind} than the rest"
+        return f"{listed} {are} {_ratio(largest.size)} times {kind} than the rest"
     if kind == "silent":
         return f"{axis.name} does not change at all in {listed}"
     if kind == "warm-up":
@@ -130,6 +130,10 @@ def amount(value: float, axis: Axis) -> str:
     """A rate in the recording's unit, e.g. "0.21 deg/s"."""
     unit, scale = rate_unit_of(axis.unit, axis.sensor)
     return f"{two_digits(value / scale)} {unit}"
+
+
+def _ratio(size: float) -> str:
+    return two_digits(size) if size >= 2.0 else f"{size:.3g}"
 
 
 def two_digits(value: float) -> str:
