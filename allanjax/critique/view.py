@@ -29,6 +29,8 @@ _STEADY: tuple[tuple[str, ...], ...] = (
 MARGIN = 3.0
 #: Probability of a false finding in a record of one axis, for which margins and levels are.
 FALSE_ALARMS = 0.01
+#: The normal law's point of one-sided 95 % limits.
+ONE_SIDED = 1.645
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 
@@ -289,9 +291,12 @@ class View:
         return idct(c, norm="ortho", workers=-1)
 
     def time(self, sample: float, std: float) -> Quantity:
-        """A place in time [samples]; that of a record's end is where something else might have been seen."""
-        if sample <= 0.0 or sample >= self.n:
-            return Quantity.beyond(sample / self.rate, "below" if sample <= 0.0 else "above", "s")
+        """A place in time [samples]; at an end of the record, it may as well be beyond that."""
+        if sample <= std:
+            return Quantity.beyond((sample and sample + ONE_SIDED * std) / self.rate, "below", "s")
+        if sample >= self.n - std:
+            beyond = self.n if sample >= self.n else sample - ONE_SIDED * std
+            return Quantity.beyond(beyond / self.rate, "above", "s")
         return Quantity(sample / self.rate, std / self.rate, "s")
 
     def own(self, value: float, std: float, per: str = "") -> Quantity:

@@ -50,7 +50,9 @@ def quantity(q: Quantity, name: str = "") -> str:
     if isinstance(q.value, tuple):
         return _several(q.value, q.unit)
     if q.limit:
-        return f"{_beyond(q.limit, name)} {quantity(Quantity(_rounded(q.value), 0.0, q.unit), name)}"
+        unit, factor = suited(q.unit, q.value)
+        number = f"{round(q.value):,}" if name in _COUNTS else f"{factor * q.value:.3g}"
+        return f"{_beyond(q.limit, name)} {number}{f' {unit}' if unit else ''}"
     if name in _COUNTS and np.isfinite(q.value):
         return f"{round(q.value):,}{'' if q.unit in ('', '1') else f' {q.unit}'}"
     if name == "fraction":
@@ -69,11 +71,6 @@ def _beyond(limit: str, name: str) -> str:
     if name in _COUNTS:
         return {"below": "at most", "above": "at least"}[limit]
     return limit
-
-
-def _rounded(limit: float) -> float:
-    """With three digits."""
-    return float(f"{limit:.3g}")
 
 
 def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:

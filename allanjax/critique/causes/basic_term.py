@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from allanjax.critique.bank import SLOW, Bank
 from allanjax.critique.causes.spectral import SHAPE, FineLevels, limited, relative_errors
 from allanjax.critique.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critique.view import Candidate, Cause, Quantity, View, coefficient_folds
+from allanjax.critique.view import ONE_SIDED, Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.critique.weighing import SETS, odds
 from allanjax.selection import basic_terms
 from allanjax.terms import Markov
@@ -81,7 +81,12 @@ class BasicTerm(Cause):
         scale = unit_scale(unit, view.axis.sensor)
         parameters = {parameter.name: Quantity(value / scale, std / scale, unit)}
         if term == MARKOV:
-            parameters["correlation_time"] = _correlation_time(view, noise)
+            time = _correlation_time(view, noise)
+            parameters["correlation_time"] = time
+            if time.limit == "below":
+                # Of a shorter one it is larger: white noise is all that is seen of it.
+                least = max(value - ONE_SIDED * std, 0.0) / scale
+                parameters[parameter.name] = Quantity.beyond(least, "above", unit)
         return parameters
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float
 from scipy.fft import next_fast_len, rfft
@@ -9,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from allanjax import terms
 from allanjax.critique.bank import folds
-from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
+from allanjax.critique.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
 from allanjax.deterministic import LINE_REACH, line_columns
 
 # Below so many periods a record, a line is not told from drift.
@@ -42,15 +44,11 @@ class Sinusoid(Cause):
         # Prior: the amplitude's of `evidence`, any phase, any frequency.
         gain -= np.log(snr * (snr + 1.0) * np.log1p(1e4))
         gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
-        frequency = Quantity(f, f_std, "Hz")
-        lowest = _PERIODS / view.duration
-        # A line of fewer periods is seen at the lowest frequency that is looked at.
-        if (
-            f < lowest + 1.0 / view.duration
-            and refined(view.c, v, lowest - 1.0 / view.duration, view.rate)[-1] > z
-        ):
-            frequency = Quantity.beyond(float(f), "below", "Hz")
-        parameters = {"frequency": frequency, "amplitude": view.own(amplitude, std)}
+        parameters = {"frequency": Quantity(f, f_std, "Hz"), "amplitude": view.own(amplitude, std)}
+        # One of fewer periods is seen as near to it as is looked at, and less of it.
+        if f < _PERIODS / view.duration and refined(view.c, v, f - 1.0 / view.duration, view.rate)[-1] > z:
+            least = dataclasses.replace(view.own(amplitude - ONE_SIDED * std, np.nan), limit="above")
+            parameters = {"frequency": Quantity.beyond(float(f), "below", "Hz"), "amplitude": least}
 
         def held_out() -> float:
             root = np.sqrt(v)

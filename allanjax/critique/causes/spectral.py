@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar, nnls
 
 from allanjax.critique.noise import FIXED, MARKOV, POWER_LAW, Noise, density
-from allanjax.critique.view import View
+from allanjax.critique.view import ONE_SIDED, View
 from allanjax.terms import Markov, PowerLaw
 
 Limit: TypeAlias = Literal["", "above", "below"]
-# A maximum this near to a bound is at it, absolutely and in its deviations; the normal law's 95 % point.
-_AT_BOUND, _NEAR_BOUND, _ONE_SIDED = 5e-3, 1.0, 1.645
+# A maximum this near to a bound is at it, absolutely and in its deviations.
+_AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
 #: The free shape among the powers of `relative_errors`.
 SHAPE = "shape"
 
@@ -151,9 +151,9 @@ class FineLevels:
 def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, float, Limit]:
     """An estimate and its deviation, or where it is at a bound the 95 % limit on this side of it."""
     if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
-        return min(u, bounds[1]) - _ONE_SIDED * std, float("nan"), "above"
+        return min(u, bounds[1]) - ONE_SIDED * std, float("nan"), "above"
     if u < bounds[0] + max(_AT_BOUND, _NEAR_BOUND * std):
-        return max(u, bounds[0]) + _ONE_SIDED * std, float("nan"), "below"
+        return max(u, bounds[0]) + ONE_SIDED * std, float("nan"), "below"
     return u, std, ""
 
 

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal, norm
 
 from allanjax.critique.bank import any_of, extrapolated, folds
 from allanjax.critique.noise import FIXED, NEARLY_ALL, WHITE
-from allanjax.critique.view import Candidate, Cause, Quantity, View, in_time
+from allanjax.critique.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
 
 _BLOCKS = 256
 # Share of the record that an interval has at least: what is shorter is an event.
@@ -148,7 +148,7 @@ def _ratio(excess: float, scatter: float) -> Quantity:
     Of a noise that has all but vanished it is known only below what it is.
     """
     if excess < max(_LEAST, 2.0 * scatter - 1.0):
-        return Quantity.beyond(float(np.sqrt(1.0 + max(excess + 1.645 * scatter, _LEAST))), "below", "1")
+        return Quantity.beyond(float(np.sqrt(1.0 + max(excess + ONE_SIDED * scatter, _LEAST))), "below", "1")
     ratio = float(np.sqrt(1.0 + excess))
     # d ratio = d excess / (2 ratio).
     return Quantity(ratio, scatter / (2.0 * ratio), "1")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Mapping
 
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from allanjax import terms
 from allanjax.critique.bank import SLOW, Bank
 from allanjax.critique.causes.additive import additive, shape_parameter
-from allanjax.critique.view import Candidate, Cause, Quantity, View
+from allanjax.critique.view import ONE_SIDED, Candidate, Cause, Quantity, View
 
 _TIMES = 48
 
@@ -35,8 +36,11 @@ class WarmUp(Cause):
             log_time, spread, limit = shape_parameter(np.log(times), likelihood)
             spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
             T = float(np.exp(log_time))
+            # Of a slower one, or a faster one, more is before or between what was recorded.
+            least = a - np.sign(a) * ONE_SIDED * std
+            beyond = dataclasses.replace(view.own(least, np.nan), limit="above" if a > 0.0 else "below")
             return {
-                "amplitude": view.own(a, std),
+                "amplitude": beyond if limit else view.own(a, std),
                 "time_constant": Quantity(T, float(spread) * T, "s", limit),
             }
 
