@@ -13,7 +13,7 @@ from allanjax.grades import Split, found_split, pooled_values
 from allanjax.outliers import FEWEST_UNITS
 from allanjax.recording import Axis
 from allanjax.result import title_of
-from allanjax.wording import format_interval, format_with_error
+from allanjax.wording import format_interval, format_with_error, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,7 +64,7 @@ def _told(split: Split, names: Sequence[str], group: str) -> str:
     for g in range(split.groups):
         units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
         parts.append(f"{f'{group}/' if group else ''}{g + 1} ({len(units)} units: {listed(units)})")
-    apart = " and ".join(f"{ratio:.2g}" for ratio in split.ratios)
+    apart = " and ".join(significant(ratio, 2) for ratio in split.ratios)
     count = _COUNTS[split.groups] if split.groups < len(_COUNTS) else str(split.groups)
     return (
         f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''} falls into {count} groups, "
@@ -161,12 +161,14 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         axis, sensor, coefficient, unit, group = of[["axis", "sensor", "coefficient", "unit", "group"]].iloc[
             0
         ]
-        found = of[of["detected"] & np.isfinite(of["value"])]
+        found = of[of["detected"] & of["measured"] & np.isfinite(of["value"])]
         usual = found.loc[~found["outlying"], "value"]
         middle, span = _spread(usual.to_numpy(), found["std"].to_numpy(), unit)
         odd = of[of["outlying"]]
         ratios = odd["value"] / usual.median()
-        units = [f"{name} ({ratio:.2g})" for name, ratio in zip(odd["recording"], ratios, strict=True)]
+        units = [
+            f"{name} ({significant(ratio, 2)})" for name, ratio in zip(odd["recording"], ratios, strict=True)
+        ]
         title = title_of(coefficient, Axis(axis, sensor, unit))
         rows.append(
             (
@@ -189,6 +191,6 @@ def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
     named = "" if unit == "1" else f" {unit}"
     if len(values) == 1:
         return f"{format_with_error(values[0], stds[0])}{named}", ""
-    low, median, high = np.quantile(values, (0.05, 0.5, 0.95))
+    low, median, high = map(float, np.quantile(values, (0.05, 0.5, 0.95)))
     scatter = float(np.std(values, ddof=1))
     return f"{format_with_error(median, scatter)}{named}", format_interval(low, high, median, scatter)

@@ -123,7 +123,7 @@ def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
     if len(groups) > len(_GROUPS):
         return [("estimates, 95 % intervals: a colour a group", _GROUPS[0])]
     counts = table.groupby("group")["recording"].nunique()
-    return [(f"group {g} ({counts[g]})", colour) for g, colour in zip(groups, _GROUPS, strict=False)]
+    return [(literal(f"group {g} ({counts[g]})"), colour) for g, colour in zip(groups, _GROUPS, strict=False)]
 
 
 def _facts(table: pd.DataFrame) -> str:
@@ -158,7 +158,7 @@ def _draw_title(figure: Figure, units: int, facts: Sequence[str], keys: list[Any
     width, height = figure.get_size_inches()
     at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
     figure.text(y=1.0 - 0.12 / height, s=f"{units} units", fontsize=13, fontweight="bold", **at)
-    figure.text(y=1.0 - 0.4 / height, s="\n".join(facts), color="0.35", fontsize=9.5, **at)
+    figure.text(y=1.0 - 0.4 / height, s=literal("\n".join(facts)), color="0.35", fontsize=9.5, **at)
     figure.legend(
         handles=keys,
         loc="upper left",

@@ -22,7 +22,7 @@ from allanjax.errors import AllanjaxError
 from allanjax.fleet import characterize_fleet
 from allanjax.fleet_cluster import connected, outcomes
 from allanjax.fleet_files import matching_files, recording_names
-from allanjax.fleet_summary import judged
+from allanjax.fleet_summary import cells, judged
 from allanjax.fleet_table import table_of, table_schema
 from allanjax.io import write
 from allanjax.notation import parse_model
@@ -348,6 +348,50 @@ def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units():
     plt.close(figure)
     with pytest.raises(AllanjaxError, match="column outlying"):
         plot_fleet(fleet_table(rows).drop(columns="outlying"))
+
+
+def test_the_picture_names_its_axes_units_and_groups():
+    groups = ["mems", "mems", "mems", "$tactical$", "$tactical$", "$tactical$"]
+    rows = [
+        row(k, axis, "angle_random_walk", 1.0 + k, group=group)
+        for k, group in enumerate(groups)
+        for axis in ("gyro_x", "gyro_y")
+    ]
+    # Neither an estimate nor a limit: held, and no measurement.
+    rows += [{**row(8, "gyro_x", "angle_random_walk", 50.0, group="mems"), "lower_95": None, "std": None}]
+    figure = plot_fleet(fleet_table(rows))
+    (panel,) = figure.axes
+    assert panel.get_ylabel() == "angle random walk [deg/√h]"
+    first, facts = (text.get_text() for text in figure.texts)
+    assert first == "7 units"
+    assert facts.replace("\n", " ") == (
+        "none of them outlying; left to right: unit_0, unit_1, unit_2, unit_8 | unit_3, unit_4, unit_5"
+    ).replace("$", r"\$")
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[:2] == ["group mems (4)", r"group \$tactical\$ (3)"]
+    # On each axis a group's points, side by side, and its own median.
+    points = [c for c in panel.containers if len(c.lines[0].get_xdata())]
+    drawn = [(c.lines[0].get_color(), c.lines[0].get_ydata().tolist()) for c in points]
+    assert [y for _, y in drawn] == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]] * 2
+    assert drawn[0][0] != drawn[1][0]
+    x = np.concatenate([c.lines[0].get_xdata() for c in points[:2]])
+    assert np.all(np.diff(x) > 0.0)
+    assert x[3] - x[2] > 1.5 * (x[1] - x[0])
+    medians = [line.get_ydata()[0] for line in panel.lines if line.get_linewidth() == 1.4]
+    assert medians == [2.0, 5.0, 2.0, 5.0]
+    plt.close(figure)
+
+
+def test_the_printed_table_has_two_digits_of_the_scatter():
+    values = [1.0, 1.06, 0.94, 1.03, 0.97]
+    rows = [row(k, "gyro_x", "angle_random_walk", value) for k, value in enumerate(values)]
+    rows += [row(k, "gyro_x", "bias_instability", 12347.0 * v, detected=k < 1) for k, v in enumerate(values)]
+    headings, (walk, instability) = cells(fleet_table(rows))
+    assert headings[2:] == ("detected", "median ± scatter", "5 … 95 %", "outlying (× median)")
+    # Their standard deviation is 0.0474; quantiles are 0.946 and 1.054.
+    assert walk[2:] == ("5 of 5", "1.000 ± 0.047 deg/√h", "0.946 … 1.054", "")
+    # Of one alone its own error.
+    assert instability[2:] == ("1 of 5", "12,350 ± 620 deg/√h", "", "")
 
 
 @pytest.mark.parametrize("stretch", [{}, {"start": 100.003, "stop": 1_400.0}])

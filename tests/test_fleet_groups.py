@@ -4,8 +4,10 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from allanjax import fleet
+from allanjax.cli import app
 from allanjax.errors import AllanjaxError
 from allanjax.fleet import characterize_fleet
 from allanjax.fleet_groups import group_names
@@ -85,6 +87,19 @@ def test_a_file_without_the_columns_says_which_it_has(tmp_path):
     path.write_text("", encoding="utf-8")
     with pytest.raises(AllanjaxError, match="and group, not nothing"):
         group_names(path, RECORDINGS)
+
+
+def test_the_command_hands_groups_on(monkeypatch):
+    seen = {}
+
+    def characterize(*arguments, **options):
+        seen.update(options)
+        raise AllanjaxError("enough")
+
+    monkeypatch.setattr(fleet, "characterize_fleet", characterize)
+    monkeypatch.setenv("ALLANJAX_CACHE", "off")
+    CliRunner().invoke(app, ["fleet", "a.csv", "--group", r"logs/(\w+)/"])
+    assert seen["group"] == r"logs/(\w+)/"
 
 
 def test_groups_are_known_before_anything_is_computed(tmp_path, monkeypatch):
