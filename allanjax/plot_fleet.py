@@ -32,17 +32,19 @@ _SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
 _PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.75, 0.65
 _NAME_HEIGHT = 0.125
+# Letters of a unit's name beside its point, of which the last ones tell it; width of one, of the panel.
+_LONGEST, _LETTER = 18, 0.0115
 # Half the width that an axis's units take, of the distance between axes; from points to names, of the panel.
 _SPREAD = 0.38
 _BESIDE = 0.02
 # Outlying units that are named in a panel, on each axis; the table names all.
 _NAMED = 12
 # Units of a fleet that are named in the title, from left to right.
-_LISTED = 12
+_LISTED, _MOST_LINES = 12, 4
 # Empty places between two groups, of all places; one at least.
 _APART = 0.05
-# Height of a line of the title or the key; letters, and entries of the key, that an inch holds.
-_LINE_HEIGHT, _LETTERS, _ENTRIES = 0.2, 12.0, 0.5
+# Heights of a line of the key and of the title; letters, and entries of the key, that an inch holds.
+_LINE_HEIGHT, _TITLE_LINE, _LETTERS, _ENTRIES = 0.2, 0.16, 12.0, 0.5
 # From the outermost points of a group to the ends of its band, of the distance between axes.
 _BESIDE_POINTS = 0.04
 _MANY = 60
@@ -87,10 +89,10 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
     coefficients = list(drawn["coefficient"].unique())
     rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
     width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
-    facts = textwrap.wrap(_facts(table), int(_LETTERS * (width - _LEFT - _RIGHT)))
+    facts = _facts(table, int(_LETTERS * (width - _LEFT - _RIGHT)))
     keys = _key(table)
     key_columns = max(int(_ENTRIES * (width - _LEFT - _RIGHT)), 1)
-    top = _TOP + _LINE_HEIGHT * (len(facts) + -(-len(keys) // key_columns))
+    top = _TOP + _TITLE_LINE * (len(facts) - 1) + _LINE_HEIGHT * (1 + -(-len(keys) // key_columns))
     height = top + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
     with look():
         figure = plt.figure(figsize=(width, height))
@@ -126,16 +128,16 @@ def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
     return [(literal(f"group {g} ({counts[g]})"), colour) for g, colour in zip(groups, _GROUPS, strict=False)]
 
 
-def _facts(table: pd.DataFrame) -> str:
-    """How many units are outlying, and which units they are if they are few."""
+def _facts(table: pd.DataFrame, letters: int) -> list[str]:
+    """Lines on how many units are outlying, and which units there are if that does not take many."""
     units = table["recording"].nunique()
     if not units:
-        return "no results"
+        return ["no results"]
     facts = f"{table.loc[table['outlying'], 'recording'].nunique() or 'none'} of them outlying"
-    if units <= _LISTED:
-        parts = [of["recording"].unique() for _, of in table.groupby("group", sort=False)]
-        facts += f"; left to right: {' | '.join(', '.join(names) for names in parts)}"
-    return facts
+    parts = [of["recording"].unique() for _, of in table.groupby("group", sort=False)]
+    named = f"{facts}; left to right: {' | '.join(', '.join(names) for names in parts)}"
+    lines = textwrap.wrap(named, letters, break_on_hyphens=False)
+    return lines if units <= _LISTED and len(lines) <= _MOST_LINES else [facts]
 
 
 def _key(table: pd.DataFrame) -> list[Any]:
@@ -162,7 +164,7 @@ def _draw_title(figure: Figure, units: int, facts: Sequence[str], keys: list[Any
     figure.legend(
         handles=keys,
         loc="upper left",
-        bbox_to_anchor=(_LEFT / width, 1.0 - (0.42 + _LINE_HEIGHT * len(facts)) / height),
+        bbox_to_anchor=(_LEFT / width, 1.0 - (0.42 + _LINE_HEIGHT + _TITLE_LINE * (len(facts) - 1)) / height),
         ncols=columns,
         frameon=False,
         borderpad=0.0,
@@ -266,10 +268,15 @@ def _name_units(
         return
     to_share = panel.transLimits.transform
     places = to_share(panel.transScale.transform(np.stack([x, y], axis=1)))
+    names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in names]
     # Where there is more room.
     right = x.mean() <= k
-    column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
     step = _NAME_HEIGHT / _PANEL_HEIGHT
+    column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
+    last = 1.0 - _LETTER * max(map(len, names))
+    if right and column > last:
+        # Within the panel, and above the points.
+        column, places = last, places + np.array([0.0, step])
     order = np.argsort(places[:, 1])[:_NAMED]
     clear = -np.inf
     for count, i in enumerate(order):
@@ -280,9 +287,8 @@ def _name_units(
         more = len(names) - _NAMED
         panel.annotate(
             literal(names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more"),
-            places[i],
+            (x[i], y[i]),
             (column, level),
-            xycoords="axes fraction",
             textcoords="axes fraction",
             color=_OUTLYING,
             fontsize=7,
