@@ -18,7 +18,7 @@ from allanjax.critique.causes.saturation import Saturation
 from allanjax.critique.causes.sinusoid import refined
 from allanjax.critique.causes.telegraph import Telegraph, _chain, _noise, two_levels
 from allanjax.critique.filling import filled
-from allanjax.critique.gain import drift_changes
+from allanjax.critique.gain import coefficient_changes, drift_changes
 from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critique.step import Step
 from allanjax.critique.view import EVERYTHING, Candidate, View
@@ -331,7 +331,7 @@ def test_shared_white_noise_beside_noise_that_is_not_shared(r, signs):
 # --- Drift --------------------------------------------------------------------------------------------------
 
 
-def test_drift_is_that_of_simulations():
+def test_drift_and_coefficients_are_those_of_simulations():
     """A line is found in noise of which the levels are estimated; drift by definition, sums of the rate."""
     rng = np.random.default_rng(13)
     n = 4096
@@ -340,7 +340,12 @@ def test_drift_is_that_of_simulations():
     before = view_of(noise + line)
     after = view_of(noise)
     candidate = Candidate("sinusoid", {}, 1.0, 0.0, after, lambda: 1.0, (0.0, 1.0), "frequency")
-    (change,) = drift_changes([Step(candidate, 1.0, (), before)])
+    step = Step(candidate, 1.0, (), before)
+    # Of 4096 samples the white noise is known to a per cent or two: in m/s/√h, 60 times its SI value.
+    walk = next(c for c in coefficient_changes(step) if c.label == "angle_random_walk")
+    assert walk.unit == "m/s/√h"
+    assert walk.after == pytest.approx(60.0 * np.sqrt(POWERS["angle_random_walk"]), rel=0.1)
+    (change,) = drift_changes([step])
     assert change is not None
     m = int(np.rint(change.horizon * RATE))
 
