@@ -83,7 +83,8 @@ def made_up(name, *, failed=False):
     axis = {"name": "gyro_x", "sensor": "gyro", "converged": True, "reason": "", "p_value": 0.5}
     axis |= {"coefficients": [coefficient], "selection": None}
     bad = {**axis, "name": "gyro_y", "converged": False, "reason": "constant", "coefficients": []}
-    return {"axes": [axis, bad] if failed else [axis], "name": name}
+    axes = [axis, bad] if failed else [axis]
+    return {"axes": axes, "name": name, "warnings": [], "stretch_s": None}
 
 
 @pytest.mark.parametrize("field", [option.name for option in fields(ReadOptions)])
