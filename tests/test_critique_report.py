@@ -309,7 +309,12 @@ def test_json_has_all_numbers_and_follows_the_schema(schema):
     document = json.loads(json.dumps(critique_of((LINE, STEP)).to_dict(), allow_nan=False))
     jsonschema.validate(document, schema)
     axis = document["axes"][0]
-    assert axis["findings"][0]["parameters"]["amplitude"] == {"value": 5.0, "std": 0.02, "unit": "mg"}
+    assert axis["findings"][0]["parameters"]["amplitude"] == {
+        "value": 5.0,
+        "std": 0.02,
+        "unit": "mg",
+        "limit": None,
+    }
     assert axis["findings"][1]["parameters"]["times"]["value"] == list(range(9))
     assert axis["findings"][1]["drift"]["measured"] is None
     assert axis["findings"][0]["coefficients"][1]["before"] is None

@@ -260,8 +260,8 @@ def test_files_and_tables_have_no_errors_of_what_is_no_measurement(fit, recordin
     assert loaded["gyro_x"].misfit == misfit
     assert str(loaded["gyro_x"]["angle_random_walk"]) == str(fit["gyro_x"]["angle_random_walk"])
     assert str(loaded) == str(fit)
-    assert fit.table()["measured"].tolist() == [False] * 10 + [True] * 10
-    assert fit.table()["std"].isna().tolist() == [True] * 10 + [False] * 10
+    assert fit.to_dataframe()["measured"].tolist() == [False] * 10 + [True] * 10
+    assert fit.to_dataframe()["std"].isna().tolist() == [True] * 10 + [False] * 10
     assert all(path.exists() for path in write_results(fit, aj.power_spectrum(recording), tmp_path, "x"))
 
 
@@ -282,8 +282,8 @@ def test_a_fleet_marks_no_unit_by_what_is_no_measurement(fit):
             for name in ("value", "std", "upper_limit_95"):
                 c[name] = None if c[name] is None else c[name] * (1.0 + 0.01 * k)
             c["interval_95"] = [None if x is None else x * (1.0 + 0.01 * k) for x in c["interval_95"]]
-        rows += rows_of({"axes": [like]}, f"unit{k}", f"{k}.csv")
-    rows += rows_of({"axes": document["axes"][:1]}, "handled", "handled.csv")
+        rows += rows_of(document | {"axes": [like]}, f"unit{k}", f"{k}.csv")
+    rows += rows_of(document | {"axes": document["axes"][:1]}, "handled", "handled.csv")
     table = mark_outlying(table_of(rows))
     assert not table["outlying"].any()
     handled = table[table["recording"] == "handled"]
