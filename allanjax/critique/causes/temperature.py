@@ -53,7 +53,7 @@ class Temperature(Cause):
             # The bank is not evenly spaced: its points count by the lags they stand for.
             spacing = np.gradient(lags.astype(float))
             lag, spread, limit = shape_parameter(lags * step, likelihood, spacing)
-            spread = np.hypot(spread, step / np.sqrt(12.0))
+            spread = np.hypot(spread, step * np.interp(lag, lags * step, spacing) / np.sqrt(12.0))
             return {
                 "coefficient": view.own(a, std, f"/[{name}]"),
                 "lag": Quantity(lag / view.rate, float(spread) / view.rate, "s", limit),
