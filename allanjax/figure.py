@@ -136,10 +136,12 @@ def rows_of(
     return [row for row in rows if row]
 
 
-def figure_of(ax: Axes) -> Figure:
-    """The figure that the caller's axes are in."""
+def figure_with(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
+    """The figure that the caller's axes are in, saved if there is a path; it is the caller's to close."""
     figure = ax.get_figure(root=True)
     assert figure is not None
+    if path is not None:
+        save(figure, path)
     return figure
 
 

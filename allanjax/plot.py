@@ -20,7 +20,7 @@ from allanjax.figure import (
     draw_residuals,
     draw_title,
     facts_of,
-    figure_of,
+    figure_with,
     finished,
     look,
     marks,
@@ -94,7 +94,7 @@ def plot_allan(
     with look():
         if ax is not None:
             _draw_into(ax, only_one(rows), fit, curve)
-            return finished(figure_of(ax), path)
+            return figure_with(ax, path)
         keys = {k: [] if fit is None else _key(fit, fit.results[k]) for row in rows for k in row}
         cells = Cells.of(rows, keys, has_strip=fit is not None)
         figure = plt.figure(figsize=cells.size)

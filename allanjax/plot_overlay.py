@@ -18,7 +18,7 @@ from allanjax.figure import (
     draw_key,
     draw_title,
     facts_of,
-    figure_of,
+    figure_with,
     finished,
     look,
     only_one,
@@ -88,7 +88,7 @@ def plot_several(
             drawn = dict(zip(texts, handles, strict=True))
             shown = [c.label for c in curves if c.label in drawn]
             ax.legend([drawn[label] for label in shown], shown, frameon=False)
-            return finished(figure_of(ax), path)
+            return figure_with(ax, path)
         keys = {
             k: [_entry(c, names[k]) for c in curves if names[k] in c.curve.names] for row in rows for k in row
         }

@@ -19,7 +19,7 @@ from allanjax.figure import (
     draw_residuals,
     draw_title,
     facts_of,
-    figure_of,
+    figure_with,
     finished,
     look,
     marks,
@@ -89,7 +89,7 @@ def plot_psd(
     if ax is not None:
         with look():
             _draw_into(ax, only_one(rows), spectrum, fit, results)
-            return finished(figure_of(ax), path)
+            return figure_with(ax, path)
     with look():
         walks = {k: _random_walk(spectrum, k) for row in rows for k in row}
         keys = {k: _key(fit, results.get(k), walks[k], spectrum) for k in walks}

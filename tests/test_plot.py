@@ -5,6 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
 from allanjax.misfit import Misfit
@@ -167,8 +168,10 @@ def test_no_two_texts_overlap(small_fit, half_failed_fit):
         plot_allan(small_fit, axes=["gyro_x"]),
         plot_allan([small_fit, half_failed_fit], labels=["a", "the other of these two, at another time"]),
     ):
-        figure.canvas.draw()
-        renderer = figure.canvas.get_renderer()
+        # A canvas of its own: pyplot may have closed the figure.
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()
         drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
         drawn += (
             [axes._left_title for axes in figure.axes] + list(figure.texts) + figure.legends[0].get_texts()

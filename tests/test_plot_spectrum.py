@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
 from allanjax.notation import parse_model
@@ -170,8 +171,10 @@ def test_no_two_texts_overlap(spectrum, small_fit, half_failed_fit):
         plot_psd(spectrum),
         plot_psd(spectrum, small_fit, axes=["gyro_x"]),
     ):
-        figure.canvas.draw()
-        renderer = figure.canvas.get_renderer()
+        # A canvas of its own: pyplot may have closed the figure.
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()
         drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
         drawn += [axes._left_title for axes in figure.axes] + list(figure.texts)
         drawn += figure.legends[0].get_texts()
