@@ -228,7 +228,7 @@ class AxisFit(ByValue):
         return self.coefficients[label]
 
     def __repr__(self) -> str:
-        return in_two_lines(self) if self.converged else f"<AxisFit {self.axis.name}: {self.verdict()}>"
+        return in_two_lines(self) if self.measured else f"<AxisFit {self.axis.name}: {self.verdict()}>"
 
     def to_dataframe(self) -> pd.DataFrame:
         """The axis's rows of `Fit.to_dataframe`. Raises FitError if the fit did not converge."""

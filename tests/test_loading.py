@@ -60,6 +60,8 @@ def test_it_says_and_holds_the_same(kind, small_fit, half_failed_fit, whittle, t
         "off": off(small_fit, 0.2),
         "far_off": off(small_fit, 0.9),
     }[kind]
+    for result in fit:
+        assert repr(result).count("not a measurement") == (kind == "far_off" and result.axis.name == "gyro_y")
     assert [result.measured for result in fit].count(False) == (kind in ("half_failed", "far_off"))
     again = reloaded(fit, tmp_path)
     assert aj.to_dict(again) == aj.to_dict(fit)
