@@ -111,7 +111,7 @@ class AxisPosterior(ByValue):
                 "upper_limit_95": m.upper_limit,
             }
             for m in shown
-        )
+        ).astype({"upper_limit_95": float})
 
     @property
     def correlation(self) -> pd.DataFrame:

@@ -249,7 +249,7 @@ class AxisFit(ByValue):
                 "measured": c.measured,
             }
             for c in shown
-        )
+        ).astype({"upper_limit_95": float})
 
     def level(self) -> str:
         """E.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if they are not known."""

@@ -133,6 +133,13 @@ def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, posterior):
     row = table[(table["axis"] == "accel_z") & (table["coefficient"] == "angle_random_walk")].iloc[0]
     # 1 m/s/√h is 1/60 m/s/√s.
     assert (row["value"], row["unit"]) == (pytest.approx(60.0 * walk.value), "m/s/√h")
+    # What has no limit, as a held value, has NaN among numbers.
+    held = dataclasses.replace(walk, upper_limit=None, held=True)
+    first = dataclasses.replace(small_fit["gyro_x"], _coefficients={"angle_random_walk": held})
+    with_held = dataclasses.replace(small_fit, results=(first, *small_fit.results[1:]))
+    limits = with_held.to_dataframe()["upper_limit_95"]
+    assert limits.dtype == float
+    assert np.isnan(limits[0])
     draws = posterior["gyro_x"]
     row = draws.to_dataframe().set_index("coefficient").loc["angle_random_walk"]
     assert row["median"] == pytest.approx(np.median(draws.draws[:, 0]) * 180.0 / np.pi * 60.0)
