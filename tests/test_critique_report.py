@@ -386,6 +386,7 @@ def test_json_of_one_file_is_its_document(command, critique, schema):
     assert done.exit_code == 1
     assert json.loads(done.stdout) == {
         "schema_version": 1,
+        "critiques": [],
         "errors": [{"file": "odd.csv", "message": "odd: cannot be criticized"}],
     }
 
@@ -411,7 +412,7 @@ def test_one_bad_file_does_not_stop_the_others(command, schema):
     (found,) = document["critiques"]
     assert found.pop("file") == "imu.csv"
     jsonschema.validate(found, schema)
-    assert "error: odd: cannot be criticized" in done.stderr
+    assert "error: odd.csv: odd: cannot be criticized" in done.stderr
     assert not Path("allanjax-results").exists()
     assert command("imu.csv", "--json", "--out", "there").exit_code == 0
     assert len(list(Path("there").iterdir())) == 3
