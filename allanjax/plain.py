@@ -63,7 +63,8 @@ def _word(character: str) -> str:
     if found := re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER ([A-Z]+)", name):
         return found[2].lower() if found[1] == "SMALL" else found[2].capitalize()
     if name.startswith("BOX DRAWINGS"):
-        return "-" if name.endswith("HORIZONTAL") else "|" if name.endswith("VERTICAL") else "+"
+        corner = " AND " in name or not name.endswith(("HORIZONTAL", "VERTICAL"))
+        return "+" if corner else "-" if name.endswith("HORIZONTAL") else "|"
     # It may be part of a name, which must not become another.
     return character.encode("ascii", "backslashreplace").decode()
 

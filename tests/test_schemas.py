@@ -37,6 +37,8 @@ def validator(name):
 def recorded(small_recording, half_failed_fit, monkeypatch):
     """A file whose fit has an axis without result."""
     write(small_recording, "small.csv")
+    monkeypatch.setattr("allanjax.plot.plot_allan", lambda fit, path: None)
+    monkeypatch.setattr("allanjax.plot_spectrum.plot_psd", lambda spectrum, fit, path: None)
     monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: half_failed_fit)
     return Path("small.csv")
 
@@ -76,6 +78,8 @@ def test_of_critique(monkeypatch):
     found = aj.critique(recording)
     package = importlib.import_module("allanjax.critique")
     monkeypatch.setattr(package, "critique", lambda recording, **options: found)
+    pictures = importlib.import_module("allanjax.critique.plot")
+    monkeypatch.setattr(pictures, "plot_critique", lambda critique, folder: None)
     of_critique = validator("critique")
     for words in (["a.csv"], ["a.csv", "b.csv"], ["none.csv"], ["a.csv", "none.csv"]):
         done = run("critique", *words, "--json", "--out", "there")
