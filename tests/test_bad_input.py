@@ -286,7 +286,7 @@ def test_bad_time_cell(text, noise, cell):
 
 def test_files_that_are_none(tmp_path, noise):
     _fails(tmp_path / "absent.csv", "no such file")
-    _fails(tmp_path, "directory")
+    _fails(tmp_path, "folder")
     path = tmp_path / "imu.csv"
     path.write_bytes(b"")
     _fails(path, "empty")
