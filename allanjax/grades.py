@@ -20,10 +20,9 @@ _ODD, _RANGE = 0.05, np.log(1000.0)
 _GAPS = 8
 # Standard deviation [ln] given to a limit that stands in for an estimate.
 _LIMIT_SCATTER = 0.3
-# In a unit's choice of a group a coefficient counts no more than as many squared standard deviations, and
-# units of a group scatter by as much at least.
-_MOST, _LEAST_WIDTH = 9.0, 0.05
-_NEARER = 1e-3
+# In a unit's choice of a group coefficients scatter by Student's law of so many degrees of freedom, so that one
+# that is odd cannot outvote the others; units of a group scatter by as much at least.
+_FREEDOM, _LEAST_WIDTH = 3.0, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +95,8 @@ def found_split(families: Sequence[Pooled]) -> Split | None:
     odds against the best single group, with whatever units are odd then, are five times the number of
     coefficients to one.
 
-    A unit belongs to the group that is nearest in most of its coefficients: one bad coefficient does not
-    carry it into another group.
+    A unit belongs to the group that is nearest in its coefficients together, each with long tails: one bad
+    coefficient does not carry it into another group.
     """
     splits = [split for family in families if (split := _split(family)) is not None]
     best = max(splits, key=lambda split: split.log_odds, default=None)
@@ -164,7 +163,7 @@ def _weighed(
 
 
 def _nearest(families: Sequence[Pooled], labels: Int[np.ndarray, " units"]) -> Int[np.ndarray, " units"]:
-    """The group that each unit is nearest to in most coefficients."""
+    """The group that each unit is nearest to, in all coefficients together."""
     groups = int(labels.max()) + 1
     cost = np.zeros((len(labels), groups))
     for family in families:
@@ -176,8 +175,6 @@ def _nearest(families: Sequence[Pooled], labels: Int[np.ndarray, " units"]) -> I
             centre = np.median(family.x[members])
             width = median_width(abs(family.x - centre)[members], family.s[members])
             z = (family.x - centre) / np.hypot(max(width, _LEAST_WIDTH), family.s)
-            # Of groups that are all too far, the nearer one.
-            distance = np.minimum(z**2, _MOST) + _NEARER * abs(family.x - centre)
-            cost[:, g] += np.where(is_known, distance, 0.0)
+            cost[:, g] += np.where(is_known, (_FREEDOM + 1.0) / 2.0 * np.log1p(z**2 / _FREEDOM), 0.0)
     nearest = np.argmin(cost, axis=1)
     return nearest if len(np.unique(nearest)) == groups else np.where(labels >= 0, labels, nearest)

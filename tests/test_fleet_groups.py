@@ -30,7 +30,7 @@ EXPECTED = {"mems_a": "mems", "mems_b": "mems", "fog_a": "fog"}
         {path: path.parent.name for path in RECORDINGS.values()},
         lambda path: path.parent.name,
     ],
-    ids=str,
+    ids=lambda value: getattr(value, "__name__", None) or str(value),
 )
 def test_groups_by_pattern_mapping_and_function(group):
     assert group_names(group, RECORDINGS) == EXPECTED
@@ -72,7 +72,7 @@ def test_groups_by_a_file(text, tmp_path, monkeypatch):
         ({"a.csv": "x", "b.csv": "x"}, "2 of 3 recordings have no group"),
         (lambda path: "", "3 of 3 recordings have no group, .*: the function of group= must return a name"),
     ],
-    ids=str,
+    ids=lambda value: getattr(value, "__name__", None) or str(value),
 )
 def test_what_is_wrong_with_groups_is_said(group, says):
     with pytest.raises(AllanjaxError, match=says):
