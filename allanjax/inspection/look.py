@@ -15,6 +15,7 @@ from allanjax.inspection.scores import mean_squares
 from allanjax.inspection.windows import Windows
 from allanjax.inspection.words import cannot_cut, grid, refused, said_of_events, said_of_motion, span, unclear
 from allanjax.recording import Axis, Recording
+from allanjax.wording import duration
 
 #: Least share of the recording that coefficients may be of: one event leaves half of it wherever it is, two
 #: leave a third.
@@ -70,8 +71,8 @@ class Inspection:
         return dataclasses.replace(self, stretch=None, refusal=refusal, warnings=warnings)
 
     def __str__(self) -> str:
-        duration = self.n / self.rate
-        head = f"{self.name or 'recording'}: {self.n:,} samples at {self.rate:g} Hz, {duration:.4g} s"
+        length = duration(self.n / self.rate)
+        head = f"{self.name or 'recording'}: {self.n:,} samples at {self.rate:g} Hz ({length})"
         lines = self.warnings or ("nothing unusual",)
         return "\n".join(
             [head, *(f"  {line}" for line in lines), *(f"  note: {note}" for note in self.notes)]
