@@ -20,8 +20,8 @@ from allanjax.wording import duration
 #: Least share of the recording that coefficients may be of: one event leaves half of it wherever it is, two
 #: leave a third.
 LEAST_SHARE = 0.3
-# A part that is quieter by this factor may be the sensor at rest, and the rest not.
-_MUCH = 1.5
+# A part that is quieter by this factor, and this share of the recording, may be the sensor at rest.
+_MUCH, _LONG = 1.5, 0.1
 # An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
 _SLIGHT = 0.1
 
@@ -131,7 +131,8 @@ def look(
     sensors = [axis.sensor for axis in axes]
     quiet = quiet_part(windows, sensors, may_move)
     touched = [e for e in quiet.events if e.matters]
-    unlikely_rest = any(e.kind == "quieter" and e.size > _MUCH for e in touched)
+    quieter = [e for e in touched if e.kind == "quieter" and e.size > _MUCH]
+    unlikely_rest = sum(e.last - e.first for e in quieter) > _LONG * n
     long_enough = quiet.last - quiet.first >= LEAST_SHARE * n and not unlikely_rest
     cut = bool(touched) and long_enough and not as_is
     stretch = _rounded(quiet, n, rate) if cut else None

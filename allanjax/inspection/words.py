@@ -138,7 +138,8 @@ def _ratio(size: float) -> str:
 
 def two_digits(value: float) -> str:
     """E.g. "0.0072", "170"."""
-    return f"{float(f'{value:.2g}'):,g}"
+    rounded = float(f"{value:.2g}")
+    return f"{rounded:,.0f}" if rounded >= 1e4 else f"{rounded:g}"
 
 
 def _listed(words: Sequence[str]) -> str:
