@@ -389,7 +389,7 @@ def main() -> None:
         "touched record and that of the same record untouched; before: of all of it, after: of the stretch "
         "that coefficients are of. σ: of the white noise, from sample to sample. An estimate's own scatter "
         "at the longest cluster times makes factors of 1.1 to 1.3. What is touched is added after rounding, "
-        "which no sensor does: one such record is refused.",
+        "which no sensor does.",
         after_touching(options.first, options.touched),
         "## Coefficients",
         "N and K of a gyro and an accelerometer, 32,768 samples at 100 Hz: estimate over truth, and the "
