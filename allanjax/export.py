@@ -103,7 +103,7 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
             n = _numbers(shown)
             numbers = [n["value"], n["std"], *n["interval_95"]]
             flags = [str(x).lower() for x in (c.detected, c.held, c.measured)]
-            reason = "" if c.measured else f"not a measurement of this sensor: {result.misfit}"
+            reason = "" if c.measured else result.verdict()
             rows.append(
                 [result.axis.name, c.label, *numbers, shown.unit, *flags, n["upper_limit_95"], reason]
             )
@@ -152,6 +152,7 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "p_value": None,
         "discrepancy": None,
         "measured": False,
+        "moving": False,
         "misfit": None,
         "coefficients": [],
         "covariance": {"labels": [], "units": [], "values": []},
@@ -178,6 +179,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "p_value": _finite(result.p_value) if result.converged else None,
         "discrepancy": _finite(result.discrepancy) if result.converged else None,
         "measured": result.measured,
+        "moving": result.moving,
         "misfit": None if result.misfit is None else _misfit(result.misfit),
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {

@@ -26,7 +26,7 @@ from allanjax.misfit import Misfit, misfit_of, widened
 from allanjax.model import Model
 from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Axis, DeadAxis, Recording
-from allanjax.result import AxisFit, Fit, fitted_model
+from allanjax.result import NEXT, AxisFit, Fit, fitted_model
 from allanjax.selection import TermSelection, basic_terms, select_terms
 from allanjax.starts import Starts, find_starts
 from allanjax.terms import Markov, Telegraph
@@ -156,14 +156,29 @@ def without_coefficients(
 
 
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
-    """The fit with the warnings, the stretch, and the level of each axis."""
-    results = zip(found.results, seen.mean, seen.rms, strict=True)
+    """The fit with the warnings, the stretch, and the level of each axis; in motion, nothing is measured."""
+    levels = zip(found.results, seen.mean, seen.rms, strict=True)
+    results = tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in levels)
+    moving = [seen.axes[k].name for k in seen.moving]
+    results = tuple(
+        r.unmeasured(moving=True) if r.converged and r.axis.name in moving else r for r in results
+    )
     return dataclasses.replace(
         found,
-        results=tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in results),
-        warnings=seen.warnings,
+        results=results,
+        warnings=(*seen.warnings, *far_off(results)),
         notes=found.notes + seen.notes,
         stretch=seen.stretch,
+    )
+
+
+def far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
+    """For people: which axes have a curve that their model does not follow, and what to do."""
+    names = [result.axis.name for result in results if result.is_far_off]
+    if not names:
+        return ()
+    return (
+        f"{', '.join(names)}: not a measurement of this sensor, the model does not follow the data: {NEXT}",
     )
 
 
@@ -388,12 +403,7 @@ def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
         return result
     if not misfit.excessive:
         return dataclasses.replace(result, misfit=misfit)
-    return dataclasses.replace(
-        result,
-        misfit=misfit,
-        _coefficients={label: c.unmeasured() for label, c in result.coefficients.items()},
-        _covariance=np.full_like(result.covariance, np.nan),
-    )
+    return result.unmeasured(misfit=misfit)
 
 
 def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:

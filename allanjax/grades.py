@@ -20,8 +20,8 @@ _ODD, _RANGE = 0.05, np.log(1000.0)
 _GAPS = 8
 # Standard deviation [ln] given to a limit that stands in for an estimate.
 _LIMIT_SCATTER = 0.3
-# In a unit's choice of a group coefficients scatter by Student's law of so many degrees of freedom, so that one
-# that is odd cannot outvote the others; units of a group scatter by as much at least.
+# In a unit's choice of a group coefficients scatter by Student's law of so many degrees of freedom: one that
+# is odd cannot outvote the others. Units of a group scatter by as much at least.
 _FREEDOM, _LEAST_WIDTH = 3.0, 0.05
 
 

@@ -158,6 +158,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
         mean=_number(a["mean_si"]),
         rms=_number(a["rms_si"]),
+        moving=a["moving"],
     )
 
 

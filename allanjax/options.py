@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from allanjax.accumulator import AllanAccumulator
-from allanjax.fit import Objective, fit, inspected
+from allanjax.fit import Objective, far_off, fit, inspected
 from allanjax.inspection import Inspection
 from allanjax.io.options import ReadOptions
 from allanjax.model import Model
@@ -64,7 +64,8 @@ class FitOptions:
         if seen is None or seen.stretch is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
         found = accumulator.fit(self.model, self.objective, as_is=True, vibrating=self.vibrating)
-        return replace(found, warnings=seen.warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
+        warnings = (*seen.warnings, *far_off(found.results))
+        return replace(found, warnings=warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
         """What a recording, or what was accumulated of one, looks like, as its fit will see it."""

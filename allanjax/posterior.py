@@ -394,8 +394,8 @@ def sample(
             raise FitError(f"{name}: no posterior, {fit[name].reason}; name the other axes in axes=[…]")
         if not fit[name].measured:
             raise FitError(
-                f"{name}: no posterior, the model does not follow the data: {fit[name].misfit}; "
-                "allanjax.critique looks for the cause; name the other axes in axes=[…]"
+                f"{name}: no posterior, {fit[name].verdict()}; allanjax.critique looks for the cause; "
+                "name the other axes in axes=[…]"
             )
     sampler = AxisSampler(
         fit=fit,

@@ -7,7 +7,7 @@ import html
 import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _HEADINGS = ("axis", "coefficient", "estimate ± 1σ", "95 % interval")
 #: What to do about a curve that is far off.
 NEXT = (
-    "Next: look at the picture; allanjax critique FILE looks for the cause; "
+    "look at the picture; allanjax critique FILE looks for the cause; "
     "--start and --stop cut off what was not at rest, --terms takes other terms"
 )
 
@@ -170,6 +170,7 @@ class AxisFit(ByValue):
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics it was fitted to.
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
+        moving: whether the sensor was not at rest: then no coefficient is a measurement of it either.
     """
 
     axis: Axis
@@ -187,6 +188,7 @@ class AxisFit(ByValue):
     spectrum: AxisSpectrum | None = None
     mean: float = np.nan
     rms: float = np.nan
+    moving: bool = False
 
     def _checked(self) -> None:
         if not self.converged:
@@ -194,8 +196,19 @@ class AxisFit(ByValue):
 
     @property
     def measured(self) -> bool:
-        """Whether the coefficients are a measurement of the sensor: not those of a curve that is far off."""
-        return self.converged and not (self.misfit is not None and self.misfit.excessive)
+        """Whether the coefficients are a measurement of the sensor: not in motion, nor of a curve far off."""
+        return self.converged and not self.moving and not self.is_far_off
+
+    @property
+    def is_far_off(self) -> bool:
+        """Whether the fitted curve is too far from the measured one."""
+        return self.misfit is not None and self.misfit.excessive
+
+    def unmeasured(self, **why: Any) -> AxisFit:
+        """The same without standard deviations, intervals and limits; `why` are the fields that say why."""
+        coefficients = {label: c.unmeasured() for label, c in self.coefficients.items()}
+        nothing = np.full_like(self.covariance, np.nan)
+        return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
 
     @property
     def coefficients(self) -> Mapping[str, Coefficient]:
@@ -266,9 +279,12 @@ class AxisFit(ByValue):
             return f"no result: {self.reason}"
         p = f"p = {self.p_value:.2g}" if self.p_value > 1e-300 else "p < 1e-300"
         text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom ({p})"
-        if not self.measured:
-            off = f"the model does not follow the data, {self.misfit}"
-            return f"not a measurement of this sensor: {off}; {text}. {NEXT}"
+        if self.is_far_off:
+            return (
+                f"not a measurement of this sensor: the model does not follow the data, {self.misfit}; {text}"
+            )
+        if self.moving:
+            return f"not a measurement of this sensor: it was not at rest; {text}"
         return text if self.misfit is None else f"{text}; model incomplete: {self.misfit}"
 
 

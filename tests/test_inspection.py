@@ -342,3 +342,23 @@ def test_coarse_data() -> None:
     short = aj.inspect(recording(x[:100]))
     assert "1 s: too short for B and K" in short.warnings[0]
     assert "10 % at best" in short.warnings[0]
+
+
+def test_what_moves_is_no_measurement_of_the_sensor():
+    """Two axes that move by what no sensor does are a moving platform; of one alone the others are measured."""
+    rng = np.random.default_rng(12)
+    t = np.arange(20_000) / 100.0
+    white = 1e-3 * rng.standard_normal((len(t), 3))
+    swing = np.stack([0.2 * np.sin(2.0 * np.pi * 0.3 * t + k) for k in range(3)], axis=1)
+    names = ["gyro_x", "gyro_y", "gyro_z"]
+    for moving, measured in (([1, 1, 0], [False] * 3), ([1, 0, 0], [False, True, True])):
+        recording = aj.Recording.from_array(white + moving * swing, 100.0, gyro_unit="rad/s", names=names)
+        found = aj.fit(recording, "N + K")
+        assert [result.measured for result in found] == measured
+        assert "this does not look like a static recording" in found.warnings[0]
+        assert np.isnan(found["gyro_x"]["N"].std)
+        assert "not a measurement of this sensor" in str(found["gyro_x"]["N"])
+        vibrating = aj.fit(recording, "N + K", vibrating=True)
+        # White noise of 1e-3 rad/s at 100 Hz: N = 1e-4 rad/√s; of 20,000 samples to 1 % (4 σ: 2 %).
+        assert vibrating["gyro_z"].measured
+        assert vibrating["gyro_z"]["N"].value == pytest.approx(1e-4, rel=0.03)

@@ -37,7 +37,8 @@ class Inspection:
         refusal: why coefficients cannot be given; "" if they can.
         warnings: sentences for people, the most important first.
         notes: sentences of less weight.
-        at_rest: whether nothing speaks against it.
+        moving: indices of the axes that are not at rest; one alone may be broken, two are a moving platform,
+            and then all of its axes are.
         events: what happened to the sensor.
         said: what happened that matters, in words.
     """
@@ -52,9 +53,14 @@ class Inspection:
     refusal: str
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    at_rest: bool
+    moving: tuple[int, ...]
     events: tuple[Event, ...]
     said: str
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.moving
 
     def quiet(self, recording: Recording) -> Recording:
         """The stretch of the recording that coefficients should be of."""
@@ -177,10 +183,15 @@ def look(
         refusal,
         tuple(line for line in warnings if line),
         (f"{note}: too little to change a coefficient by more than its error",) if note else (),
-        not moving,
+        _moving([m.axis for m in moving], len(axes)),
         quiet.events,
         said,
     )
+
+
+def _moving(shown: Sequence[int], count: int) -> tuple[int, ...]:
+    """The axes that are not at rest, of those that show it."""
+    return tuple(range(count)) if len(set(shown)) > 1 else tuple(shown[:1])
 
 
 def _rounded(quiet: Quiet, n: int, rate: float) -> tuple[float, float]:

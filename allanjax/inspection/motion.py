@@ -28,7 +28,7 @@ SHAKES = {"gyro": 10.0 * _DEG, "accel": 2.0}
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """What speaks against a sensor at rest, of the axis of which it is plainest.
+    """What speaks against a sensor at rest.
 
     Attributes:
         kind: "changes" from one cluster time to the next, "wanders" over the record, "shakes".
@@ -46,7 +46,7 @@ class Motion:
 
 
 def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
-    """What no sensor at rest does, the plainest of each sensor."""
+    """What no sensor at rest does, of every axis that does it, the plainest last."""
     changes = _changes(windows, sensors, rate)
     over = max(int(np.ceil(rate / windows.size)), 1)
     wander = np.ptp(_averaged(windows.mean, over), axis=0)
@@ -58,10 +58,7 @@ def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motio
             for k, sensor in enumerate(sensors)
             if values[k] > limits[sensor]
         ]
-    plainest = {}
-    for m in sorted(moving, key=lambda m: m.value / m.limit):
-        plainest[sensors[m.axis]] = m
-    return list(plainest.values())
+    return sorted(moving, key=lambda m: m.value / m.limit)
 
 
 def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:

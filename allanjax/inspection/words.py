@@ -84,9 +84,9 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
 
 
 def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
-    """Why this is no static recording, with the numbers that say so."""
+    """Why this is no static recording, with the numbers that say so; the plainest are last."""
     reasons = []
-    for m in moving:
+    for m in {axes[m.axis].sensor: m for m in moving}.values():
         axis = axes[m.axis]
         value, limit = amount(m.value, axis), amount(m.limit, axis)
         reasons.append(
