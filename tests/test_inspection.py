@@ -345,7 +345,7 @@ def test_coarse_data() -> None:
 
 
 def test_what_moves_is_no_measurement_of_the_sensor():
-    """Two axes that move by what no sensor does are a moving platform; of one alone the others are measured."""
+    """Two axes that move by what no sensor does are a moving platform; of one alone the others are known."""
     rng = np.random.default_rng(12)
     t = np.arange(20_000) / 100.0
     white = 1e-3 * rng.standard_normal((len(t), 3))
