@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import types
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.stats import kstest, norm
 
 from allanjax.critique.bank import Bank, extrapolated, step_coefficients
 from allanjax.critique.causes.bias_step import BiasStep
-from allanjax.critique.causes.common_mode import _Link, common_mode
+from allanjax.critique.causes.common_mode import _error, _Link, common_mode
 from allanjax.critique.causes.imputation import imputed
 from allanjax.critique.causes.rounding import lattice
 from allanjax.critique.causes.saturation import Saturation
@@ -304,6 +305,16 @@ def test_shared_noise_is_found_as_often_as_said_where_there_is_none():
     (finding,) = common_mode(names, z, [None] * 3, RATE, 1e-3)
     assert finding.axes == ("x", "z")
     assert finding.parameters["correlation"].value == pytest.approx(0.8, abs=0.05)
+
+
+@pytest.mark.parametrize("r", [0.1, 0.5, 0.8])
+def test_the_error_of_a_mean_correlation_is_olkin_and_siotanis(r):
+    """Of three axes that share all: 1/3 of the variance of a correlation, 2/3 of the covariance of two."""
+    k = 500
+    link = types.SimpleNamespace(share=np.ones(k), top=k)
+    own = (1.0 - r**2) ** 2
+    common = r * (1.0 - 2.0 * r**2) - 0.5 * r**2 * (1.0 - 3.0 * r**2)
+    assert _error(r, [link] * 3) ** 2 == pytest.approx((own / 3.0 + 2.0 / 3.0 * common) / k, rel=1e-12)
 
 
 @pytest.mark.parametrize(
