@@ -250,6 +250,9 @@ def test_the_demo_finds_what_was_put_in():
     assert f"{result.stdout.count('inside')} of 30 intervals" in result.stdout
     assert result.stdout.count("inside") + result.stdout.count("OUTSIDE") == 30
     assert "allanjax characterize imu.csv --rate 100" in result.stdout
+    # Upright, as the table of means will show.
+    means = read("allanjax-demo/demo.csv").values.mean(axis=0)
+    np.testing.assert_allclose(means, [0.0, 0.0, 0.0, 0.0, 0.0, 9.80665], atol=0.1)
     found = json.loads(Path("allanjax-demo/demo.json").read_text(encoding="utf-8"))
     walks = [c["value"] for axis in found["axes"] for c in axis["coefficients"] if c["symbol"] == "N"]
     np.testing.assert_allclose(walks, [0.20, 0.25, 0.15, 0.05, 0.06, 0.08], rtol=0.02)

@@ -302,6 +302,8 @@ def test_a_filter_is_found_above_noise_that_is_added_behind_it():
     assert abs(bandwidth.value - CORNER) < 3.0 * bandwidth.std
     assert bandwidth.std < 0.02 * CORNER
     assert candidate.parameters["order"].value == 2.0
+    # A filter is known by so many coefficients that its evidence and what it foretells are nearly the same.
+    assert candidate.held_out() == pytest.approx(candidate.gain, rel=0.01)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -12,6 +12,7 @@ from gamma_levels import K, Likelihood, N, quadrature, spectral_levels
 from allanjax.absent import absent_amplitude
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.likelihood import likelihood
+from allanjax.marginals import bayes_factor
 from allanjax.posterior import PosteriorWarning, sample
 from allanjax.priors import LogUniform, ModifiedLogUniform, Uniform, default_priors
 from allanjax.sampling import LogPosterior, Options, Target, first_walkers, run, split_r_hat
@@ -280,6 +281,17 @@ def test_reweighting_is_exact_where_the_terms_are_strongly_correlated():
     prior_at_zero = 1.0 / (0.2 * np.log1p(30.0 / 0.2))
     factor = density[0] / (probability[-1] * width) / prior_at_zero
     assert result.bayes_factor == pytest.approx(factor, rel=0.03)
+
+
+@pytest.mark.parametrize("prior", [None, LogUniform(0.02 * K, 2.0 * K)])
+def test_draws_of_the_prior_say_nothing_about_zero(prior):
+    """Their Bayes factor is one, to the hundredth that evenly spaced quantiles are good for."""
+    ours = spectral_levels((N, 3.0 * K))
+    priors = default_priors(ours) | ({} if prior is None else {"rate_random_walk": prior})
+    posterior = LogPosterior.of(ours, priors)
+    draws = posterior.priors[1].quantile((np.arange(40_000) + 0.5) / 40_000)
+    assert np.any(draws < 0.3 * ours.knee[1])
+    assert bayes_factor(posterior, 1, draws) == pytest.approx(1.0, abs=0.01)
 
 
 def test_detection_is_by_the_bayes_factor(two_terms):

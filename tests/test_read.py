@@ -248,6 +248,7 @@ def test_start_and_stop(tmp_path, noise, with_time):
     np.testing.assert_allclose(recording.own_values, noise[10:40])
     np.testing.assert_array_equal(recording.auxiliary["temperature"], 20.0 + STEP[10:40])
     assert "samples 10 to 39 of 50 taken" in recording.notes
+    assert "taken" not in " ".join(read(path, rate=RATE).notes)
 
 
 @pytest.mark.parametrize(
@@ -270,6 +271,10 @@ def test_start_and_stop(tmp_path, noise, with_time):
         *(
             (label, None)
             for label in ("mag_x", "gyro_bias_x", "gyro_temp", "temperature", "max", "quat_x", "p")
+        ),
+        *(
+            (label, None)
+            for label in ("bias_gyro_x", "gyro/bias/omega_y", "std_accel_z", "Sigma.AccX", "cov_gyro_1")
         ),
         *((label, None) for label in ("angular_velocity_covariance[0]", "linear_acceleration_covariance_0")),
     ],
