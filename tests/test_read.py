@@ -300,6 +300,13 @@ def test_units_in_labels(label, unit):
     assert recognise(label).unit == unit
 
 
+def test_quoted_names_after_a_space(tmp_path, noise):
+    rows = "\n".join(", ".join(f'"{x!r}"' for x in row) for row in noise.tolist())
+    path = tmp_path / "imu.csv"
+    path.write_text(", ".join(f'"{name}"' for name in HEADER) + "\n" + rows + "\n", encoding="utf-8")
+    np.testing.assert_allclose(read(path, rate=RATE).own_values, noise, rtol=1e-12)
+
+
 def test_increments(tmp_path, noise):
     header = [f"delta_angle_{a} [µrad]" for a in "xyz"] + [f"delta_velocity_{a} [mm/s]" for a in "xyz"]
     recording = read(_text(tmp_path / "imu.csv", noise.T, header), rate=RATE)
