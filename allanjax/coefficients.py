@@ -20,6 +20,8 @@ from allanjax.terms import Parameter
 TWO_SIDED_68 = 0.9945
 TWO_SIDED_95 = 1.960
 ONE_SIDED_95 = 1.645
+# Nearer to a bound than this share of what is between two of them a shape is at it.
+_INSIDE = 0.0125
 # A line searched for is detected if noise would not have its like anywhere in the record, once in so many.
 _FALSE_LINE = 1.35e-3
 
@@ -133,14 +135,19 @@ def coefficients_of(
     active: Bool[np.ndarray, "axes terms"],
     solution: Solution,
     inference: Inference,
+    n: int,
+    rate: float,
 ) -> tuple[Coefficients, ...]:
-    """The coefficients of these axes, as `estimates_of` finds them, by their labels."""
+    """The coefficients of these axes, as `estimates_of` finds them, by their labels.
+
+    Shapes that may be anywhere beyond what n samples at `rate` [Hz] can show have a limit, and no error.
+    """
     estimates = estimates_of(model, active, solution, inference)
     found: list[dict[str, Coefficient]] = [{} for _ in axes]
     for row, p in enumerate(reported(model)):
         limited = p.free and p.parameter.kind == "amplitude"
         for k, axis in enumerate(axes):
-            found[k][p.label] = Coefficient(
+            c = Coefficient(
                 label=p.label,
                 term=p.term_label,
                 parameter=p.parameter,
@@ -153,7 +160,35 @@ def coefficients_of(
                 detected=bool(estimates.detected[k, row]),
                 held=not p.free,
             )
+            found[k][p.label] = c if limited or c.held else _within(c, n, rate)
     return tuple(map(Coefficients, found, estimates.covariance))
+
+
+def _within(c: Coefficient, n: int, rate: float) -> Coefficient:
+    """A shape; as a limit where its interval reaches beyond what the record can show."""
+    p = c.parameter
+    if not (c.detected and c.std > 0.0):
+        return c
+    # Bounds are open, and searches keep a little away from them.
+    inside = _INSIDE * (p.upper - p.lower) if np.isfinite(p.upper) else 0.0
+    low, high = {"time": (2.0 / rate, n / rate), "number": (p.lower + inside, p.upper - inside)}.get(
+        p.kind, (rate / n, rate / 2.0)
+    )
+    below, above = c.interval[0] <= low, c.interval[1] >= high
+    if not (below or above):
+        return c
+    ends = (p.lower if below else c.interval[0], p.upper if above else c.interval[1])
+    ends_68 = (p.lower if below else c.interval_68[0], p.upper if above else c.interval_68[1])
+    distance = c.value - p.lower
+    ratio = float(np.exp(min(ONE_SIDED_95 * c.std / distance, 700.0)))
+    return dataclasses.replace(
+        c,
+        std=float("nan"),
+        interval=ends,
+        interval_68=ends_68,
+        lower_limit=p.lower + distance / ratio if above and not below else None,
+        upper_limit=p.lower + distance * ratio if below and not above else None,
+    )
 
 
 def _pair(ends: Float[np.ndarray, " 2"]) -> tuple[float, float]:

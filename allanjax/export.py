@@ -275,6 +275,7 @@ def _numbers(c: Coefficient) -> dict[str, Any]:
         "interval_68": [_finite(x) for x in c.interval_68],
         "interval_95": [_finite(x) for x in c.interval],
         "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
+        "lower_limit_95": c.lower_limit,
     }
 
 

@@ -317,7 +317,7 @@ def fit_allan(
     free = free & ~np.isin(np.arange(len(template)), indices)
     solution, inference, misfits = solve_and_infer(design, variance, free, active, starts)
     results = []
-    found = coefficients_of(template, axes, active, solution, inference)
+    found = coefficients_of(template, axes, active, solution, inference, curve.n, curve.rate)
     for k, (axis, coefficients) in enumerate(zip(axes, found, strict=True)):
         for i, line in lines[k].items():
             square = (line.amplitude / line.amplitude_std) ** 2

@@ -139,6 +139,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
             interval=_interval(si["interval_95"]),
             interval_68=_interval(si["interval_68"]),
             upper_limit=math.inf if limit is None and limited else limit,
+            lower_limit=si["lower_limit_95"],
             detected=c["detected"],
             held=c["held"],
             measured=c["measured"],

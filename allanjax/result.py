@@ -55,7 +55,9 @@ class Coefficient(Estimate):
         parameter: what it is.
         value: the estimate; zero for an amplitude that the data do not call for.
         interval: 95 % interval; its lower end is zero where zero is not excluded.
-        upper_limit: one-sided 95 % limit, of an amplitude.
+        upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
+            below, down to what a record of this length and rate shows nothing of: then `std` is nan.
+        lower_limit: the same of a parameter that may be anywhere above.
         detected: whether zero is excluded.
         held: whether the value was given and not estimated.
         measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
@@ -64,7 +66,7 @@ class Coefficient(Estimate):
         axis, std, interval_68, unit: see `Estimate`.
     """
 
-    NUMBERS: ClassVar[tuple[str, ...]] = (*Estimate.NUMBERS, "upper_limit")
+    NUMBERS: ClassVar[tuple[str, ...]] = (*Estimate.NUMBERS, "upper_limit", "lower_limit")
 
     label: str
     term: str
@@ -73,6 +75,7 @@ class Coefficient(Estimate):
     detected: bool
     held: bool = False
     measured: bool = True
+    lower_limit: float | None = None
 
     @property
     def title(self) -> str:
@@ -95,6 +98,7 @@ class Coefficient(Estimate):
             interval=nowhere,
             interval_68=nowhere,
             upper_limit=None,
+            lower_limit=None,
             detected=False,
             measured=False,
         )
@@ -106,13 +110,26 @@ class Coefficient(Estimate):
             return self._with_unit(significant(self.value)) if self.value > 0.0 else "none"
         if not self.detected:
             return "" if self.upper_limit is None else self._with_unit(significant(self.upper_limit))
+        if self._limit is not None:
+            return self._with_unit(significant(self._limit))
         return super()._amount()
+
+    @property
+    def _limit(self) -> float | None:
+        """That of a detected term's shape."""
+        if self.parameter.kind == "amplitude":
+            return None
+        return self.upper_limit if self.lower_limit is None else self.lower_limit
 
     def _sentence(self, amount: str) -> str:
         if self.held:
             return f"{amount} (held)"
         if not self.measured:
             return f"not a measurement of this sensor (fitted: {amount})"
+        if self.detected and self._limit is not None:
+            return f"{'below' if self.lower_limit is None else 'above'} {amount} (95 %)"
+        if self.detected and self.parameter.kind != "amplitude" and np.isnan(self.std):
+            return "not determined by these data"
         if self.detected:
             return amount
         if self.upper_limit is None:
@@ -392,7 +409,7 @@ class Fit(ByValue):
                 continue
             for c in result.coefficients.values():
                 shown = c.in_unit()
-                known = c.detected and not c.held
+                known = c.detected and not c.held and np.isfinite(c.std)
                 interval = shown.describe_interval() if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
             if level := result.level():

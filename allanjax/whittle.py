@@ -130,7 +130,9 @@ def fit_spectrum(
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof)
         solution = widened(solution, [misfit])
     inference = infer(design, V, free, active[random][None], solution)
-    (noise_found,) = coefficients_of(noise, [axis], active[random][None], solution, inference)
+    (noise_found,) = coefficients_of(
+        noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
+    )
     solution = jax.tree.map(lambda x: np.asarray(x)[0], solution)
     variance = _expected(design, solution)
     values = dict(noise_found.values)

@@ -10,9 +10,11 @@ import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import allanjax as aj
+from allanjax.coefficients import _within
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import AxisSpectrum
 from allanjax.export import to_dict, write_coefficients_csv, write_json, write_results
@@ -20,6 +22,7 @@ from allanjax.fit import fit_allan, result_of
 from allanjax.fleet_table import mark_outlying, rows_of, table_of
 from allanjax.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
 from allanjax.recording import Axis, Recording
+from allanjax.result import Coefficient
 from allanjax.selection import basic_terms
 from allanjax.whittle import fit_spectrum
 
@@ -308,3 +311,95 @@ def test_noise_is_not_told_as_deviation(fit):
     # Half a period of 5 Hz, within half an octave.
     assert abs(np.log2(result.misfit.at / 0.1)) <= 0.5
     assert result.misfit.rms < 0.5 * np.expm1(np.sqrt(np.mean(np.log(ratio) ** 2)))
+
+
+# --- Shapes beyond what a record can show -------------------------------------------------------------------
+
+
+def process(time):
+    """A Markov process with this correlation time over white noise, and its fit."""
+    step = np.exp(-1.0 / (RATE * time))
+    drive = np.random.default_rng(30).standard_normal(2 * FEWER)
+    markov = lfilter([np.sqrt(1.0 - step**2)], [1.0, -step], drive)[FEWER:]
+    x = noise(31, FEWER) + WHITE * np.sqrt(RATE) * np.sqrt(max(time, 1.0)) * markov
+    found = aj.fit(
+        Recording.from_array(x[:, None], RATE, gyro_unit="rad/s", names=["gyro_x"]),
+        aj.AngleRandomWalk() + aj.Markov(),
+        as_is=True,
+    )
+    return found, found["gyro_x"]["markov_correlation_time"]
+
+
+def test_a_correlation_time_beyond_the_record_is_above_a_limit():
+    """200 s are a hundredth of it: what is seen is a random walk, of any longer time as well."""
+    fit, time = process(20_000.0)
+    assert fit["gyro_x"].measured
+    assert np.isnan(time.std)
+    assert time.upper_limit is None
+    assert 1.0 < time.lower_limit < 20_000.0
+    assert time.interval[1] == np.inf
+    assert time.describe().startswith("above ")
+    assert time.describe().endswith(" s (95 %)")
+    assert "±" not in str(time)
+    document = to_dict(fit)
+    jsonschema.validate(
+        document, json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+    )
+    (told,) = (c for c in document["axes"][0]["coefficients"] if c["label"] == "markov_correlation_time")
+    assert (told["std"], told["lower_limit_95"], told["interval_95"][1]) == (None, time.lower_limit, None)
+
+
+def test_a_correlation_time_within_the_record_has_an_error():
+    _, time = process(2.0)
+    assert (time.lower_limit, time.upper_limit) == (None, None)
+    assert time.interval[0] < 2.0 < time.interval[1]
+    assert "±" in time.describe()
+
+
+EXPONENT = aj.PowerLaw().parameters()[1]
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "std", "limit"),
+    [
+        (aj.Markov().parameters()[1], 30.0, 3.0, ""),
+        (aj.Markov().parameters()[1], 30.0, 40.0, "above"),
+        (aj.Markov().parameters()[1], 0.05, 0.06, "below"),
+        (aj.LowPass().parameters()[1], 48.0, 3.0, "above"),
+        (aj.LowPass().parameters()[1], 20.0, 3.0, ""),
+        (EXPONENT, 2.96, 0.001, "above"),
+        (EXPONENT, -0.96, 0.001, "below"),
+        (EXPONENT, 1.2, 0.1, ""),
+        (aj.Markov().parameters()[1], 1.0, 20.0, "neither"),
+    ],
+)
+def test_shapes_whose_intervals_leave_what_a_record_can_show_have_limits(parameter, value, std, limit):
+    """20,000 samples at 100 Hz: times from 0.02 to 200 s, frequencies from 0.005 to 50 Hz."""
+    distance = value - parameter.lower
+    ratio = np.exp(1.96 * std / distance)
+    c = Coefficient(
+        label="x",
+        term="x",
+        parameter=parameter,
+        axis=AXIS,
+        value=value,
+        std=std,
+        interval=(
+            parameter.lower + distance / ratio,
+            min(parameter.lower + distance * ratio, parameter.upper),
+        ),
+        interval_68=(value - std, value + std),
+        upper_limit=None,
+        detected=True,
+    )
+    found = _within(c, FEWER, RATE)
+    if not limit:
+        assert found is c
+        return
+    assert np.isnan(found.std)
+    one_sided = np.exp(1.645 * std / distance)
+    if limit == "above":
+        assert found.lower_limit == pytest.approx(parameter.lower + distance / one_sided)
+    if limit == "below":
+        assert found.upper_limit == pytest.approx(parameter.lower + distance * one_sided)
+    assert found.describe().startswith("not determined by these data" if limit == "neither" else f"{limit} ")
