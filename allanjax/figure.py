@@ -109,14 +109,23 @@ def finished(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
     backend = matplotlib.get_backend().lower()
     # A notebook shows the figure returned; left open there, it would show it twice.
     if "inline" in backend or (path is not None and not plt.isinteractive()):
-        plt.close(figure)
+        _close(figure)
     elif backend in _WINDOWLESS:
         for former in tuple(_waiting):
-            plt.close(former)
+            _close(former)
         _waiting.clear()
         # For `plt.savefig` and the like.
         _waiting.add(figure)
     return figure
+
+
+def _close(figure: Figure) -> None:
+    """Take a figure out of pyplot; its canvas stays one that can draw."""
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    plt.close(figure)
+    FigureCanvasAgg(figure)
 
 
 def rows_of(

@@ -294,12 +294,10 @@ def _reason(path: Path, error: Exception) -> str:
 
 def _write(result: FleetResult, out: Path) -> None:
     """The table, the errors and the picture."""
-    from matplotlib import pyplot as plt
-
     write_table(result.table, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
         writer.writerows(result.errors)
     (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
-    plt.close(result.plot(out / "fleet.png"))
+    result.plot(out / "fleet.png")

@@ -226,6 +226,13 @@ def test_figures_do_not_pile_up(small_fit):
             shown = small_fit.plot("gyro_x")
             assert plt.gcf() is shown
             assert own.number in plt.get_fignums()
+    # Axes that are the user's belong to a figure that is.
+    for _ in range(2):
+        aj.plot_allan(small_fit, ["gyro_x"], ax=own.add_subplot(), path="own.png")
+    small_fit.plot("gyro_x")
+    assert own.number in plt.get_fignums()
+    saved.canvas.draw()
+    saved.canvas.get_renderer()
     saved.savefig("again.png", dpi=130)
     assert Path("again.png").read_bytes() == Path("a.png").read_bytes()
     plt.close("all")
