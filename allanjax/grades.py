@@ -16,6 +16,8 @@ from allanjax.units import Sensor
 _ODDS = 5.0
 # Prior probability that a unit is odd, and its coefficient anything within this range [ln].
 _ODD, _RANGE = 0.05, np.log(1000.0)
+# Units that may be a group below all others.
+_FEWEST_BETTER = 2
 # Gaps between units at which groups may part.
 _GAPS = 8
 # Standard deviation [ln] given to a limit that stands in for an estimate.
@@ -90,10 +92,10 @@ def found_split(families: Sequence[Pooled]) -> Split | None:
 
     Each coefficient's units are put in order and parted at their widest gaps. A part is a group, whose units
     scatter log-normally about a centre of its own, or its units are odd ones; parts of fewer than three
-    units, or of an eighth of all, are not taken for groups (of six units or fewer: parts of two are). The
-    scatter has the prior of `outliers.outlying`; parameters are integrated over; groups are believed if the
-    odds against the best single group, with whatever units are odd then, are five times the number of
-    coefficients to one.
+    units, or of an eighth of all, are not taken for groups; parts of two are, of six units or fewer, and
+    below all others, for bad units are not better than the rest. The scatter has the prior of
+    `outliers.outlying`; parameters are integrated over; groups are believed if the odds against the best
+    single group, with whatever units are odd then, are five times the number of coefficients to one.
 
     A unit belongs to the group that is nearest in its coefficients together, each with long tails: one bad
     coefficient does not carry it into another group.
@@ -111,7 +113,7 @@ def _split(values: Pooled) -> Split | None:
     order = units[np.argsort(values.x[units])]
     m = len(order)
     smallest = 2 if m <= 2 * FEWEST_UNITS else max(FEWEST_UNITS, int(np.ceil(m / 8.0)))
-    if m < 2 * smallest:
+    if m < smallest + _FEWEST_BETTER:
         return None
     x, s = values.x[order], values.s[order]
     gaps = np.argsort(-np.diff(x))[:_GAPS]
@@ -142,7 +144,8 @@ def _weighed(
     odd = sizes * np.log(_ODD / _RANGE)
     group = np.full((len(parts), len(WIDTHS)), -np.inf)
     for k, part in enumerate(parts):
-        if len(part) >= smallest:
+        # Two units that are far better than the others are not both bad ones.
+        if len(part) >= (smallest if k else _FEWEST_BETTER):
             precision = 1.0 / (WIDTHS[:, None] ** 2 + np.maximum(s[part], 1e-9) ** 2)
             mean = np.sum(precision * x[part], axis=1) / precision.sum(axis=1)
             group[k] = log_evidence(precision, x[part], mean) - np.log(_RANGE) + len(part) * np.log1p(-_ODD)

@@ -1,6 +1,6 @@
 """Which units of a fleet are marked as outlying? Simulated fleets of values and intervals, without fits.
 
-    python benchmarks/fleet_outliers.py [--seed 2] [--fleets 1000] [--powers 40] [--workers 2]
+    python benchmarks/fleet_outliers.py [--seed 3] [--fleets 400] [--powers 12] [--workers 2]
 
 Units are alike up to a log-normal scatter, of the unit or of each of its axes; each estimate has an error
 that its interval tells. Beside allanjax's rule runs the one that it had before (rosner.py): each axis by
@@ -179,9 +179,9 @@ def grades(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--fleets", type=int, default=1000)
-    parser.add_argument("--powers", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--fleets", type=int, default=400)
+    parser.add_argument("--powers", type=int, default=12)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results/fleet_outliers.md")
     options = parser.parse_args()

@@ -205,6 +205,15 @@ def test_a_fleet_of_two_grades_is_said_to_be_one(seed, ratio):
     assert marked_axes(table) == {"unit_4": 3}
 
 
+def test_two_good_units_and_a_bad_one_are_no_outliers_below_nine_others():
+    value, grade = two_grades(5, ratio=7.0, scatter=0.05, bad=(2.0, 3.0), sizes=(3, 9))
+    table, notes = judged(table_of(unit_rows("gyro", ARW, value)))
+    assert "falls into two groups" in notes[0]
+    assert marked_axes(table) == {"unit_3": 3}
+    groups = table.groupby("recording", sort=False)["group"].first()
+    assert groups.tolist() == [str(g + 1) for g in grade]
+
+
 def test_a_bad_coefficient_does_not_carry_a_unit_into_another_grade():
     """N of a gyro at four times its grade's is that of the other grade; others say which it is."""
     value, _ = two_grades(5, ratio=4.0, bad=(4.0, 1.0))
