@@ -192,8 +192,9 @@ def test_what_was_clipped_is_restored_beyond_its_limit(limits):
     assert np.all(restored[x > upper] >= upper)
     np.testing.assert_array_equal(restored[clipped == x], x[clipped == x])
     assert restored.std() == pytest.approx(x.std(), rel=0.05)
-    levels = {found.parameters[name].value for name in ("level", "other_level") if name in found.parameters}
-    assert levels == {level for level in limits if np.isfinite(level)}
+    levels = dict(zip(("lower_level", "upper_level"), limits, strict=True))
+    told = {name: q.value for name, q in found.parameters.items() if name in levels}
+    assert told == {name: level for name, level in levels.items() if np.isfinite(level)}
 
 
 @pytest.mark.parametrize(("step", "bias"), [(1.0, 0.0), (0.01, 9.8), (7.3e-6, -3e-3), (1.0 / 32768.0, 1e3)])
