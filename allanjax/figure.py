@@ -302,7 +302,7 @@ def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEnt
         text = f"{name}: " + ", ".join(f"{c.parameter.symbol} = {c.describe()}" for c in found)
     else:
         text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
-    drawn = term in result.model.term_labels and not remark
+    drawn = term in result.term_labels and not remark
     return KeyEntry(wrapped(text + remark), term_style(fit, term) if drawn else None)
 
 

@@ -322,7 +322,7 @@ def _estimates(
 
 
 def _found(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Bool[np.ndarray, " params"]:
-    return np.array([p.term_label in result.model.term_labels for p in parameters], bool)
+    return np.array([p.term_label in result.term_labels for p in parameters], bool)
 
 
 def _amplitude_scales(

@@ -198,7 +198,7 @@ def _draw_model(panel: Axes, fit: Fit, k: int, unit: Unit) -> dict[str, Line2D]:
     model = result.model.sampled(fit.curve.rate)
     total = np.zeros(len(time))
     lines = {}
-    for label, term in zip(model.term_labels, model.terms, strict=True):
+    for label, term in zip(result.term_labels, model.terms, strict=True):
         if isinstance(term, Transient):
             continue
         variance = np.asarray(term.allan_variance(time))
@@ -235,7 +235,7 @@ def _key(fit: Fit, result: AxisFit) -> list[KeyEntry]:
     entries = []
     if result.converged:
         for label, term in zip(fit.template.term_labels, fit.template.terms, strict=True):
-            hidden = isinstance(term, Transient) and label in result.model.term_labels
+            hidden = isinstance(term, Transient) and label in result.term_labels
             remark = " (no Allan variance: not drawn)" if hidden else ""
             entries.append(term_entry(fit, result, label, remark))
     return [*entries, KeyEntry(wrapped(result.verdict()))]

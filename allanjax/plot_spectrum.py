@@ -207,7 +207,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     model = result.model.sampled(rate)
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
-    for label, term in zip(model.term_labels, model.terms, strict=True):
+    for label, term in zip(result.term_labels, model.terms, strict=True):
         title, style = title_of(label, result.axis), term_style(fit, label)
         if term.deterministic:
             for line in _line_of(term):
@@ -279,7 +279,7 @@ def _key(
         else:
             for label, term in zip(fit.template.term_labels, fit.template.terms, strict=True):
                 hidden = term.deterministic and not any(p.kind == "line" for p in term.parameters())
-                shown = label in result.model.term_labels
+                shown = label in result.term_labels
                 remark = " (no density: not drawn)" if hidden and shown else ""
                 entries.append(term_entry(fit, result, label, remark))
     if walk is not None:

@@ -248,6 +248,15 @@ class AxisFit(ByValue):
         self._checked()
         return self._model
 
+    @property
+    def term_labels(self) -> tuple[str, ...]:
+        """The labels that the terms of `model` have in the template: one of two like terms keeps its number.
+
+        Raises FitError if the fit did not converge.
+        """
+        amplitudes = [c for c in self.coefficients.values() if c.parameter.kind == "amplitude"]
+        return tuple(c.term for c in amplitudes if np.isfinite(c.value) and c.value != 0.0)
+
     def __getitem__(self, name: str) -> Coefficient:
         """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW" (`called`)."""
         label = called(name, self.coefficients)

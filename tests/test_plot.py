@@ -9,8 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
 from allanjax.misfit import Misfit
+from allanjax.notation import parse_model
 from allanjax.plot import plot_allan
-from allanjax.simulate import simulate
+from allanjax.simulate import simulate, simulate_recording
 
 
 def panels(figure):
@@ -338,3 +339,17 @@ def test_what_cannot_be_drawn_together_is_refused(change, message, small_fit, ot
 def test_an_axis_that_is_not_there_is_refused(small_fit, axes):
     with pytest.raises(aj.AllanjaxError, match="gyro_x, gyro_y, gyro_z, accel_z"):
         plot_allan(small_fit, axes=axes)
+
+
+def test_one_of_two_like_terms_that_is_found_keeps_its_number(tmp_path):
+    truth = parse_model("N=0.2 deg/√h + markov(amplitude=600 deg/h/√h, correlation_time=2 s)", "gyro")
+    recording = simulate_recording({"gyro_x": truth}, 20_000, 100.0, 3)
+    like = [aj.Markov(correlation_time=time).hold("correlation_time") for time in (0.05, 2.0)]
+    fit = aj.fit(recording, aj.AngleRandomWalk() + like[0] + like[1])
+    assert fit["gyro_x"]["markov_1_amplitude"].value == 0.0
+    assert fit["gyro_x"].term_labels == ("angle_random_walk", "markov_2")
+    allan = fit.plot(path=tmp_path / "allan.png")
+    psd = aj.plot_psd(aj.power_spectrum(recording), fit, path=tmp_path / "psd.png")
+    for figure in (allan, psd):
+        labels = {line.get_label() for line in figure.axes[0].lines}
+        assert {"markov 2"} == {label for label in labels if label.startswith("markov")}
