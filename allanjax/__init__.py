@@ -19,6 +19,7 @@ from allanjax.bulk import BulkFit, fit_many  # noqa: E402
 from allanjax.cache import enable_compilation_cache  # noqa: E402
 from allanjax.critique import Cause, Critique, Finding, critique  # noqa: E402
 from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
+from allanjax.estimate import Coefficient  # noqa: E402
 from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
 from allanjax.fit import fit  # noqa: E402
 from allanjax.fleet import FleetResult, characterize_fleet  # noqa: E402
@@ -31,7 +32,7 @@ from allanjax.plot_spectrum import plot_psd  # noqa: E402
 from allanjax.posterior import AxisPosterior, Posterior, PosteriorWarning, sample  # noqa: E402
 from allanjax.priors import LogNormal, LogUniform, ModifiedLogUniform, Uniform  # noqa: E402
 from allanjax.recording import Axis, Recording  # noqa: E402
-from allanjax.result import AxisFit, Coefficient, Fit  # noqa: E402
+from allanjax.result import AxisFit, Fit  # noqa: E402
 from allanjax.selection import AxisSelection, TermSelection, TermSet, basic_terms, select_terms  # noqa: E402
 from allanjax.sensors import SENSORS, SensorPreset  # noqa: E402
 from allanjax.simulate import simulate, simulate_recording  # noqa: E402

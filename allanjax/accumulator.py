@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
 from allanjax.axes import Axis, DeadAxis, axes_of, scales_of
+from allanjax.axis_fits import fit_allan, with_curve
 from allanjax.columns import recognise
 from allanjax.equality import equal
 from allanjax.errors import AllanjaxError, FitError, RecordingError
@@ -23,9 +24,7 @@ from allanjax.fit import (
     Objective,
     ambiguities,
     check_length,
-    fit_allan,
     terms_to_fit,
-    with_curve,
     with_what_was_seen,
     without_coefficients,
 )

@@ -17,19 +17,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.allan import AllanDeviation, allan_deviation
+from allanjax.axis_fits import estimated, solve_and_infer
 from allanjax.clusters import Spacing
 from allanjax.coefficients import estimates_of, reported
 from allanjax.design import AllanDesign
 from allanjax.deterministic import needs_record
 from allanjax.equality import ByValue
 from allanjax.errors import AllanjaxError, FitError
-from allanjax.fit import check_length, estimated, solve_and_infer
+from allanjax.estimate import usual_unit
+from allanjax.fit import check_length
 from allanjax.gls import Solution
 from allanjax.inference import Inference
 from allanjax.model import Model
 from allanjax.notation import ModelLike, as_model
 from allanjax.recording import Recording
-from allanjax.result import usual_unit
 from allanjax.starts import find_starts
 from allanjax.text_table import text_table
 from allanjax.units import unit_scale

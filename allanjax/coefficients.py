@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.deterministic import Line, amplitude_quantile
+from allanjax.estimate import Coefficient
 from allanjax.gls import Solution
 from allanjax.inference import ABOVE, ESTIMATE, Inference
 from allanjax.model import Model, ModelParameter
 from allanjax.recording import Axis
-from allanjax.result import Coefficient
 from allanjax.terms import Parameter
 
 # Normal quantiles of two-sided 68 and 95 % intervals, and of one-sided 95 % limits.

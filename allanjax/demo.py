@@ -3,10 +3,11 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from allanjax.estimate import Coefficient
 from allanjax.model import Model
 from allanjax.notation import parse_model
 from allanjax.recording import Recording
-from allanjax.result import Coefficient, Fit
+from allanjax.result import Fit
 from allanjax.simulate import simulate_recording
 from allanjax.text_table import text_table
 from allanjax.wording import plain

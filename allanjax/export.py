@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
+from allanjax.estimate import Coefficient
 from allanjax.misfit import Misfit
 from allanjax.recording import DeadAxis
-from allanjax.result import AxisFit, Coefficient, Fit
+from allanjax.result import AxisFit, Fit
 from allanjax.selection import AxisSelection, TermSelection
 from allanjax.spectrum import PowerSpectrum
 from allanjax.terms import NoiseTerm

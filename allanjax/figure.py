@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import title_of
 from allanjax.recording import Axis
-from allanjax.result import AxisFit, Fit, title_of
+from allanjax.result import AxisFit, Fit
 from allanjax.wording import duration
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import Coefficient
 from allanjax.recording import Axis
-from allanjax.result import Coefficient
 from allanjax.terms import AngleRandomWalk
 
 # A flat part spans this factor in frequency, has so many points, and a slope known to be less than this.

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from allanjax.estimate import title_of
 from allanjax.fleet_table import families, mark_outlying
 from allanjax.grades import Split, found_split, pooled_values
 from allanjax.outliers import FEWEST_UNITS
 from allanjax.recording import Axis
-from allanjax.result import title_of
 from allanjax.wording import format_interval, format_with_error, significant
 
 if TYPE_CHECKING:

@@ -14,12 +14,13 @@ from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import Coefficient
 from allanjax.export import INFINITY, SCHEMA_VERSION
 from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.notation import term_classes
 from allanjax.recording import Axis, DeadAxis
-from allanjax.result import AxisFit, Coefficient, Fit, fitted_model
+from allanjax.result import AxisFit, Fit, fitted_model
 from allanjax.selection import AxisSelection, TermSelection, TermSet
 from allanjax.terms import NoiseTerm
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.estimate import Coefficient
 from allanjax.model import ModelParameter
 from allanjax.recording import Axis
-from allanjax.result import Coefficient
 
 if TYPE_CHECKING:
     from allanjax.absent import GridPosterior

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from allanjax.units import SENSORS, Sensor
 
 if TYPE_CHECKING:
-    from allanjax.result import Coefficient
+    from allanjax.estimate import Coefficient
 
 # Usual names of the basic terms, besides their own and their symbols.
 _CALLED: dict[str, dict[Sensor, str]] = {

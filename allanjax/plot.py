@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation, allan_deviation
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import title_of
 from allanjax.figure import (
     Cells,
     KeyEntry,
@@ -33,7 +34,7 @@ from allanjax.figure import (
 )
 from allanjax.guides import draw_slopes, write_values
 from allanjax.recording import Axis, Recording
-from allanjax.result import AxisFit, Fit, title_of
+from allanjax.result import AxisFit, Fit
 from allanjax.terms.transient import Transient
 from allanjax.units import default_coefficient_unit, unit_scale
 

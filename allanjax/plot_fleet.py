@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import title_of
 from allanjax.figure import POINTS, finished, literal, look
 from allanjax.recording import Axis
-from allanjax.result import title_of
 from allanjax.units import Sensor
 from allanjax.wording import plain
 

@@ -11,9 +11,10 @@ from jaxtyping import Float
 
 from allanjax.allan import AllanDeviation
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import Coefficient
 from allanjax.figure import finished, literal
 from allanjax.posterior import AxisPosterior, Posterior
-from allanjax.result import Coefficient, Fit
+from allanjax.result import Fit
 from allanjax.units import unit_scale
 from allanjax.wording import format_with_error, significant
 

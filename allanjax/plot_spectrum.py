@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.errors import AllanjaxError
+from allanjax.estimate import title_of
 from allanjax.figure import (
     Cells,
     KeyEntry,
@@ -31,7 +32,7 @@ from allanjax.figure import (
     wrapped,
 )
 from allanjax.flat_band import SpectralRandomWalk, chi_squared_factors
-from allanjax.result import AxisFit, Fit, title_of
+from allanjax.result import AxisFit, Fit
 from allanjax.spectrum import PowerSpectrum, density_unit
 from allanjax.wording import plain
 

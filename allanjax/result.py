@@ -7,7 +7,7 @@ import html
 import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -15,16 +15,15 @@ from jaxtyping import ArrayLike, Float
 from allanjax.allan import AllanDeviation
 from allanjax.equality import ByValue
 from allanjax.errors import FitError
-from allanjax.estimate import Estimate
+from allanjax.estimate import Coefficient
 from allanjax.misfit import Misfit
 from allanjax.model import Model
 from allanjax.names import called
 from allanjax.plain import printable
 from allanjax.recording import Axis, DeadAxis
-from allanjax.terms import Parameter
 from allanjax.text_table import WIDTH, html_table, text_table
-from allanjax.units import Sensor, default_coefficient_unit, rate_unit_of
-from allanjax.wording import duration, plain, significant
+from allanjax.units import rate_unit_of
+from allanjax.wording import duration, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,107 +42,6 @@ NEXT = (
 )
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Coefficient(Estimate):
-    """One estimated parameter of the model of one axis.
-
-    In a fit all numbers are in SI; `in_unit` gives them in a unit for people.
-
-    Attributes:
-        label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time".
-        term: name of its term.
-        parameter: what it is.
-        value: the estimate; zero for an amplitude that the data do not call for.
-        interval: 95 % interval; its lower end is zero where zero is not excluded.
-        upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
-            below, down to what a record of this length and rate shows nothing of: then `std` is nan.
-        lower_limit: the same of a parameter that may be anywhere above.
-        detected: whether zero is excluded.
-        held: whether the value was given and not estimated.
-        measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
-            `AxisFit.misfit`) it is not: the value is that of the curve; standard deviation and intervals are
-            nan, there is no limit, and nothing is detected.
-        axis, std, interval_68, unit: see `Estimate`.
-    """
-
-    NUMBERS: ClassVar[tuple[str, ...]] = (*Estimate.NUMBERS, "upper_limit", "lower_limit")
-
-    label: str
-    term: str
-    parameter: Parameter
-    upper_limit: float | None
-    detected: bool
-    held: bool = False
-    measured: bool = True
-    lower_limit: float | None = None
-
-    @property
-    def title(self) -> str:
-        """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
-        return title_of(self.label, self.axis)
-
-    @property
-    def usual_unit(self) -> str:
-        """The unit of such a coefficient for people, e.g. "deg/√h"."""
-        return usual_unit(self.parameter, self.axis.sensor)
-
-    def unmeasured(self) -> Coefficient:
-        """The same as the parameter of a curve only; what was held stays as it was given."""
-        if self.held:
-            return self
-        nowhere = (float("nan"), float("nan"))
-        return dataclasses.replace(
-            self,
-            std=float("nan"),
-            interval=nowhere,
-            interval_68=nowhere,
-            upper_limit=None,
-            lower_limit=None,
-            detected=False,
-            measured=False,
-        )
-
-    def _amount(self) -> str:
-        if self.held:
-            return self._with_unit(plain(self.value))
-        if not self.measured:
-            return self._with_unit(significant(self.value)) if self.value > 0.0 else "none"
-        if not self.detected:
-            return "" if self.upper_limit is None else self._with_unit(significant(self.upper_limit))
-        if self._limit is not None:
-            return self._with_unit(significant(self._limit))
-        return super()._amount()
-
-    @property
-    def _limit(self) -> float | None:
-        """That of a detected term's shape."""
-        if self.parameter.kind == "amplitude":
-            return None
-        return self.upper_limit if self.lower_limit is None else self.lower_limit
-
-    def _sentence(self, amount: str) -> str:
-        if self.held:
-            return f"{amount} (held)"
-        if not self.measured:
-            return f"not a measurement of this sensor (fitted: {amount})"
-        if self.detected and self._limit is not None:
-            return f"{'below' if self.lower_limit is None else 'above'} {amount} (95 %)"
-        if self.detected and self.parameter.kind != "amplitude" and np.isnan(self.std):
-            return "not determined by these data"
-        if self.detected:
-            return amount
-        if self.upper_limit is None:
-            return "not determined: its term is not detectable"
-        return f"not detectable, below {amount} (95 %)"
-
-
-def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
-    """The usual unit of a parameter of this sensor's noise, e.g. "deg/√h"."""
-    if parameter.kind == "amplitude":
-        return default_coefficient_unit(sensor, parameter.time_exponent)
-    return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(parameter.kind, "1")
-
-
 def fitted_model(
     template: Model, coefficients: Mapping[str, Coefficient], inactive: Sequence[str] = ()
 ) -> Model:
@@ -152,12 +50,6 @@ def fitted_model(
     amplitudes = [p for p in template.parameters if p.parameter.kind == "amplitude"]
     absent = [p.term_label for p in amplitudes if values.get(p.label, 0.0) == 0.0]
     return template.with_values(**values).without([*absent, *inactive])
-
-
-def title_of(label: str, axis: Axis) -> str:
-    """A term's or a coefficient's name for people, e.g. "velocity random walk" on an accelerometer."""
-    words = label.replace("_", " ")
-    return words.replace("angle random walk", "velocity random walk") if axis.sensor == "accel" else words
 
 
 def in_two_lines(result: AxisFit | AxisPosterior) -> str:

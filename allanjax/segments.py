@@ -22,11 +22,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from allanjax.axis_fits import result_of
 from allanjax.cosine import Bins, CosineBins, Part, PooledBins, bin_edges, cosine_transform
 from allanjax.deterministic import AxisSpectrum, needs_record, ramp_column
 from allanjax.errors import AllanjaxError, FitError
 from allanjax.evidence import Levels
-from allanjax.fit import result_of
 from allanjax.model import Model
 from allanjax.recording import Axis
 from allanjax.result import AxisFit

@@ -21,12 +21,12 @@ from allanjax.cosine import CosineBins, SpectralDesign, cosine_transform
 from allanjax.design import Design
 from allanjax.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines, term_column
 from allanjax.errors import FitError
+from allanjax.estimate import Coefficient
 from allanjax.gls import Solution, solve
 from allanjax.inference import infer
 from allanjax.misfit import Misfit, spectral_misfit, widened
 from allanjax.model import Model
 from allanjax.recording import Axis
-from allanjax.result import Coefficient
 from allanjax.starts import best_starts, find_lines, shape_candidates
 
 # The levels and the noise's fit to them settle after as many rounds.

@@ -21,8 +21,8 @@ from jaxtyping import Float
 from machine import describe
 
 from allanjax.allan import AllanDeviation, allan_deviation
+from allanjax.estimate import Coefficient
 from allanjax.fit import fit
-from allanjax.result import Coefficient
 from allanjax.sensors import SENSORS, Tabulated
 from allanjax.terms import (
     AngleRandomWalk,

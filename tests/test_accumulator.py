@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from allanjax import AllanAccumulator, accumulate, allan_deviation, read_chunks
+from allanjax.axis_fits import fit_allan
 from allanjax.cli import app
 from allanjax.errors import AllanjaxError, FitError, RecordingError
-from allanjax.fit import fit, fit_allan
+from allanjax.fit import fit
 from allanjax.recording import Recording
 from allanjax.terms import AngleRandomWalk, BiasInstability, RateRandomWalk, Sinusoid
 

@@ -9,7 +9,7 @@ import pytest
 
 import allanjax as aj
 from allanjax import bulk
-from allanjax.fit import fit_allan
+from allanjax.axis_fits import fit_allan
 
 RATE = 100.0
 N = 4096

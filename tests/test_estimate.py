@@ -9,11 +9,11 @@ import pytest
 
 import allanjax as aj
 from allanjax.derived import Derived
+from allanjax.estimate import Coefficient
 from allanjax.flat_band import SpectralRandomWalk
 from allanjax.marginals import Marginal
 from allanjax.notation import term_classes
 from allanjax.recording import Axis
-from allanjax.result import Coefficient
 from allanjax.units import UnitError, si_unit, unit_scale
 
 DEG, H, G0 = math.pi / 180.0, 3600.0, 9.80665

@@ -7,10 +7,10 @@ from scipy.stats import ncx2, norm
 from test_calibration import RATE, N, records, walk
 
 import allanjax as aj
+from allanjax.axis_fits import solve_and_infer
 from allanjax.coefficients import deterministic_coefficients, estimates_of
 from allanjax.design import AllanDesign
 from allanjax.deterministic import Line
-from allanjax.fit import solve_and_infer
 from allanjax.inference import ceiling, infer
 from allanjax.starts import find_starts
 

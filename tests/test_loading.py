@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.fit import with_misfit
+from allanjax.axis_fits import with_misfit
 from allanjax.likelihood import likelihood
 from allanjax.misfit import Misfit
 from allanjax.recording import DeadAxis

@@ -14,15 +14,15 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import allanjax as aj
+from allanjax.axis_fits import fit_allan, result_of
 from allanjax.coefficients import _within
 from allanjax.cosine import CosineBins, cosine_transform
 from allanjax.deterministic import AxisSpectrum
+from allanjax.estimate import Coefficient
 from allanjax.export import to_dict, write_coefficients_csv, write_json, write_results
-from allanjax.fit import fit_allan, result_of
 from allanjax.fleet_table import mark_outlying, rows_of, table_of
 from allanjax.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
 from allanjax.recording import Axis, Recording
-from allanjax.result import Coefficient
 from allanjax.selection import basic_terms
 from allanjax.whittle import fit_spectrum
 

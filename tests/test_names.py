@@ -3,10 +3,10 @@
 import pytest
 
 import allanjax as aj
+from allanjax.estimate import Coefficient
 from allanjax.names import called
 from allanjax.notation import parse_model
 from allanjax.recording import Axis
-from allanjax.result import Coefficient
 
 AXES = {"gyro": Axis("gyro_x", "gyro", "deg/s"), "accel": Axis("accel_x", "accel", "g")}
 

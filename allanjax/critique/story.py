@@ -15,9 +15,9 @@ from allanjax.critique.result import (
     Finding,
 )
 from allanjax.critique.words import describe, factor_off, filled, p_value, parameters, percent, what
+from allanjax.estimate import title_of
 from allanjax.misfit import LIMIT
 from allanjax.recording import Axis
-from allanjax.result import title_of
 from allanjax.wording import duration, plain
 
 #: A discrepancy with a larger p-value is not worth a word: of some fourteen an axis, a few are small anyway.
