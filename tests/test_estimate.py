@@ -61,16 +61,20 @@ def estimates(sensor: str, parameter: aj.terms.Parameter, label: str, size: floa
         "interval_68": (2.9 * size, 3.1 * size),
     }
     names = {"label": label, "term": label, "parameter": parameter}
-    found = Coefficient(**numbers, **names, upper_limit=3.17 * size, detected=True)
-    absent = dataclasses.replace(found, value=0.0, std=0.0, detected=False)
+    limit = 3.17 * size
+    of_amplitude = limit if parameter.kind == "amplitude" else None
+    found = Coefficient(**numbers, **names, upper_limit=of_amplitude, detected=True)
+    absent = dataclasses.replace(found, value=0.0, std=0.0, upper_limit=limit, detected=False)
     shape = dataclasses.replace(absent, upper_limit=None)
     held = dataclasses.replace(found, std=0.0, held=True)
-    marginal = Marginal(**numbers, **names, upper_limit=3.17 * size, detected=True, bayes_factor=0.01)
+    marginal = Marginal(**numbers, **names, upper_limit=of_amplitude, detected=True, bayes_factor=0.01)
     walk = SpectralRandomWalk(
         **numbers, **names, upper_limit=None, detected=True, band=(1.0, 7.0), excess=0.03 * size
     )
     derived = Derived(**numbers, name=label, usual=found.usual_unit, remark="extrapolated")
-    return [found, absent, shape, held, marginal, walk, derived]
+    # A shape that may be anywhere below is detected, and has a limit.
+    below = [] if of_amplitude else [dataclasses.replace(found, upper_limit=limit)]
+    return [found, absent, shape, held, marginal, walk, derived, *below]
 
 
 def in_si(estimate, factor: float) -> list[float]:
@@ -135,7 +139,8 @@ def test_what_is_printed_is_what_is_held(sensor, label, parameter):
             assert name in shown.describe()
             assert name in told
             first = numbers(f": {shown.describe()}")[0]
-            limit = not getattr(e, "detected", True) and not getattr(e, "held", False)
+            is_shape = parameter.kind != "amplitude" and getattr(e, "upper_limit", None) is not None
+            limit = (is_shape or not getattr(e, "detected", True)) and not getattr(e, "held", False)
             # Two digits of an error a thirtieth of the value, three of a limit, six of what is held.
             assert first * factor == pytest.approx(e.upper_limit if limit else e.value, rel=5e-3)
             assert numbers(told)[0] == first
