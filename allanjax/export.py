@@ -204,6 +204,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
         "at_unit": misfit.unit,
         "rms_deviation": _finite(misfit.rms),
         "octave_deviation": _finite(misfit.sustained),
+        "scatter": _finite(misfit.scatter),
     }
 
 

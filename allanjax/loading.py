@@ -166,7 +166,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
 
 def _misfit(m: Mapping[str, Any]) -> Misfit:
     largest, rms, octave = (_number(m[f"{key}_deviation"]) for key in ("largest", "rms", "octave"))
-    return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave)
+    return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave, _number(m["scatter"]))
 
 
 def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> TermSelection | None:

@@ -34,6 +34,8 @@ _SURE = 0.997
 _PARTS = 3
 # Deviations from this ratio on are told as a factor.
 _FACTOR = 1.5
+# Scatter that is so large a share of a deviation is told with it.
+_MUCH = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Misfit:
         rms: root mean square over all places of ln(measured/model) less scatter, as a relative deviation.
         sustained: what the deviation certainly exceeds over some octave, of which each Allan deviation is an
             average, and of a root PSD over most of one; as a relative deviation.
+        scatter: how far from the model an estimate at that place may be by chance, as a relative deviation.
     """
 
     largest: float
@@ -55,6 +58,7 @@ class Misfit:
     unit: Literal["s", "Hz"]
     rms: float
     sustained: float
+    scatter: float = 0.0
 
     @property
     def excessive(self) -> bool:
@@ -69,8 +73,12 @@ class Misfit:
     def __str__(self) -> str:
         if self.largest == 0.0:
             return f"its {self.curve} is off, nowhere by more than single estimates scatter"
+        chance = ""
+        if np.log1p(self.scatter) > _MUCH * abs(np.log1p(self.largest)):
+            chance = f" (by chance up to {deviation(self.scatter)} there)"
+        place = f"{plain(self.at, 3)} {self.unit}{chance}"
         return (
-            f"its {self.curve} is off by up to {deviation(self.largest)} at {plain(self.at, 3)} {self.unit}, "
+            f"its {self.curve} is off by up to {deviation(self.largest)} at {place}, "
             f"{deviation(self.rms)} rms"
         )
 
@@ -101,8 +109,9 @@ def misfit_of(
     # In squares, less the half width of the interval on the model's side.
     rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
     sustained = certain[k] if unit == "s" else _over_octaves(place, certain)
-    largest, rms, sustained = np.expm1([log[k], rms, sustained]).tolist()
-    return Misfit(largest, float(place[k]), unit, rms, sustained)
+    scatter = abs(log[k]) - certain[k]
+    largest, rms, sustained, scatter = np.expm1([log[k], rms, sustained, scatter]).tolist()
+    return Misfit(largest, float(place[k]), unit, rms, sustained, scatter)
 
 
 def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:

@@ -112,6 +112,11 @@ def test_the_deviation_is_that_of_a_search_through_all_places():
     assert found.largest == pytest.approx(ratio[worst] - 1.0)
     assert found.rms == pytest.approx(np.expm1(np.sqrt(np.mean(sizes))))
     assert found.sustained == pytest.approx(np.expm1(max(certain)))
+    assert np.log1p(found.scatter) == pytest.approx(abs(np.log(ratio[worst])) - max(certain))
+    # Of an estimate that may be off by a factor 3 by chance, that is said.
+    rare = misfit_of(place[-8:], np.full(8, 4.0), np.full(8, 3.0), "s")
+    assert " (by chance up to a factor " in str(rare)
+    assert "by chance" not in str(found)
     # What scatter explains counts for nothing, however far it is.
     alone = misfit_of(place[-8:], np.full(8, 0.2), np.full(8, 1.2), "s")
     assert (alone.largest, alone.rms, alone.excessive) == (0.0, 0.0, False)
@@ -241,6 +246,7 @@ def test_files_and_tables_have_no_errors_of_what_is_no_measurement(fit, recordin
         "at_unit": "s",
         "rms_deviation": misfit.rms,
         "octave_deviation": misfit.sustained,
+        "scatter": misfit.scatter,
     }
     assert (axis["measured"], good["measured"], good["misfit"]) == (False, True, None)
     for c in axis["coefficients"]:
@@ -326,6 +332,7 @@ def process(time):
         Recording.from_array(x[:, None], RATE, gyro_unit="rad/s", names=["gyro_x"]),
         aj.AngleRandomWalk() + aj.Markov(),
         as_is=True,
+        vibrating=True,
     )
     return found, found["gyro_x"]["markov_correlation_time"]
 

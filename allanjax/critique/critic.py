@@ -142,7 +142,6 @@ def criticize(
         axes,
         shared,
         (
-            *fit.warnings,
             *fit.notes,
             *(
                 f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence"
