@@ -234,10 +234,19 @@ def test_two_levels_are_found_in_noise():
     truth = np.searchsorted(np.array([300, 700, 800, 1500]), np.arange(2048), side="right") % 2
     found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048), 1.0)
     assert np.mean((found.upper > 0.5) == truth) > 0.995
-    # Four jumps in 2048 blocks: the mean time between them is known to a factor of about 1 + 1/√4.
+    # Four jumps in 2048 blocks: the mean time between them, 410, may be half the record, the search.s end.
+    limit, spread = found.dwell
+    assert found.limit == "above"
+    assert np.isnan(spread)
+    assert 100.0 < limit < 410.0
+    # Twenty: it is known to a factor of about 1 + 1/√20.
+    jumps = np.cumsum(rng.exponential(100.0, 20)).astype(int)
+    truth = np.searchsorted(jumps[jumps < 2048], np.arange(2048), side="right") % 2
+    found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048), 1.0)
     dwell, spread = found.dwell
-    assert abs(np.log(dwell / 410.0)) < 3.0 * spread / dwell
-    assert 0.2 < spread / dwell < 1.0
+    assert found.limit == ""
+    assert abs(np.log(dwell / 100.0)) < 3.0 * spread / dwell
+    assert 0.1 < spread / dwell < 0.5
 
 
 def test_a_telegraph_has_the_levels_that_it_jumps_between():
