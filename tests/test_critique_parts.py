@@ -234,7 +234,7 @@ def test_two_levels_are_found_in_noise():
     truth = np.searchsorted(np.array([300, 700, 800, 1500]), np.arange(2048), side="right") % 2
     found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048), 1.0)
     assert np.mean((found.upper > 0.5) == truth) > 0.995
-    # Four jumps in 2048 blocks: the mean time between them, 410, may be half the record, the search.s end.
+    # Four jumps in 2048 blocks: the mean time between them, 410, may be half the record: the search's end.
     limit, spread = found.dwell
     assert found.limit == "above"
     assert np.isnan(spread)

@@ -165,7 +165,7 @@ def test_an_incomplete_model_is_said_so_and_widens_the_intervals() -> None:
 
 def test_of_several_starts_the_best_solution_is_taken(monkeypatch) -> None:
     """Of those that converged the one of least cost; axis by axis, whatever the order."""
-    module = importlib.import_module("allanjax.fit")
+    module = importlib.import_module("allanjax.axis_fits")
     cost = np.array([[3.0, 1.0, np.nan], [1.0, 2.0, 5.0], [0.5, 0.5, 4.0], [2.0, 3.0, 9.0]])
     converged = np.array([[1, 1, 0], [1, 1, 1], [0, 0, 1], [1, 1, 1]], bool)
 
