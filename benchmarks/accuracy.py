@@ -48,7 +48,7 @@ def by_allanjax(case: Case, x: np.ndarray) -> dict[str, np.ndarray]:
 def by_selection(x: np.ndarray) -> np.ndarray:
     """Which of the basic terms `fit(recording)` detects, [records, terms]; NaN where it did not converge."""
     rows = []
-    for axis in aj.fit(recording_of(x)):
+    for axis in aj.fit(recording_of(x), as_is=True, vibrating=True):
         try:
             rows.append([float(axis[LABELS[c]].detected) for c in BASIC])
         except aj.AllanjaxError:

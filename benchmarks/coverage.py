@@ -53,7 +53,7 @@ def outcomes(name: str, n: int, records: int, seed: tuple[int, ...], posterior: 
         case = scenario.draw(n, size, rng)
         recording = recording_of(simulate(case, n, size, rng))
         axes, _ = fit_all(recording, model, "allan")
-        whittle = aj.fit(recording, model, "whittle")
+        whittle = aj.fit(recording, model, "whittle", as_is=True, vibrating=True)
         found = {
             "truth": np.stack(list(case.truth.values()), axis=1),
             "bound": np.stack([bound(one(case, k), n, block=0) for k in range(size)]),

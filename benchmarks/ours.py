@@ -51,7 +51,7 @@ def fit_all(
 ) -> tuple[list[aj.AxisFit | None], TermSelection | None]:
     """The fit of every axis, None where there is no result or an exception; and the ranking of terms."""
     try:
-        fit = aj.fit(recording, model, objective)
+        fit = aj.fit(recording, model, objective, as_is=True, vibrating=True)
     except Exception:
         # One axis may have spoilt it for all.
         singles = [recording_of(x[:, None]) for x in recording.values.T]
@@ -62,7 +62,7 @@ def fit_all(
 
 def _fit_one(recording: aj.Recording, model: aj.Model | None, objective: str) -> aj.AxisFit | None:
     try:
-        (axis,) = aj.fit(recording, model, objective)
+        (axis,) = aj.fit(recording, model, objective, as_is=True, vibrating=True)
     except Exception:
         return None
     return axis if axis.converged else None

@@ -48,7 +48,8 @@ def test_rmse_is_near_the_cramer_rao_bound_and_intervals_cover_the_truth(truth):
     axes = tuple(aj.Axis(f"gyro_{i}", "gyro", "rad/s") for i in range(RECORDS))
     recording = aj.Recording(simulate(truth, rng), RATE, axes, {}, "", ())
 
-    fit = aj.fit(recording, aj.Model(tuple(TERMS[c] for c in truth)))
+    # Of 120 axes at once, one that looks touched by chance would cut them all.
+    fit = aj.fit(recording, aj.Model(tuple(TERMS[c] for c in truth)), as_is=True, vibrating=True)
 
     assert fit.converged
     bound = cramer_rao(truth)

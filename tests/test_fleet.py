@@ -44,7 +44,7 @@ def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     rng = np.random.default_rng(1)
     for k, factor in enumerate(np.exp(0.05 * rng.standard_normal(UNITS))):
-        values = (3.0 if k == ODD else 1.0) * factor * rng.standard_normal(5000)
+        values = (0.3 if k == ODD else 0.1) * factor * rng.standard_normal(5000)
         recording = Recording.from_array(values, 100.0, gyro_unit="deg/s", names=["gyro_x"])
         write(recording, folder / f"unit_{k}.parquet")
     (folder / "corrupt.parquet").write_bytes(b"PAR1 but no more")

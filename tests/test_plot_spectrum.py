@@ -56,6 +56,7 @@ def fit_of_truth(fitted, model, recording):
             parameter=p.parameter,
             value=p.start,
             std=p.start / 100,
+            upper_limit=None,
             unit="",
         )
         for p in model.parameters
