@@ -71,7 +71,7 @@ def test_commands_run(folder, monkeypatch):
         assert result.exit_code == 0, result.output
     assert [options["scheduler"] for _, options in passed] == [None, "tcp://cluster:8786"]
     names = {path.name for path in (folder / "results").iterdir()}
-    told = re.search(r"prints a table and writes (.*?)\. Or", README.read_text(encoding="utf-8"), re.DOTALL)
+    told = re.search(r"prints a table and writes (.*?)\.\n", README.read_text(encoding="utf-8"), re.DOTALL)
     assert names == set(re.findall(r"`(imu[\w.]+)`", told[1]))
 
 
