@@ -13,31 +13,24 @@ import jax
 # Allan variances of a long record span ten decades: single precision cannot hold them.
 jax.config.update("jax_enable_x64", True)
 
-from allanjax.accumulator import AllanAccumulator, accumulate  # noqa: E402
-from allanjax.allan import AllanDeviation, allan_deviation  # noqa: E402
-from allanjax.bulk import BulkFit, fit_many  # noqa: E402
-from allanjax.cache import enable_compilation_cache  # noqa: E402
-from allanjax.critique import Cause, Critique, Finding, critique  # noqa: E402
-from allanjax.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
-from allanjax.estimate import Coefficient  # noqa: E402
-from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
-from allanjax.fit import fit  # noqa: E402
-from allanjax.fleet import FleetResult, characterize_fleet  # noqa: E402
+from allanjax.allan.deviation import AllanDeviation, allan_deviation  # noqa: E402
+from allanjax.base.cache import enable_compilation_cache  # noqa: E402
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
+from allanjax.critic import Cause, Critique, Finding, critique  # noqa: E402
+from allanjax.estimate.as_json import to_dict  # noqa: E402
+from allanjax.estimate.bulk import BulkFit, fit_many  # noqa: E402
+from allanjax.estimate.fit import fit  # noqa: E402
+from allanjax.estimate.loading import load  # noqa: E402
+from allanjax.estimate.result import AxisFit, Fit  # noqa: E402
+from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet, basic_terms, select_terms  # noqa: E402
+from allanjax.fleet.fleet import FleetResult, characterize_fleet  # noqa: E402
+from allanjax.fleet.stream import AllanAccumulator, accumulate  # noqa: E402
 from allanjax.inspection import Inspection, inspect  # noqa: E402
-from allanjax.io import ChunkedRecording, read, read_chunks, write  # noqa: E402
-from allanjax.loading import load  # noqa: E402
-from allanjax.model import Model  # noqa: E402
-from allanjax.plot import plot_allan  # noqa: E402
-from allanjax.plot_spectrum import plot_psd  # noqa: E402
-from allanjax.posterior import AxisPosterior, Posterior, PosteriorWarning, sample  # noqa: E402
-from allanjax.priors import LogNormal, LogUniform, ModifiedLogUniform, Uniform  # noqa: E402
-from allanjax.recording import Axis, Recording  # noqa: E402
-from allanjax.result import AxisFit, Fit  # noqa: E402
-from allanjax.selection import AxisSelection, TermSelection, TermSet, basic_terms, select_terms  # noqa: E402
-from allanjax.sensors import SENSORS, SensorPreset  # noqa: E402
-from allanjax.simulate import simulate, simulate_recording  # noqa: E402
-from allanjax.spectrum import PowerSpectrum, power_spectrum  # noqa: E402
-from allanjax.terms import (  # noqa: E402
+from allanjax.noise.estimate import Coefficient  # noqa: E402
+from allanjax.noise.model import Model  # noqa: E402
+from allanjax.noise.sensors import SENSORS, SensorPreset  # noqa: E402
+from allanjax.noise.simulate import simulate, simulate_recording  # noqa: E402
+from allanjax.noise.terms import (  # noqa: E402
     AngleRandomWalk,
     BiasInstability,
     BiasStep,
@@ -54,7 +47,16 @@ from allanjax.terms import (  # noqa: E402
     WarmUp,
     parameter,
 )
-from allanjax.units import convert  # noqa: E402
+from allanjax.posterior.priors import LogNormal, LogUniform, ModifiedLogUniform, Uniform  # noqa: E402
+from allanjax.posterior.result import AxisPosterior, Posterior, PosteriorWarning  # noqa: E402
+from allanjax.posterior.sample import sample  # noqa: E402
+from allanjax.record.io import ChunkedRecording, read, read_chunks, write  # noqa: E402
+from allanjax.record.recording import Axis, Recording  # noqa: E402
+from allanjax.record.units import convert  # noqa: E402
+from allanjax.report.allan_figure import plot_allan  # noqa: E402
+from allanjax.report.files import write_coefficients_csv, write_curve_csv, write_json  # noqa: E402
+from allanjax.report.spectrum_figure import plot_psd  # noqa: E402
+from allanjax.spectrum.psd import PowerSpectrum, power_spectrum  # noqa: E402
 
 
 def __getattr__(name: str) -> str:

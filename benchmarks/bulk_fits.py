@@ -23,7 +23,7 @@ from report import table
 from scipy.optimize import least_squares
 
 import allanjax as aj
-from allanjax.axis_fits import fit_allan
+from allanjax.estimate.axis_fits import fit_allan
 
 RATE = 100.0
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()

@@ -74,15 +74,15 @@ def stacked(columns: dict[str, np.ndarray]) -> np.ndarray:
 
 def sampled(fit: aj.Fit, name: str, n: int, truth: np.ndarray, seeds: np.ndarray) -> Outcome:
     """Posteriors with the priors that the truth was drawn from: marginals, ranks, settled chains, seconds."""
-    from allanjax.posterior import sample
-    from allanjax.priors import LogUniform, Uniform
+    from allanjax.posterior.priors import LogUniform, Uniform
+    from allanjax.posterior.sample import sample
 
     ranges = SCENARIOS[name].ranges(n)
     priors = {LABELS[c]: (Uniform if c == "f" else LogUniform)(*ends) for c, ends in ranges.items()}
     marginals = np.full((*truth.shape, len(FIELDS)), np.nan)
     ranks = np.full(truth.shape, np.nan)
     settled, seconds = np.zeros(len(truth)), np.zeros(len(truth))
-    for k, axis in enumerate(fit):
+    for k, axis in enumerate(fit.results):
         if not axis.converged:
             continue
         begun = time.perf_counter()

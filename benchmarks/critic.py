@@ -45,8 +45,8 @@ from hidden_verdict import (
 )
 
 import allanjax as aj
-from allanjax.critique import critique
-from allanjax.critique.view import FALSE_ALARMS
+from allanjax.critic import critique
+from allanjax.critic.view import FALSE_ALARMS
 
 MULTIPLES = (2.0, 5.0)
 #: Two effects in one record; basic terms, which a fit must lack to hide them, are not among these.

@@ -21,7 +21,7 @@ from scipy.fft import dct
 from truth import RATE, T0, Case, bound, derivatives, simulate
 from truth import cosine_variances as variances_of
 
-from allanjax.selection import AxisSelection
+from allanjax.estimate.selection import AxisSelection
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -25,8 +25,8 @@ import hidden_sensors as sensors
 from hidden_sensors import log_uniform
 
 import allanjax as aj
-from allanjax.demo import demo_recording
-from allanjax.recording import Recording
+from allanjax.cli.demo_sensor import demo_recording
+from allanjax.record.recording import Recording
 
 #: Thresholds were set on clean seeds below 800 and touched seeds below 100.
 FRESH = 1_000_000

@@ -19,9 +19,9 @@ import rosner
 from machine import describe
 from report import run_tasks, share, table
 
-from allanjax.fleet_summary import judged
-from allanjax.fleet_table import table_of
-from allanjax.outliers import FALSE_ALARMS
+from allanjax.fleet.outlying_units import FALSE_ALARMS
+from allanjax.fleet.summary import judged
+from allanjax.fleet.table import table_of
 
 UNITS = (3, 4, 6, 12, 24)
 SCATTERS = (0.0, 0.05, 0.10, 0.15)

@@ -21,8 +21,8 @@ from machine import describe
 from report import table
 
 import allanjax as aj
-from allanjax.cosine import cosine_transform
-from allanjax.likelihood import likelihood
+from allanjax.posterior.likelihood import likelihood_of
+from allanjax.spectrum.cosine import cosine_transform
 
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
 TRUTH = aj.AngleRandomWalk(1e-4) + aj.BiasInstability(1e-5) + aj.RateRandomWalk(1e-6)
@@ -49,7 +49,7 @@ def row(n: int) -> list[str]:
     x = np.asarray(aj.simulate(TRUTH, n, 100.0, 1))
     recording = aj.Recording(x[:, None], 100.0, (aj.Axis("gyro_x", "gyro", "rad/s"),))
     fit = aj.fit(recording, MODEL, "whittle")
-    log_likelihood = likelihood(fit, "gyro_x")
+    log_likelihood = likelihood_of(fit, "gyro_x")
     values = jnp.asarray(np.tile(log_likelihood.start, (WALKERS, 1)))
     times = [
         seconds(lambda: np.sum(x)),

@@ -9,7 +9,7 @@ import numpy as np
 from truth import RATE, SHAPES, Case
 
 import allanjax as aj
-from allanjax.selection import TermSelection, select_terms
+from allanjax.estimate.selection import TermSelection, select_terms
 
 TERMS = {
     "Q": aj.Quantization(),

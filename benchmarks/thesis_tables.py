@@ -20,11 +20,12 @@ import numpy as np
 from jaxtyping import Float
 from machine import describe
 
-from allanjax.allan import AllanDeviation, allan_deviation
-from allanjax.estimate import Coefficient
-from allanjax.fit import fit
-from allanjax.sensors import SENSORS, Tabulated
-from allanjax.terms import (
+from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.base.wording import format_with_error
+from allanjax.estimate.fit import fit
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.sensors import SENSORS, Tabulated
+from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,
@@ -32,8 +33,7 @@ from allanjax.terms import (
     Quantization,
     RateRandomWalk,
 )
-from allanjax.units import unit_scale
-from allanjax.wording import format_with_error
+from allanjax.record.units import unit_scale
 
 RESULT = Path(__file__).parent / "results" / "thesis_tables.md"
 

@@ -18,11 +18,11 @@ if _OWN:
 
 from gamma_levels import with_likelihood  # noqa: E402
 
-from allanjax.fit import fit  # noqa: E402
-from allanjax.notation import parse_model  # noqa: E402
-from allanjax.recording import Recording  # noqa: E402
-from allanjax.result import Fit  # noqa: E402
-from allanjax.simulate import simulate_recording  # noqa: E402
+from allanjax.estimate.fit import fit  # noqa: E402
+from allanjax.estimate.result import Fit  # noqa: E402
+from allanjax.noise.notation import parse_model  # noqa: E402
+from allanjax.noise.simulate import simulate_recording  # noqa: E402
+from allanjax.record.recording import Recording  # noqa: E402
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-import allanjax.likelihood
-from allanjax.terms import AngleRandomWalk, RateRandomWalk
+import allanjax.posterior.likelihood
+from allanjax.noise.terms import AngleRandomWalk, RateRandomWalk
 
 DEGREE, HOUR = np.pi / 180.0, 3600.0
 N, K = 0.3 * DEGREE / 60.0, 40.0 * DEGREE / HOUR**1.5

@@ -9,8 +9,8 @@ import numpy as np
 from hidden_effects import TERMS, Effect, Hidden
 
 import allanjax as aj
-from allanjax.critique import Critique, Finding
-from allanjax.units import unit_scale
+from allanjax.critic import Critique, Finding
+from allanjax.record.units import unit_scale
 
 BASIC = {
     "Q": aj.Quantization(),

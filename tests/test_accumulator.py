@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from allanjax import AllanAccumulator, accumulate, allan_deviation, read_chunks
-from allanjax.axis_fits import fit_allan
-from allanjax.cli import app
-from allanjax.errors import AllanjaxError, FitError, RecordingError
-from allanjax.fit import fit
-from allanjax.recording import Recording
-from allanjax.terms import AngleRandomWalk, BiasInstability, RateRandomWalk, Sinusoid
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.cli.app import app
+from allanjax.estimate.axis_fits import fit_allan
+from allanjax.estimate.fit import fit
+from allanjax.noise.terms import AngleRandomWalk, BiasInstability, RateRandomWalk, Sinusoid
+from allanjax.record.recording import Recording
 
 RATE = 200.0
 N, K = 1e-3, 3e-4
@@ -262,7 +262,7 @@ def test_where_the_allan_variances_determine_nothing_the_spectra_do(x, monkeypat
         results, curve = fit_allan(*given)
         return tuple(dataclasses.replace(r, converged=False) for r in results), curve
 
-    monkeypatch.setattr("allanjax.accumulator.fit_allan", hopeless)
+    monkeypatch.setattr("allanjax.fleet.stream.fit_allan", hopeless)
     model = AngleRandomWalk() + RateRandomWalk()
     found = filled(x, np.full(5, 60_000)).fit(model)
     assert found.objective == "whittle"

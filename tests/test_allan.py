@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from allanjax.allan import AllanDeviation, allan_deviation, allan_variance_estimates, cluster_sizes
-from allanjax.errors import AllanjaxError
-from allanjax.recording import Axis, Recording
+from allanjax.allan.deviation import AllanDeviation, allan_deviation, allan_variance_estimates, cluster_sizes
+from allanjax.base.errors import AllanjaxError
+from allanjax.record.recording import Axis, Recording
 
 RECORDING = Path(__file__).parents[2] / "shared" / "data" / "adis16405_unit1.parquet"
 

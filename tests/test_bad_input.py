@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from allanjax.errors import AllanjaxError, RecordingError, UnitError
-from allanjax.io import read, write
-from allanjax.recording import Recording
+from allanjax.base.errors import AllanjaxError, RecordingError, UnitError
+from allanjax.record.io import read, write
+from allanjax.record.recording import Recording
 
 HEADER = ["gyro_x [deg/s]", "gyro_y [deg/s]", "gyro_z [deg/s]"]
 SIX = ["gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 import allanjax as aj
-from allanjax import bulk
-from allanjax.axis_fits import fit_allan
+from allanjax.estimate import bulk
+from allanjax.estimate.axis_fits import fit_allan
 
 RATE = 100.0
 N = 4096

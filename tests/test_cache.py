@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax import cache
-from allanjax.critique import critique
+from allanjax.base import cache
+from allanjax.critic import critique
 
 
 @pytest.mark.parametrize("used", [100, 60_000])

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from allanjax.cache import enable_compilation_cache
-from allanjax.cli import app
-from allanjax.io import read, write
+from allanjax.base.cache import enable_compilation_cache
+from allanjax.cli.app import app
+from allanjax.record.io import read, write
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +109,9 @@ def test_files_of_one_name_do_not_overwrite_each_other(recorded, small_recording
 def test_an_axis_without_result_is_an_error_and_the_results_are_written(
     recorded, half_failed_fit, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: half_failed_fit)
+    monkeypatch.setattr(
+        sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: half_failed_fit
+    )
     result = run("characterize", recorded)
     assert result.exit_code == 1
     assert f"error: {recorded}: gyro_y: no result, the start was hopeless" in result.stderr
@@ -148,7 +150,9 @@ def test_bad_input_exits_with_1_and_says_why(content, options, message):
 
 
 def test_a_folder_of_results_that_cannot_be_made_is_an_error(recorded, half_failed_fit, monkeypatch):
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: half_failed_fit)
+    monkeypatch.setattr(
+        sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: half_failed_fit
+    )
     result = run("characterize", recorded, "--out", recorded / "inside")
     assert result.exit_code == 1
     assert str(recorded) in result.stderr
@@ -158,7 +162,7 @@ def test_a_bug_is_not_dressed_up_as_bad_input(recorded, monkeypatch):
     def broken(*args, **options):
         raise KeyError("bug")
 
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", broken)
+    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", broken)
     with pytest.raises(KeyError):
         run("characterize", recorded)
 
@@ -271,7 +275,7 @@ def test_help_and_version():
 def test_a_process_of_its_own_keeps_what_it_compiled(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "ALLANJAX_CACHE"}
     environment["XDG_CACHE_HOME"] = str(tmp_path / "cache")
-    script = "import sys; from allanjax.cli import main; sys.argv[0] = 'allanjax'; main()"
+    script = "import sys; from allanjax.cli.app import main; sys.argv[0] = 'allanjax'; main()"
     arguments = ["simulate", "--terms", "N=1 deg/√h + K=1 deg/h/√h", "--duration", "60", "--out", "a.csv"]
     done = subprocess.run(
         [sys.executable, "-c", script, *arguments],

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from allanjax.coefficients import _around
-from allanjax.terms import Markov, Resonance
+from allanjax.estimate.coefficients import _around
+from allanjax.noise.terms import Markov, Resonance
 
 
 def test_a_shape_is_known_in_the_logarithm_of_its_distance_from_the_bound():

@@ -12,7 +12,8 @@ from scipy.linalg import toeplitz
 from scipy.special import sici
 
 import allanjax as aj
-from allanjax.cosine import CosineBins, SpectralDesign, cosine_transform, cube_root_score
+from allanjax.estimate.spectral_design import SpectralDesign
+from allanjax.spectrum.cosine import CosineBins, cosine_transform, cube_root_score
 
 RATE = 4.0
 SINGLE = 64

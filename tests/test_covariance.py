@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from allanjax.covariance import AllanCovariance, discrete_gauss, equivalent_degrees_of_freedom
-from allanjax.model import Model
-from allanjax.simulate import simulate
-from allanjax.terms import (
+from allanjax.allan.covariance import AllanCovariance, discrete_gauss, equivalent_degrees_of_freedom
+from allanjax.noise.model import Model
+from allanjax.noise.simulate import simulate
+from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,

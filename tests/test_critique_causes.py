@@ -11,21 +11,21 @@ from scipy.linalg import toeplitz
 from scipy.signal import butter, freqz, lfilter
 from scipy.stats import kstest
 
-from allanjax.critique.bank import Bank, step_coefficients
-from allanjax.critique.causes.bias_step import BiasStep
-from allanjax.critique.causes.low_pass import LowPass, _ends, _fine
-from allanjax.critique.causes.outliers import Outliers, _scores
-from allanjax.critique.causes.resonance import _conspicuous
-from allanjax.critique.causes.temperature import Temperature
-from allanjax.critique.causes.variance_change import VarianceChange
-from allanjax.critique.filling import _predicted, filled
-from allanjax.critique.noise import FIXED, MARKOV, RAMP, Noise, family_of
-from allanjax.critique.pair import best_pair
-from allanjax.critique.search import _grouped, search
-from allanjax.critique.step import Step
-from allanjax.critique.view import EVERYTHING, View, in_time
-from allanjax.evidence import evidences
-from allanjax.recording import Axis
+from allanjax.critic.bank import Bank, step_coefficients
+from allanjax.critic.causes.bias_step import BiasStep
+from allanjax.critic.causes.low_pass import LowPass, _ends, _fine
+from allanjax.critic.causes.outliers import Outliers, _scores
+from allanjax.critic.causes.resonance import _conspicuous
+from allanjax.critic.causes.temperature import Temperature
+from allanjax.critic.causes.variance_change import VarianceChange
+from allanjax.critic.filling import _predicted, filled
+from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, family_of
+from allanjax.critic.pair import best_pair
+from allanjax.critic.search import _grouped, search
+from allanjax.critic.step import Step
+from allanjax.critic.view import EVERYTHING, View, in_time
+from allanjax.estimate.evidence import evidences
+from allanjax.record.recording import Axis
 
 AXIS = Axis("gyro_x", "gyro", "rad/s")
 # One length for most: one compilation.

@@ -5,15 +5,15 @@ import pytest
 from scipy.special import gammaincc
 from scipy.stats import kstest
 
-from allanjax.critique.causes import CAUSES, disturbance
-from allanjax.critique.causes.disturbance import Disturbance
-from allanjax.critique.causes.outliers import Outliers
-from allanjax.critique.causes.sinusoid import Sinusoid
-from allanjax.critique.causes.temperature import Temperature
-from allanjax.critique.noise import family_of
-from allanjax.critique.search import Accepted, _chosen
-from allanjax.critique.view import EVERYTHING, FALSE_ALARMS, Candidate, View
-from allanjax.recording import Axis
+from allanjax.critic.causes import CAUSES, disturbance
+from allanjax.critic.causes.disturbance import Disturbance
+from allanjax.critic.causes.outliers import Outliers
+from allanjax.critic.causes.sinusoid import Sinusoid
+from allanjax.critic.causes.temperature import Temperature
+from allanjax.critic.noise import family_of
+from allanjax.critic.search import Accepted, _chosen
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, View
+from allanjax.record.recording import Axis
 
 AXIS = Axis("gyro_x", "gyro", "rad/s")
 RATE = 50.0

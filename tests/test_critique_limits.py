@@ -7,27 +7,27 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter, sosfilt
 
-from allanjax.critique.causes.additive import shape_parameter
-from allanjax.critique.causes.basic_term import BasicTerm
-from allanjax.critique.causes.bias_step import _parameters as step_parameters
-from allanjax.critique.causes.common_mode import common_mode
-from allanjax.critique.causes.disturbance import Disturbance
-from allanjax.critique.causes.low_pass import _FILTERS, LowPass
-from allanjax.critique.causes.outliers import _known
-from allanjax.critique.causes.power_law import PowerLaw
-from allanjax.critique.causes.resonance import Resonance
-from allanjax.critique.causes.saturation import Saturation
-from allanjax.critique.causes.sinusoid import Sinusoid
-from allanjax.critique.causes.spectral import limited
-from allanjax.critique.causes.telegraph import two_levels
-from allanjax.critique.causes.temperature import Temperature
-from allanjax.critique.causes.variance_change import VarianceChange, _ratio
-from allanjax.critique.causes.warm_up import WarmUp
-from allanjax.critique.export import _quantity
-from allanjax.critique.noise import MARKOV, family_of
-from allanjax.critique.view import EVERYTHING, Quantity, View
-from allanjax.critique.words import parameters, quantity
-from allanjax.recording import Axis
+from allanjax.critic.causes.additive import shape_parameter
+from allanjax.critic.causes.basic_term import BasicTerm
+from allanjax.critic.causes.bias_step import _parameters as step_parameters
+from allanjax.critic.causes.common_mode import common_mode
+from allanjax.critic.causes.disturbance import Disturbance
+from allanjax.critic.causes.low_pass import _FILTERS, LowPass
+from allanjax.critic.causes.outliers import _known
+from allanjax.critic.causes.power_law import PowerLaw
+from allanjax.critic.causes.resonance import Resonance
+from allanjax.critic.causes.saturation import Saturation
+from allanjax.critic.causes.sinusoid import Sinusoid
+from allanjax.critic.causes.spectral import limited
+from allanjax.critic.causes.telegraph import two_levels
+from allanjax.critic.causes.temperature import Temperature
+from allanjax.critic.causes.variance_change import VarianceChange, _ratio
+from allanjax.critic.causes.warm_up import WarmUp
+from allanjax.critic.noise import MARKOV, family_of
+from allanjax.critic.view import EVERYTHING, Quantity, View
+from allanjax.record.recording import Axis
+from allanjax.report.critique_json import _quantity
+from allanjax.report.critique_words import parameters, quantity
 
 AXIS = Axis("gyro_x", "gyro", "rad/s")
 N, RATE = 30_000, 50.0

@@ -8,14 +8,14 @@ from scipy.fft import dct
 from scipy.stats import kstest
 from test_critique_parts import AXIS, POWERS, RATE, N, covariances, simulated, view_of
 
-from allanjax.critique.bank import step_bank
-from allanjax.critique.causes.bias_step import BiasStep
-from allanjax.critique.causes.variance_change import VarianceChange
-from allanjax.critique.marginal import _products, log_evidence
-from allanjax.critique.noise import family_of
-from allanjax.critique.search import Accepted
-from allanjax.critique.view import EVERYTHING, FALSE_ALARMS, Candidate, View
-from allanjax.critique.weighing import Sets
+from allanjax.critic.bank import step_bank
+from allanjax.critic.causes.bias_step import BiasStep
+from allanjax.critic.causes.variance_change import VarianceChange
+from allanjax.critic.marginal import _products, log_evidence
+from allanjax.critic.noise import family_of
+from allanjax.critic.search import Accepted
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, View
+from allanjax.critic.weighing import Sets
 
 DECADES = np.log1p(1e4)
 #: Amplitudes that such records hardly tell from none: below, the prior is uniform.

@@ -10,20 +10,20 @@ from scipy.fft import dct
 from scipy.linalg import toeplitz
 from scipy.stats import kstest, norm
 
-from allanjax.critique.bank import Bank, extrapolated, step_coefficients
-from allanjax.critique.causes.bias_step import BiasStep
-from allanjax.critique.causes.common_mode import _error, _Link, common_mode
-from allanjax.critique.causes.imputation import imputed
-from allanjax.critique.causes.rounding import lattice
-from allanjax.critique.causes.saturation import Saturation
-from allanjax.critique.causes.sinusoid import refined
-from allanjax.critique.causes.telegraph import Telegraph, _chain, _noise, two_levels
-from allanjax.critique.filling import filled
-from allanjax.critique.gain import coefficient_changes, drift_changes
-from allanjax.critique.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
-from allanjax.critique.step import Step
-from allanjax.critique.view import EVERYTHING, Candidate, View
-from allanjax.recording import Axis
+from allanjax.critic.bank import Bank, extrapolated, step_coefficients
+from allanjax.critic.causes.bias_step import BiasStep
+from allanjax.critic.causes.common_mode import _error, _Link, common_mode
+from allanjax.critic.causes.imputation import imputed
+from allanjax.critic.causes.rounding import lattice
+from allanjax.critic.causes.saturation import Saturation
+from allanjax.critic.causes.sinusoid import refined
+from allanjax.critic.causes.telegraph import Telegraph, _chain, _noise, two_levels
+from allanjax.critic.filling import filled
+from allanjax.critic.gain import coefficient_changes, drift_changes
+from allanjax.critic.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
+from allanjax.critic.step import Step
+from allanjax.critic.view import EVERYTHING, Candidate, View
+from allanjax.record.recording import Axis
 
 AXIS = Axis("accel_x", "accel", "m/s²")
 N, RATE = 128, 4.0

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from allanjax.critique.causes.bias_step import BiasStep
-from allanjax.critique.causes.low_pass import LowPass
-from allanjax.critique.causes.outliers import Outliers
-from allanjax.critique.causes.resonance import Resonance
-from allanjax.critique.causes.warm_up import WarmUp
-from allanjax.critique.noise import family_of
-from allanjax.critique.refit import refitted
-from allanjax.critique.search import search
-from allanjax.critique.step import Step, strung
-from allanjax.critique.view import EVERYTHING, View
-from allanjax.recording import Axis
+from allanjax.critic.causes.bias_step import BiasStep
+from allanjax.critic.causes.low_pass import LowPass
+from allanjax.critic.causes.outliers import Outliers
+from allanjax.critic.causes.resonance import Resonance
+from allanjax.critic.causes.warm_up import WarmUp
+from allanjax.critic.noise import family_of
+from allanjax.critic.refit import refitted
+from allanjax.critic.search import search
+from allanjax.critic.step import Step, strung
+from allanjax.critic.view import EVERYTHING, View
+from allanjax.record.recording import Axis
 
 AXIS = Axis("gyro_x", "gyro", "rad/s")
 # One length for all: one compilation.

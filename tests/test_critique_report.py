@@ -12,12 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 import allanjax as aj
-from allanjax.cli import app
-from allanjax.critique.comparison import Whitened
-from allanjax.critique.discrepancies import discrepancies, mended
-from allanjax.critique.noise import family_of
-from allanjax.critique.plot import plot_critique
-from allanjax.critique.result import (
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.app import app
+from allanjax.critic.comparison import Whitened
+from allanjax.critic.discrepancies import discrepancies, mended
+from allanjax.critic.noise import family_of
+from allanjax.critic.result import (
     AxisCritique,
     CoefficientChange,
     Critique,
@@ -27,12 +27,12 @@ from allanjax.critique.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critique.story import left, sentence, telling
-from allanjax.critique.view import Quantity
-from allanjax.critique.words import describe, filled, parameters, quantity, suited
-from allanjax.errors import AllanjaxError
-from allanjax.io import write
-from allanjax.recording import Axis, DeadAxis, Recording
+from allanjax.critic.view import Quantity
+from allanjax.record.io import write
+from allanjax.record.recording import Axis, DeadAxis, Recording
+from allanjax.report.critique_figure import plot_critique
+from allanjax.report.critique_story import left, sentence, telling
+from allanjax.report.critique_words import describe, filled, parameters, quantity, suited
 
 N, RATE = 8192, 100.0
 MG = 9.80665e-3
@@ -356,7 +356,7 @@ def command(critique, tmp_path, monkeypatch):
         return critique
 
     # The package by its own name: allanjax.critique is the function that it is named after.
-    monkeypatch.setattr(importlib.import_module("allanjax.critique"), "critique", fake)
+    monkeypatch.setattr(importlib.import_module("allanjax.critic"), "critique", fake)
     values = np.random.default_rng(0).standard_normal((64, 1))
     for name in ("imu", "odd"):
         recording = Recording.from_array(values, RATE, gyro_unit="deg/s", names=["gyro_x"], name=name)
@@ -394,7 +394,7 @@ def test_json_of_one_file_is_its_document(command, critique, schema):
 def test_a_dead_axis_is_told_and_an_error(critique, command, monkeypatch, schema):
     dead = dataclasses.replace(critique, dead=(DeadAxis.of(Axis("gyro_z", "gyro", "deg/s"), 0.0),))
     assert "gyro_z: not compared: constant, 0 deg/s throughout" in str(dead)
-    package = importlib.import_module("allanjax.critique")
+    package = importlib.import_module("allanjax.critic")
     monkeypatch.setattr(package, "critique", lambda recording, *, progress: dead)
     done = command("imu.csv", "--json")
     assert done.exit_code == 1

@@ -8,13 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 import allanjax as aj
-from allanjax import fleet
-from allanjax.cli import app
-from allanjax.errors import AllanjaxError, FitError, RecordingError
-from allanjax.export import to_dict
-from allanjax.io import read, read_chunks
-from allanjax.options import FitOptions
-from allanjax.terms import AngleRandomWalk
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.cli.app import app
+from allanjax.estimate.as_json import to_dict
+from allanjax.fleet import fleet
+from allanjax.fleet.options import FitOptions
+from allanjax.noise.terms import AngleRandomWalk
+from allanjax.record.io import read, read_chunks
 
 NAN = float("nan")
 RATE = 100.0
@@ -116,7 +116,7 @@ def test_characterize(path, small_fit, monkeypatch):
         **dict.fromkeys(DEAD, True),
     }
     assert not fit["converged"]
-    for axis, expected in zip(fit["axes"], small_fit, strict=False):
+    for axis, expected in zip(fit["axes"], small_fit.results, strict=False):
         values = [c["si"]["value"] for c in axis["coefficients"]]
         # A file has 15 digits.
         assert values == pytest.approx([c.value for c in expected.coefficients.values()], rel=1e-5)
@@ -147,7 +147,7 @@ def test_streams(small_recording, path):
     assert restored.dead == accumulator.dead
     fit, expected = (a.fit(AngleRandomWalk()) for a in (restored, alone))
     assert fit.without_result == DEAD
-    for axis in fit:
+    for axis in fit.results:
         walk = expected[axis.axis.name]["angle_random_walk"]
         assert axis["angle_random_walk"].value == pytest.approx(walk.value, rel=1e-6)
 

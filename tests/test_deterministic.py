@@ -7,11 +7,11 @@ import pytest
 from scipy.fft import dct
 from scipy.stats import chi2, ncx2, norm
 
-from allanjax.coefficients import deterministic_coefficients
-from allanjax.cosine import CosineBins, cosine_transform
-from allanjax.deterministic import AxisSpectrum, amplitude_quantile, line_columns, ramp_column, take_out_lines
-from allanjax.recording import Axis
-from allanjax.terms import AngleRandomWalk, Sinusoid
+from allanjax.estimate.coefficients import deterministic_coefficients
+from allanjax.estimate.deterministic import AxisSpectrum, amplitude_quantile, line_columns, take_out_lines
+from allanjax.noise.terms import AngleRandomWalk, Sinusoid
+from allanjax.record.recording import Axis
+from allanjax.spectrum.cosine import CosineBins, cosine_transform, ramp_column
 
 RATE = 100.0
 GYRO = Axis("gyro_x", "gyro", "rad/s")

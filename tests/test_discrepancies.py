@@ -7,11 +7,11 @@ from scipy.optimize import minimize
 from scipy.stats import kstest
 
 import allanjax as aj
-from allanjax.critique.comparison import Whitened, allan_law, octave_bins, summaries
-from allanjax.critique.discrepancies import discrepancies
-from allanjax.critique.noise import centred, family_of
-from allanjax.critique.result import Snapshot
-from allanjax.recording import Axis
+from allanjax.critic.comparison import Whitened, allan_law, octave_bins, summaries
+from allanjax.critic.discrepancies import discrepancies
+from allanjax.critic.noise import centred, family_of
+from allanjax.critic.result import Snapshot
+from allanjax.record.recording import Axis
 
 AXIS = Axis("gyro_x", "gyro", "deg/s")
 DEG = np.pi / 180.0

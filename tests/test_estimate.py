@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.derived import Derived
-from allanjax.estimate import Coefficient
-from allanjax.flat_band import SpectralRandomWalk
-from allanjax.marginals import Marginal
-from allanjax.notation import term_classes
-from allanjax.recording import Axis
-from allanjax.units import UnitError, si_unit, unit_scale
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.notation import term_classes
+from allanjax.posterior.derived_quantities import Derived
+from allanjax.posterior.marginals import Marginal
+from allanjax.record.recording import Axis
+from allanjax.record.units import UnitError, si_unit, unit_scale
+from allanjax.spectrum.flat_band import SpectralRandomWalk
 
 DEG, H, G0 = math.pi / 180.0, 3600.0, 9.80665
 

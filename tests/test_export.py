@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from allanjax.export import to_dict, write_coefficients_csv, write_curve_csv, write_json, write_results
-from allanjax.recording import Recording
-from allanjax.spectrum import power_spectrum
-from allanjax.units import unit_scale
+from allanjax.estimate.as_json import to_dict
+from allanjax.record.recording import Recording
+from allanjax.record.units import unit_scale
+from allanjax.report.files import write_coefficients_csv, write_curve_csv, write_json, write_results
+from allanjax.spectrum.psd import power_spectrum
 
 # SI to the usual units, by hand.
 DEG = math.pi / 180
@@ -45,7 +46,7 @@ def test_json_has_the_fits_numbers_in_both_units(small_fit, schema, tmp_path):
     assert document["converged"] is True
     assert [axis["name"] for axis in document["axes"]] == ["gyro_x", "gyro_y", "gyro_z", "accel_z"]
     assert [axis["unit"] for axis in document["axes"]] == ["deg/s", "deg/s", "deg/s", "g"]
-    for axis, result in zip(document["axes"], small_fit, strict=True):
+    for axis, result in zip(document["axes"], small_fit.results, strict=True):
         assert axis["chi2"] == result.chi2
         assert axis["dof"] == result.dof
         assert axis["covariance"]["labels"] == list(result.coefficients)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.gls import Solution
-from allanjax.starts import Starts
+from allanjax.estimate.gls import Solution
+from allanjax.estimate.starts import Starts
 
 RATE = 100.0
 # Estimates of true coefficients lie within this many of their standard deviations (once in 16,000 not).
@@ -79,7 +79,7 @@ def test_terms_with_shapes_are_found_without_help(truth: aj.Model, asked: aj.Mod
 def test_without_a_model_the_supported_basic_terms_remain() -> None:
     truth = aj.Quantization(2e-4) + WHITE + aj.RateRandomWalk(0.003)
     fit = aj.fit(recording(truth, 60_000, axes=4, seed=5))
-    for result in fit:
+    for result in fit.results:
         check(result, truth)
         assert {c.label for c in result.coefficients.values() if c.detected} == set(truth.values)
         assert set(result.model.values) - {"bias_instability_cutoff_frequency"} == set(truth.values)
@@ -165,7 +165,7 @@ def test_an_incomplete_model_is_said_so_and_widens_the_intervals() -> None:
 
 def test_of_several_starts_the_best_solution_is_taken(monkeypatch) -> None:
     """Of those that converged the one of least cost; axis by axis, whatever the order."""
-    module = importlib.import_module("allanjax.axis_fits")
+    module = importlib.import_module("allanjax.estimate.axis_fits")
     cost = np.array([[3.0, 1.0, np.nan], [1.0, 2.0, 5.0], [0.5, 0.5, 4.0], [2.0, 3.0, 9.0]])
     converged = np.array([[1, 1, 0], [1, 1, 1], [0, 0, 1], [1, 1, 1]], bool)
 

@@ -17,17 +17,17 @@ from matplotlib import pyplot as plt
 from typer.testing import CliRunner
 
 from allanjax import AllanAccumulator, fleet, fleet_cluster
-from allanjax.cli import app
-from allanjax.errors import AllanjaxError
-from allanjax.fleet import characterize_fleet
-from allanjax.fleet_cluster import connected, outcomes
-from allanjax.fleet_files import matching_files, recording_names
-from allanjax.fleet_summary import cells, judged
-from allanjax.fleet_table import table_of, table_schema
-from allanjax.io import write
-from allanjax.notation import parse_model
-from allanjax.plot_fleet import plot_fleet
-from allanjax.recording import Recording
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.app import app
+from allanjax.fleet.cluster import connected, outcomes
+from allanjax.fleet.files import matching_files, recording_names
+from allanjax.fleet.fleet import characterize_fleet
+from allanjax.fleet.summary import cells, judged
+from allanjax.fleet.table import table_of, table_schema
+from allanjax.noise.notation import parse_model
+from allanjax.record.io import write
+from allanjax.record.recording import Recording
+from allanjax.report.fleet_figure import plot_fleet
 
 UNITS = 10
 ODD = 6
@@ -77,7 +77,7 @@ def result_times(out):
 
 
 def run(*arguments, cache, cwd):
-    script = "import sys; from allanjax.cli import main; sys.argv[0] = 'allanjax'; main()"
+    script = "import sys; from allanjax.cli.app import main; sys.argv[0] = 'allanjax'; main()"
     command = [sys.executable, "-c", script, *map(str, arguments)]
     environment = {**os.environ, "ALLANJAX_CACHE": str(cache), "COLUMNS": "200"}
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)

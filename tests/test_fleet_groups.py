@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from allanjax import fleet
-from allanjax.cli import app
-from allanjax.errors import AllanjaxError
-from allanjax.fleet import characterize_fleet
-from allanjax.fleet_groups import group_names
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.app import app
+from allanjax.fleet import fleet
+from allanjax.fleet.fleet import characterize_fleet
+from allanjax.fleet.groups import group_names
 
 RECORDINGS = {
     "mems_a": Path("logs/mems/a.csv"),

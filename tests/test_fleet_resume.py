@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 
 from allanjax import AngleRandomWalk, LowPass, Markov, fleet, fleet_store
-from allanjax.fleet import characterize_fleet
-from allanjax.fleet_store import key_of
-from allanjax.io import ReadOptions
-from allanjax.model import Model
-from allanjax.notation import parse_model
-from allanjax.options import FitOptions
+from allanjax.fleet.fleet import characterize_fleet
+from allanjax.fleet.options import FitOptions
+from allanjax.fleet.store import key_of
+from allanjax.noise.model import Model
+from allanjax.noise.notation import parse_model
+from allanjax.record.io import ReadOptions
 
 READING = {
     "rate": 200.0,

@@ -4,8 +4,9 @@ import numpy as np
 from scipy.stats import chi2
 
 import allanjax as aj
-from allanjax.cosine import CosineBins, SpectralDesign
-from allanjax.gls import solve
+from allanjax.estimate.gls import solve
+from allanjax.estimate.spectral_design import SpectralDesign
+from allanjax.spectrum.cosine import CosineBins
 
 
 def test_a_model_is_incomplete_beyond_all_doubt_only():

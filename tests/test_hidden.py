@@ -13,11 +13,11 @@ from hidden_effects import TERMS, draw
 from hidden_verdict import compared, model_without, others, recording_of, right
 
 import allanjax as aj
-from allanjax.critique import Candidate, Cause, View, critique
-from allanjax.critique.bank import Bank
-from allanjax.critique.causes import CAUSES
-from allanjax.critique.causes.additive import additive
-from allanjax.critique.noise import centred
+from allanjax.critic import Candidate, Cause, View, critique
+from allanjax.critic.bank import Bank
+from allanjax.critic.causes import CAUSES
+from allanjax.critic.causes.additive import additive
+from allanjax.critic.noise import centred
 
 SMALL = {"duration": 600.0, "rate": 50.0}
 SHOWN = (
@@ -80,7 +80,7 @@ def test_a_clean_record_has_no_finding(seed):
 
 def test_a_record_that_no_fit_converges_on_is_criticized_all_the_same(monkeypatch):
     """An effect may be the reason; where the terms are chosen the critic does not need the fit."""
-    critic = importlib.import_module("allanjax.critique.critic")
+    critic = importlib.import_module("allanjax.critic.criticize")
     recording = recording_of(draw(0, "sinusoid", 4.0, **SMALL))
 
     def failing(recording, **options):

@@ -4,10 +4,10 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 import allanjax as aj
-from allanjax.covariance import equivalent_degrees_of_freedom
-from allanjax.design import AllanDesign
-from allanjax.gls import Solution
-from allanjax.inference import infer
+from allanjax.allan.covariance import equivalent_degrees_of_freedom
+from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.gls import Solution
+from allanjax.estimate.inference import infer
 
 
 def test_one_estimate_alone_has_the_score_of_its_chi_square_law():

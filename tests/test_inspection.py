@@ -9,10 +9,10 @@ import scipy.signal
 from hidden_effects import draw
 
 import allanjax as aj
-from allanjax.fit import inspected
+from allanjax.estimate.fit import inspected
 from allanjax.inspection import Windows, look
 from allanjax.inspection.scores import shortest_half
-from allanjax.recording import Axis, Recording
+from allanjax.record.recording import Axis, Recording
 
 RATE = 100.0
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")

@@ -7,12 +7,12 @@ from scipy.stats import ncx2, norm
 from test_calibration import RATE, N, records, walk
 
 import allanjax as aj
-from allanjax.axis_fits import solve_and_infer
-from allanjax.coefficients import deterministic_coefficients, estimates_of
-from allanjax.design import AllanDesign
-from allanjax.deterministic import Line
-from allanjax.inference import ceiling, infer
-from allanjax.starts import find_starts
+from allanjax.estimate.axis_fits import solve_and_infer
+from allanjax.estimate.coefficients import deterministic_coefficients, estimates_of
+from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.deterministic import Line
+from allanjax.estimate.inference import ceiling, infer
+from allanjax.estimate.starts import find_starts
 
 FIVE = aj.Model(
     (aj.Quantization(), aj.AngleRandomWalk(), aj.BiasInstability(), aj.RateRandomWalk(), aj.DriftRamp())
@@ -33,7 +33,7 @@ def test_five_terms_have_finite_limits_that_cover(K) -> None:
     """Without a rate random walk and with one at the edge of detection, whatever its neighbours explain."""
     fit = aj.fit(records(1.0, K, COUNT, seed=31), FIVE)
     truth = {"angle_random_walk": 1.0, "rate_random_walk": K}
-    for result in fit:
+    for result in fit.results:
         assert all(is_finite(c) for c in result.coefficients.values()), result.axis.name
     # Four binomial standard errors below 95 %.
     fewest = COUNT * 0.95 - 4.0 * np.sqrt(COUNT * 0.95 * 0.05)
@@ -56,7 +56,7 @@ def white() -> aj.Recording:
 @pytest.mark.parametrize("objective", ["allan", "whittle"])
 def test_nothing_of_white_noise_is_left_undetermined(white, objective) -> None:
     fit = aj.fit(white, objective=objective)
-    assert all(is_finite(c) for result in fit for c in result.coefficients.values())
+    assert all(is_finite(c) for result in fit.results for c in result.coefficients.values())
     assert "not determined" not in str(fit)
     # Beside white noise alone: N/T^1.5 is the scale of K that the record of T knows.
     assert np.max(limits(fit, "rate_random_walk")) < 200.0 * 0.1 / 200.0

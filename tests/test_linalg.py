@@ -4,7 +4,7 @@ import jax
 import numpy as np
 from scipy.optimize import nnls
 
-from allanjax.linalg import inverse, non_negative_least_squares, solve, whiten
+from allanjax.base.linalg import inverse, non_negative_least_squares, solve, whiten
 
 
 def positive_definite(rng: np.random.Generator, m: int) -> np.ndarray:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.axis_fits import with_misfit
-from allanjax.likelihood import likelihood
-from allanjax.misfit import Misfit
-from allanjax.recording import DeadAxis
+from allanjax.estimate.axis_fits import with_misfit
+from allanjax.estimate.misfit import Misfit
+from allanjax.posterior.likelihood import likelihood_of
+from allanjax.record.recording import DeadAxis
 
 SCHEMA = json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
 
@@ -60,7 +60,7 @@ def test_it_says_and_holds_the_same(kind, small_fit, half_failed_fit, whittle, t
         "off": off(small_fit, 0.2),
         "far_off": off(small_fit, 0.9),
     }[kind]
-    for result in fit:
+    for result in fit.results:
         assert repr(result).count("not a measurement") == (kind == "far_off" and result.axis.name == "gyro_y")
     assert [result.measured for result in fit].count(False) == (kind in ("half_failed", "far_off"))
     again = reloaded(fit, tmp_path)
@@ -69,7 +69,7 @@ def test_it_says_and_holds_the_same(kind, small_fit, half_failed_fit, whittle, t
     assert again.curve == fit.curve
     assert again.template == fit.template
     assert (again.dead, again.warnings, again.stretch) == (fit.dead, fit.warnings, fit.stretch)
-    for result, other in zip(fit, again, strict=True):
+    for result, other in zip(fit.results, again.results, strict=True):
         assert other.verdict() == result.verdict()
         assert repr(other) == repr(result)
         if result.converged:
@@ -101,7 +101,7 @@ def test_it_draws_the_same(small_fit, tmp_path):
 
 def test_the_ranking_keeps_what_is_probable_and_what_there_was_to_choose_from(small_fit, tmp_path):
     again = reloaded(small_fit, tmp_path)
-    for axis, other in zip(small_fit.selection, again.selection, strict=True):
+    for axis, other in zip(small_fit.selection.results, again.selection.results, strict=True):
         assert other.chosen.terms == axis.chosen.terms
         assert [s.terms for s in other.indistinguishable] == [s.terms for s in axis.indistinguishable]
         assert other.ambiguities() == axis.ambiguities()
@@ -113,9 +113,9 @@ def test_the_ranking_keeps_what_is_probable_and_what_there_was_to_choose_from(sm
 def test_its_posterior_is_that_of_the_fit(small_fit, whittle, tmp_path):
     again = reloaded(small_fit, tmp_path)
     values = jnp.array([c.value + c.upper_limit / 9.0 for c in small_fit["gyro_x"].coefficients.values()])
-    expected = likelihood(small_fit, "gyro_x")(values)
+    expected = likelihood_of(small_fit, "gyro_x")(values)
     assert np.isfinite(expected)
-    assert likelihood(again, "gyro_x")(values) == expected
+    assert likelihood_of(again, "gyro_x")(values) == expected
     with pytest.raises(aj.FitError, match="spectrum that was fitted is not in the file"):
         aj.sample(reloaded(whittle, tmp_path))
 

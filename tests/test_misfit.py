@@ -14,17 +14,18 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import allanjax as aj
-from allanjax.axis_fits import fit_allan, result_of
-from allanjax.coefficients import _within
-from allanjax.cosine import CosineBins, cosine_transform
-from allanjax.deterministic import AxisSpectrum
-from allanjax.estimate import Coefficient
-from allanjax.export import to_dict, write_coefficients_csv, write_json, write_results
-from allanjax.fleet_table import mark_outlying, rows_of, table_of
-from allanjax.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
-from allanjax.recording import Axis, Recording
-from allanjax.selection import basic_terms
-from allanjax.whittle import fit_spectrum
+from allanjax.estimate.as_json import to_dict
+from allanjax.estimate.axis_fits import fit_allan, result_of
+from allanjax.estimate.coefficients import _within
+from allanjax.estimate.deterministic import AxisSpectrum
+from allanjax.estimate.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
+from allanjax.estimate.selection import basic_terms
+from allanjax.estimate.whittle import fit_spectrum
+from allanjax.fleet.table import mark_outlying, rows_of, table_of
+from allanjax.noise.estimate import Coefficient
+from allanjax.record.recording import Axis, Recording
+from allanjax.report.files import write_coefficients_csv, write_json, write_results
+from allanjax.spectrum.cosine import CosineBins, cosine_transform
 
 RATE, N, FEWER, WHITE = 100.0, 60_000, 20_000, 1e-3
 AXIS = Axis("gyro_x", "gyro", "rad/s")

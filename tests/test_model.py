@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from allanjax.errors import AllanjaxError
-from allanjax.model import Model
-from allanjax.terms import (
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.model import Model
+from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,

@@ -3,10 +3,10 @@
 import pytest
 
 import allanjax as aj
-from allanjax.estimate import Coefficient
-from allanjax.names import called
-from allanjax.notation import parse_model
-from allanjax.recording import Axis
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.names import called
+from allanjax.noise.notation import parse_model
+from allanjax.record.recording import Axis
 
 AXES = {"gyro": Axis("gyro_x", "gyro", "deg/s"), "accel": Axis("accel_x", "accel", "g")}
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import allanjax as aj
-from allanjax.io.given import as_recording
+from allanjax.record.io.given import as_recording
 
 DEG = np.pi / 180.0
 TERMS = aj.AngleRandomWalk() + aj.BiasInstability()
@@ -139,7 +139,7 @@ def test_terms_are_selected_and_criticized_of_arrays(gyro, monkeypatch):
     assert [s.terms for s in ranking] == [s.terms for s in expected]
     seen = []
     # The function of that name hides the package.
-    critic = importlib.import_module("allanjax.critique.critic")
+    critic = importlib.import_module("allanjax.critic.criticize")
     monkeypatch.setattr(critic, "criticize", lambda *given: seen.append(given[0]))
     aj.critique(samples, rate=100, gyro_unit="deg/s", names=["gyro_y"])
     assert seen[0].names == ("gyro_y",)
@@ -186,8 +186,8 @@ def test_a_kind_given_as_an_estimator_is_pointed_to_kind(kind, gyro):
 
 def test_a_fleet_takes_a_text(tmp_path, gyro, monkeypatch):
     seen = []
-    monkeypatch.setattr("allanjax.fleet.key_of", lambda path, options: seen.append(options.model))
-    monkeypatch.setattr("allanjax.fleet.connected", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr("allanjax.fleet.fleet.key_of", lambda path, options: seen.append(options.model))
+    monkeypatch.setattr("allanjax.fleet.fleet.connected", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     path = tmp_path / "a.csv"
     aj.write(dataclasses.replace(gyro), path)
     with pytest.raises(KeyboardInterrupt):

@@ -12,9 +12,8 @@ import pytest
 from scipy import integrate, signal
 
 import allanjax as aj
-from allanjax.cosine import CosineBins, cosine_transform
-from allanjax.deterministic import term_column
-from allanjax.notation import parse_model
+from allanjax.noise.notation import parse_model
+from allanjax.spectrum.cosine import CosineBins, cosine_transform, term_column
 
 RATE = 100.0
 A, N, J, T_D, F_C = 3.1e-4, 1.7e-4, 4.3e-4, 0.3, 2.2

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from allanjax.errors import AllanjaxError, UnitError
-from allanjax.notation import parse_model, term_classes
+from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.noise.notation import parse_model, term_classes
 
 DEG = math.pi / 180
 

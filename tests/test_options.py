@@ -8,12 +8,14 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from allanjax import cli, cli_critique, fleet, options
-from allanjax.cli import app
-from allanjax.errors import AllanjaxError
-from allanjax.io import ReadOptions, chunks, read, read_chunks
-from allanjax.notation import parse_model
-from allanjax.options import FitOptions
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli import app as cli
+from allanjax.cli import critique as cli_critique
+from allanjax.cli.app import app
+from allanjax.fleet import fleet, options
+from allanjax.fleet.options import FitOptions
+from allanjax.noise.notation import parse_model
+from allanjax.record.io import ReadOptions, chunks, read, read_chunks
 
 READING = ReadOptions(
     rate=123.0,
@@ -137,7 +139,7 @@ def test_a_worker_of_a_fleet(monkeypatch):
 @pytest.mark.parametrize("reader", [read, read_chunks])
 def test_readers_take_every_option(reader, monkeypatch):
     seen = []
-    monkeypatch.setattr(sys.modules["allanjax.io"], "read_recording", lambda *args: seen.append(args))
+    monkeypatch.setattr(sys.modules["allanjax.record.io"], "read_recording", lambda *args: seen.append(args))
     monkeypatch.setattr(chunks, "open_chunks", lambda *args: seen.append(args))
     reader("a.csv", **READING.given())
     assert seen[0][:2] == ("a.csv", READING)

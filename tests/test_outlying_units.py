@@ -6,10 +6,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from allanjax import outliers
-from allanjax.fleet_summary import judged
-from allanjax.fleet_table import table_of
-from allanjax.outliers import FALSE_ALARMS, log_values, outlying
+from allanjax.fleet import outlying_units as outliers
+from allanjax.fleet.outlying_units import FALSE_ALARMS, log_values, outlying
+from allanjax.fleet.summary import judged
+from allanjax.fleet.table import table_of
 
 ARW = "angle_random_walk"
 

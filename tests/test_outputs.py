@@ -18,10 +18,11 @@ from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import allanjax as aj
-from allanjax import cache, cli
-from allanjax.cli import app
-from allanjax.io import write
-from allanjax.plain import printable
+from allanjax.base import cache
+from allanjax.base.plain import printable
+from allanjax.cli import app as cli
+from allanjax.cli.app import app
+from allanjax.record.io import write
 
 NAME = "[/red] x $a$ :smile: <b>& grün"
 ENCODINGS = ("ascii", "cp1252", "latin-1", "cp437", "utf-8")
@@ -39,10 +40,12 @@ def elsewhere(tmp_path, monkeypatch):
 def fitted(small_recording, small_fit, monkeypatch):
     """A recording's file, and commands that have its fit before they begin, and draw nothing."""
     write(small_recording, "small.csv")
-    monkeypatch.setattr("allanjax.plot.plot_allan", lambda fit, path: Path(path).touch())
-    monkeypatch.setattr("allanjax.plot_spectrum.plot_psd", lambda spectrum, fit, path: Path(path).touch())
+    monkeypatch.setattr("allanjax.report.allan_figure.plot_allan", lambda fit, path: Path(path).touch())
+    monkeypatch.setattr(
+        "allanjax.report.spectrum_figure.plot_psd", lambda spectrum, fit, path: Path(path).touch()
+    )
     monkeypatch.setattr(cli, "_spectrum", lambda recording: None)
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: small_fit)
+    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: small_fit)
     return small_fit
 
 
@@ -149,7 +152,7 @@ def test_objects_can_be_printed_in_any_encoding(small_fit, outputs):
 
 def test_a_process_of_its_own_in_ascii(small_recording):
     environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": os.pathsep.join(sys.path)}
-    script = "import sys; from allanjax.cli import main; sys.argv[0] = 'allanjax'; main()"
+    script = "import sys; from allanjax.cli.app import main; sys.argv[0] = 'allanjax'; main()"
     done = subprocess.run(
         [sys.executable, "-c", script, "characterize", "grün.csv"],
         env=environment,
@@ -164,7 +167,7 @@ def test_an_interruption_is_one_line(fitted, monkeypatch):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", interrupted)
+    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", interrupted)
     code, out, err = Outputs(monkeypatch, "utf-8").run("characterize", "small.csv")
     assert (code, out, err) == (130, "", "interrupted\n")
 
@@ -203,7 +206,7 @@ def test_a_file_name_that_is_no_text(fitted, monkeypatch):
     name = os.fsdecode(b"gr\xfcn.csv")
     Path("small.csv").rename(name)
     named = dataclasses.replace(fitted, name=Path(name).stem)
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: named)
+    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: named)
     code, out, err = Outputs(monkeypatch, "utf-8").run("characterize", name)
     assert (code, err) == (0, "")
     assert r"gr\udcfcn: 20,000 samples" in out
@@ -291,7 +294,7 @@ def test_critique_of_standard_input(monkeypatch):
         read.append(recording)
         raise aj.AllanjaxError("enough")
 
-    monkeypatch.setattr(importlib.import_module("allanjax.critique"), "critique", enough)
+    monkeypatch.setattr(importlib.import_module("allanjax.critic"), "critique", enough)
     values = np.random.default_rng(0).normal(size=(64, 1))
     write(aj.Recording.from_array(values, 10.0, gyro_unit="deg/s", names=["gyro_x"]), "a.csv")
     done = CliRunner().invoke(app, ["critique", "-", "a*.csv"], input=Path("a.csv").read_bytes())

@@ -8,10 +8,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
-from allanjax.misfit import Misfit
-from allanjax.notation import parse_model
-from allanjax.plot import plot_allan
-from allanjax.simulate import simulate, simulate_recording
+from allanjax.estimate.misfit import Misfit
+from allanjax.noise.notation import parse_model
+from allanjax.noise.simulate import simulate, simulate_recording
+from allanjax.report.allan_figure import plot_allan
 
 
 def panels(figure):
@@ -151,7 +151,7 @@ def test_the_models_own_error_is_a_band_in_the_strip(small_fit):
 
 def test_the_key_names_every_term_with_its_coefficient_or_limit(small_fit):
     shown = " ".join(" ".join(texts(plot_allan(small_fit))).split())
-    for result in small_fit:
+    for result in small_fit.results:
         for label, c in result.coefficients.items():
             name = label.replace("_", " ")
             if result.axis.sensor == "accel":

@@ -6,12 +6,12 @@ import types
 import numpy as np
 import pytest
 
-from allanjax.errors import AllanjaxError
-from allanjax.marginals import Marginal
-from allanjax.plot_posterior import plot_corner, plot_posterior
-from allanjax.posterior import AxisPosterior, Posterior
-from allanjax.priors import LogUniform, ModifiedLogUniform
-from allanjax.terms import AngleRandomWalk, Markov
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.terms import AngleRandomWalk, Markov
+from allanjax.posterior.marginals import Marginal
+from allanjax.posterior.priors import LogUniform, ModifiedLogUniform
+from allanjax.posterior.result import AxisPosterior, Posterior
+from allanjax.report.posterior_figure import plot_corner, plot_posterior
 
 N, Q, TIME = 5e-5, 2e-4, 20.0
 LABELS = ("angle_random_walk", "markov_amplitude", "markov_correlation_time")
@@ -165,7 +165,7 @@ def test_bands_are_quantiles_of_the_draws_curves(posterior, tmp_path):
 
 def test_measured_points_are_drawn_where_they_are_given(posterior, small_fit):
     frequency = np.array([0.0, 0.1, 1.0, 10.0])
-    axes = tuple(result.axis for result in small_fit)
+    axes = tuple(result.axis for result in small_fit.results)
     spectrum = types.SimpleNamespace(
         frequency=frequency, density=np.outer([0.0, 4.0, 2.0, 1.0], [1, 2, 3, 4]), axes=axes
     )

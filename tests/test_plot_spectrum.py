@@ -7,11 +7,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
-from allanjax.notation import parse_model
-from allanjax.plot import plot_allan
-from allanjax.plot_spectrum import plot_psd
-from allanjax.simulate import simulate_recording
-from allanjax.spectrum import power_spectrum
+from allanjax.noise.notation import parse_model
+from allanjax.noise.simulate import simulate_recording
+from allanjax.report.allan_figure import plot_allan
+from allanjax.report.spectrum_figure import plot_psd
+from allanjax.spectrum.psd import power_spectrum
 
 MICRO_G = 9.80665e-6
 DEG_PER_H = np.pi / 180 / 3600
@@ -125,7 +125,7 @@ def test_the_strip_shows_means_of_measured_over_model_in_percent(spectrum, small
 def test_the_key_names_terms_and_n_with_its_band(spectrum, small_fit):
     figure = plot_psd(spectrum, small_fit)
     shown = " ".join(" ".join(texts(figure)).split())
-    for result in small_fit:
+    for result in small_fit.results:
         walk = spectrum.random_walk(result.axis.name)
         low, high = walk.band
         assert f"N by eq. (3.41): {walk.in_unit().describe()} ({low:.3g} to {high:.3g} Hz)" in shown

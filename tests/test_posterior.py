@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from gamma_levels import K, Likelihood, N, quadrature, spectral_levels
 
-from allanjax.absent import absent_amplitude
-from allanjax.errors import AllanjaxError, FitError
-from allanjax.likelihood import likelihood
-from allanjax.marginals import bayes_factor
-from allanjax.posterior import PosteriorWarning, sample
-from allanjax.priors import LogUniform, ModifiedLogUniform, Uniform, default_priors
-from allanjax.sampling import LogPosterior, Options, Target, first_walkers, run, split_r_hat
-from allanjax.terms import AngleRandomWalk, Markov, RateRandomWalk
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.noise.terms import AngleRandomWalk, Markov, RateRandomWalk
+from allanjax.posterior.likelihood import likelihood_of
+from allanjax.posterior.marginals import bayes_factor
+from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Uniform, default_priors
+from allanjax.posterior.result import PosteriorWarning
+from allanjax.posterior.sample import sample
+from allanjax.posterior.sampling import LogPosterior, Options, Target, first_walkers, run, split_r_hat
+from allanjax.posterior.unsampled_limits import absent_amplitude
 
 
 def assert_quantiles(draws, tau_draws, grid, probability, label):
@@ -175,7 +176,7 @@ def test_a_users_prior_is_obeyed(two_terms):
     priors = default_priors(likelihood) | {"rate_random_walk": prior}
     grid = np.linspace(prior.lower, prior.upper, 400)
     likelihoods = [
-        np.exp(float(likelihood(np.array([N, c])) - likelihood(np.array([N, grid[0]])))) for c in grid
+        np.exp(float(likelihood_of(np.array([N, c])) - likelihood_of(np.array([N, grid[0]])))) for c in grid
     ]
     # N is known to a part in a thousand and hardly correlated with K.
     density = np.array(likelihoods) * np.exp(np.asarray(priors["rate_random_walk"].log_density(grid)))
@@ -214,7 +215,7 @@ def test_an_axis_without_a_fit_has_no_posterior(half_failed_fit):
     with pytest.raises(FitError, match="gyro_y: no posterior, the start was hopeless"):
         sample(half_failed_fit)
     with pytest.raises(FitError, match="gyro_y: no result to sample around, the start was hopeless"):
-        likelihood(half_failed_fit, "gyro_y")
+        likelihood_of(half_failed_fit, "gyro_y")
 
 
 # --- Terms that are absent ----------------------------------------------------------------------------------

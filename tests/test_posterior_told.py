@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from gamma_levels import DEGREE, K, N, spectral_levels, with_likelihood
 
-from allanjax.errors import AllanjaxError
-from allanjax.model import Model
-from allanjax.posterior import sample
-from allanjax.priors import default_priors
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.model import Model
+from allanjax.posterior.priors import default_priors
+from allanjax.posterior.sample import sample
 
 
 @pytest.fixture(scope="module")

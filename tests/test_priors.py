@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from allanjax.errors import AllanjaxError
-from allanjax.priors import LogNormal, LogUniform, ModifiedLogUniform, Prior, Uniform
+from allanjax.base.errors import AllanjaxError
+from allanjax.posterior.priors import LogNormal, LogUniform, ModifiedLogUniform, Prior, Uniform
 
 PRIORS = [
     Uniform(0.2, 7.0),

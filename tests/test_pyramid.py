@@ -10,15 +10,15 @@ import jax
 import numpy as np
 import pytest
 
-from allanjax import climb
-from allanjax.allan import AllanDeviation, allan_deviation
-from allanjax.covariance import AllanCovariance, equivalent_degrees_of_freedom
-from allanjax.errors import AllanjaxError
-from allanjax.fit import fit
-from allanjax.model import Model
-from allanjax.pyramid import Pyramid, pyramid_strides
-from allanjax.simulate import simulate_recording
-from allanjax.terms import (
+from allanjax.allan import pyramid_pass as climb
+from allanjax.allan.covariance import AllanCovariance, equivalent_degrees_of_freedom
+from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.pyramid import Pyramid, pyramid_strides
+from allanjax.base.errors import AllanjaxError
+from allanjax.estimate.fit import fit
+from allanjax.noise.model import Model
+from allanjax.noise.simulate import simulate_recording
+from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from allanjax.columns import recognise
-from allanjax.io import read, write
-from allanjax.recording import Recording
+from allanjax.record.columns import recognise
+from allanjax.record.io import read, write
+from allanjax.record.recording import Recording
 
 DEG = math.pi / 180
 G0 = 9.80665

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import allanjax as aj
-from allanjax.io import read, read_chunks
+from allanjax.record.io import read, read_chunks
 
 h5py = pytest.importorskip("h5py")
 

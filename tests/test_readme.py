@@ -10,11 +10,11 @@ import pytest
 from typer.testing import CliRunner
 
 import allanjax as aj
-from allanjax import fleet
-from allanjax.cli import app
-from allanjax.io import write
-from allanjax.notation import parse_model
-from allanjax.simulate import simulate_recording
+from allanjax.cli.app import app
+from allanjax.fleet import fleet
+from allanjax.noise.notation import parse_model
+from allanjax.noise.simulate import simulate_recording
+from allanjax.record.io import write
 
 README = Path(__file__).parent.parent / "README.md"
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from allanjax.errors import RecordingError, UnitError
-from allanjax.recording import Recording
+from allanjax.base.errors import RecordingError, UnitError
+from allanjax.record.recording import Recording
 
 DEG = math.pi / 180
 G0 = 9.80665

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 import allanjax as aj
-from allanjax.critique.causes import CAUSES
-from allanjax.equality import equal
+from allanjax.base.equality import equal
+from allanjax.critic.causes import CAUSES
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 import allanjax as aj
-from allanjax import fleet_store
-from allanjax.cli import app
-from allanjax.io import write
-from allanjax.options import FitOptions
+from allanjax.cli.app import app
+from allanjax.fleet import store as fleet_store
+from allanjax.fleet.options import FitOptions
+from allanjax.record.io import write
 
 
 @pytest.fixture(autouse=True)
@@ -37,9 +37,11 @@ def validator(name):
 def recorded(small_recording, half_failed_fit, monkeypatch):
     """A file whose fit has an axis without result."""
     write(small_recording, "small.csv")
-    monkeypatch.setattr("allanjax.plot.plot_allan", lambda fit, path: None)
-    monkeypatch.setattr("allanjax.plot_spectrum.plot_psd", lambda spectrum, fit, path: None)
-    monkeypatch.setattr(sys.modules["allanjax.options"], "fit", lambda *args, **options: half_failed_fit)
+    monkeypatch.setattr("allanjax.report.allan_figure.plot_allan", lambda fit, path: None)
+    monkeypatch.setattr("allanjax.report.spectrum_figure.plot_psd", lambda spectrum, fit, path: None)
+    monkeypatch.setattr(
+        sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: half_failed_fit
+    )
     return Path("small.csv")
 
 
@@ -76,9 +78,9 @@ def test_of_critique(monkeypatch):
     for name in ("a.csv", "b.csv"):
         write(recording, name)
     found = aj.critique(recording)
-    package = importlib.import_module("allanjax.critique")
+    package = importlib.import_module("allanjax.critic")
     monkeypatch.setattr(package, "critique", lambda recording, **options: found)
-    pictures = importlib.import_module("allanjax.critique.plot")
+    pictures = importlib.import_module("allanjax.report.critique_figure")
     monkeypatch.setattr(pictures, "plot_critique", lambda critique, folder: None)
     of_critique = validator("critique")
     for words in (["a.csv"], ["a.csv", "b.csv"], ["none.csv"], ["a.csv", "none.csv"]):

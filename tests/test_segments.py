@@ -10,11 +10,12 @@ import pytest
 from scipy.fft import dct
 
 import allanjax as aj
-from allanjax.cosine import PooledBins
-from allanjax.evidence import Levels, taken_out
-from allanjax.segments import SegmentSpectra
-from allanjax.terms.exponential import exponential_density
-from allanjax.whittle import fit_axis
+from allanjax.estimate.evidence import taken_out
+from allanjax.estimate.stream_fits import fit_stream, select_stream_terms
+from allanjax.estimate.whittle import fit_axis
+from allanjax.noise.terms.exponential import exponential_density
+from allanjax.spectrum.cosine import Levels, PooledBins
+from allanjax.spectrum.segments import SegmentSpectra
 
 RATE = 100.0
 FACTOR, SEGMENT, LOWEST, KEPT = 8, 2**13, 2**8, 2**18
@@ -197,11 +198,11 @@ def test_a_short_record_is_treated_as_a_recording():
     halves = [SegmentSpectra.of(x[:7_001], RATE), SegmentSpectra.of(x[7_001:], RATE, 7_001)]
     spectra = halves[0].merge(halves[1])
     candidates = aj.AngleRandomWalk() + aj.RateRandomWalk() + aj.DriftRamp()
-    ranked = spectra.select(recording.axes, candidates)
+    ranked = select_stream_terms(spectra, recording.axes, candidates)
     for found, wanted in zip(ranked, aj.select_terms(recording, candidates), strict=True):
         assert found == wanted
     active = np.ones((2, 3), bool)
-    for k, found in enumerate(spectra.fit(candidates, recording.axes, active)):
+    for k, found in enumerate(fit_stream(spectra, candidates, recording.axes, active)):
         wanted = fit_axis(candidates, recording.axes[k], x[:, k], RATE, active[k], {}).coefficients
         assert list(found.coefficients) == list(wanted.values)
         for label, b in wanted.values.items():
@@ -231,7 +232,7 @@ CANDIDATES = aj.AngleRandomWalk() + aj.RateRandomWalk() + aj.DriftRamp()
 
 
 def test_selection_finds_the_terms_of_a_stream(drifting):
-    plain, ramped = drifting.select(AXES, CANDIDATES, name="stream")
+    plain, ramped = select_stream_terms(drifting, AXES, CANDIDATES, name="stream")
     assert plain.chosen.terms == ("angle_random_walk", "rate_random_walk")
     assert ramped.chosen.terms == ("angle_random_walk", "rate_random_walk", "drift_ramp")
     assert plain.discrepancy == ramped.discrepancy == 0.0
@@ -291,8 +292,8 @@ def test_terms_that_need_the_record():
     for term in (aj.Sinusoid(), aj.Resonance(), aj.BiasStep(time=3.0).hold("time")):
         model = aj.AngleRandomWalk() + term
         with pytest.raises(aj.FitError, match=rf"{term.name()}.*start=, stop="):
-            spectra.fit(model, AXES, np.ones((2, 2), bool))
+            fit_stream(spectra, model, AXES, np.ones((2, 2), bool))
     with pytest.raises(aj.AllanjaxError, match=r"3 axes .* 2"):
-        spectra.fit(CANDIDATES, (*AXES, AXES[0]), np.ones((3, 3), bool))
+        fit_stream(spectra, CANDIDATES, (*AXES, AXES[0]), np.ones((3, 3), bool))
     with pytest.raises(aj.FitError, match="40 samples are too few"):
-        SegmentSpectra.of(white(11, 40), RATE).select(AXES, CANDIDATES)
+        select_stream_terms(SegmentSpectra.of(white(11, 40), RATE), AXES, CANDIDATES)

@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 from scipy.special import logsumexp
 
 import allanjax as aj
-from allanjax.selection import AxisSelection, TermSet
+from allanjax.estimate.selection import AxisSelection, TermSet
 
 RATE, N_SAMPLES = 10.0, 4096
 TIME = np.arange(N_SAMPLES) / RATE
@@ -142,7 +142,7 @@ def test_evidence_is_the_integral_over_the_prior():
     ]
     candidates = aj.AngleRandomWalk() + aj.RateRandomWalk() + aj.DriftRamp()
     selection = aj.select_terms(recording(records), candidates)
-    for axis, x in zip(selection, records, strict=True):
+    for axis, x in zip(selection.results, records, strict=True):
         assert axis.discrepancy == 0.0
         found = {s.terms: s.log_evidence for s in axis.ranking}
         assert len(found) == 6
@@ -293,7 +293,7 @@ def test_a_table_and_a_print(known):
     assert text.startswith("record: noise terms by evidence")
     assert "quantization + angle random walk" in text
     assert "nats behind" in text
-    assert selection["gyro_1"] is selection.axes[1]
+    assert selection["gyro_1"] is selection.results[1]
     with pytest.raises(aj.FitError, match="record has no axis 'accel_x'; it has gyro_0"):
         selection["accel_x"]
 
@@ -333,7 +333,7 @@ def test_a_record_of_63_samples_is_too_short():
 def test_a_fit_without_a_model_uses_the_chosen_sets(small_fit):
     assert small_fit.chosen
     assert len(small_fit.selection) == len(small_fit)
-    for result, axis in zip(small_fit, small_fit.selection, strict=True):
+    for result, axis in zip(small_fit.results, small_fit.selection.results, strict=True):
         assert axis.axis == result.axis
         for c in result.coefficients.values():
             if c.term in axis.chosen.terms:

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from allanjax.errors import AllanjaxError, RecordingError
-from allanjax.sensors import SENSORS
+from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.noise.sensors import SENSORS
 
 ARCSEC = math.pi / 648000
 DEG = math.pi / 180

@@ -11,10 +11,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from allanjax.errors import AllanjaxError, RecordingError, UnitError
-from allanjax.model import Model
-from allanjax.simulate import simulate, simulate_recording
-from allanjax.terms import (
+from allanjax.base.errors import AllanjaxError, RecordingError, UnitError
+from allanjax.noise.model import Model
+from allanjax.noise.simulate import simulate, simulate_recording
+from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,

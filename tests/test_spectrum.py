@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from allanjax.errors import AllanjaxError, RecordingError, UnitError
-from allanjax.notation import parse_model
-from allanjax.recording import Recording
-from allanjax.simulate import simulate_recording
-from allanjax.spectrum import octave_groups, power_spectrum
+from allanjax.base.errors import AllanjaxError, RecordingError, UnitError
+from allanjax.noise.notation import parse_model
+from allanjax.noise.simulate import simulate_recording
+from allanjax.record.recording import Recording
+from allanjax.spectrum.psd import octave_groups, power_spectrum
 
 # Hou (2004), table 3.4: first and last ordinate, ordinates averaged, points that gives.
 TABLE_3_4 = [(1, 32, 1, 32)] + [(2**k + 1, 2 ** (k + 1), 2 ** (k - 4), 16) for k in range(5, 15)]

@@ -14,8 +14,8 @@ import pytest
 from jax.test_util import check_grads
 
 import allanjax  # noqa: F401  (double precision)
-from allanjax.errors import AllanjaxError
-from allanjax.terms import (
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
     DriftRamp,

@@ -5,8 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from allanjax.errors import AllanjaxError, UnitError
-from allanjax.units import SAMPLE_UNITS, convert, default_coefficient_unit, parse_sample_unit, unit_scale
+from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.record.units import (
+    SAMPLE_UNITS,
+    convert,
+    default_coefficient_unit,
+    parse_sample_unit,
+    unit_scale,
+)
 
 DEG = math.pi / 180
 G0 = 9.80665

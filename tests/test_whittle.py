@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 import allanjax as aj
-from allanjax.likelihood import AllanLikelihood, likelihood
+from allanjax.posterior.likelihood import AllanLikelihood, likelihood_of
 
 RATE, N_SAMPLES = 10.0, 512
 TIME = np.arange(N_SAMPLES) / RATE
@@ -128,7 +128,7 @@ WHITE_ONLY = aj.Model((aj.AngleRandomWalk(),))
 def test_the_estimate_is_that_of_maximum_likelihood(pairs, dense, other, share):
     """Within this share of a standard error of the maximum of the exact likelihood."""
     x, fit = pairs[other]
-    for k, result in enumerate(fit):
+    for k, result in enumerate(fit.results):
         values, std = np.array([(c.value, c.std) for c in result.coefficients.values()]).T
         assert (result.converged, result.discrepancy) == (True, 0.0)
         exact = dense[other].maximum(x[:, k], (N, OTHERS[other][1]))
@@ -144,7 +144,7 @@ def test_likelihood_differences_are_those_of_the_dense_one(pairs, dense, other, 
     tolerance.
     """
     x, fit = pairs[other]
-    ours = likelihood(fit, "gyro_0")
+    ours = likelihood_of(fit, "gyro_0")
     assert ours.parameters[0].label == "angle_random_walk"
     c = OTHERS[other][1]
     points = [(N, c), (1.1 * N, c), (N, 1.5 * c), (0.9 * N, 0.6 * c), (1.05 * N, 3.0 * c), (N, 0.2 * c)]
@@ -191,7 +191,7 @@ def test_scale_and_bias_change_nothing(pairs):
 def test_a_ramp_is_a_mixture_of_both_signs(dense):
     x = draws("0", 0.0, 1, 5)[:, 0] - 0.03 * TIME
     fit = aj.fit(recording(x), aj.AngleRandomWalk() + aj.DriftRamp(), "whittle")
-    ours = likelihood(fit, "gyro_0")
+    ours = likelihood_of(fit, "gyro_0")
 
     def exact(n, R):
         return logsumexp([dense["0"](x - s * R * TIME, n) for s in (-1.0, 1.0)]) - np.log(2.0)
@@ -211,7 +211,7 @@ def test_a_line_is_averaged_over_its_phase(dense):
     f, A = 2.345, 0.15
     x = draws("0", 0.0, 1, 6)[:, 0] + A * np.cos(2.0 * np.pi * f * TIME + 1.0)
     fit = aj.fit(recording(x), aj.AngleRandomWalk() + aj.Sinusoid(), "whittle")
-    ours = likelihood(fit, "gyro_0")
+    ours = likelihood_of(fit, "gyro_0")
 
     def exact(n, A, f):
         phases = 2.0 * np.pi * np.arange(64) / 64
@@ -252,7 +252,7 @@ def regressed():
 def test_a_regressor_is_projected_out(regressed):
     x, temperature, fit = regressed
     restricted = Dense("K", temperature)
-    ours = likelihood(fit, "gyro_0")
+    ours = likelihood_of(fit, "gyro_0")
     points = [(N, K), (1.1 * N, K), (N, 1.5 * K), (0.9 * N, 0.6 * K), (1.05 * N, 3.0 * K), (N, 0.2 * K)]
     found = np.asarray(evaluate(ours, np.array(points)))
     exact = np.array([restricted(x, *point) for point in points])
@@ -329,7 +329,7 @@ def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(humped
     widths = {}
     for discrepancy in (fit["gyro_1"].discrepancy, 0.0):
         taken = dataclasses.replace(fit["gyro_1"], discrepancy=discrepancy)
-        ours = likelihood(dataclasses.replace(fit, results=(fit["gyro_0"], taken)), "gyro_1")
+        ours = likelihood_of(dataclasses.replace(fit, results=(fit["gyro_0"], taken)), "gyro_1")
         points = np.linspace(0.2, 4.0, 2001) * c.value
         log_density = np.asarray(evaluate(ours, points[:, None]))
         density = np.exp(log_density - log_density.max())
@@ -355,7 +355,7 @@ def test_the_knee_of_a_prior_is_what_these_data_could_just_tell_from_zero(pairs,
     fit = pairs["K"][1] if objective == "whittle" else by_allan
     walk = dense["K"].eigenvalues
     for name in fit.axes:
-        ours = likelihood(fit, name)
+        ours = likelihood_of(fit, name)
         n, k = (fit[name][label].value for label in ("angle_random_walk", "rate_random_walk"))
         variance = n**2 * RATE + k**2 * walk
         for knee, power in zip(ours.knee, (RATE * np.ones_like(walk), walk), strict=True):
@@ -365,7 +365,7 @@ def test_the_knee_of_a_prior_is_what_these_data_could_just_tell_from_zero(pairs,
 
 def test_the_likelihood_of_the_allan_variances_peaks_near_their_fit(by_allan):
     for name in by_allan.axes:
-        ours = likelihood(by_allan, name)
+        ours = likelihood_of(by_allan, name)
         assert isinstance(ours, AllanLikelihood)
         values, std = np.array([(c.value, c.std) for c in by_allan[name].coefficients.values()]).T
         assert np.isfinite(evaluate(ours, np.tile([values[0], 0.0], (81, 1)))).all()  # without the walk

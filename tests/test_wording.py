@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from allanjax.fleet_summary import _spread
-from allanjax.wording import duration, format_interval, format_with_error, plain, significant
+from allanjax.base.wording import duration, format_interval, format_with_error, plain, significant
+from allanjax.fleet.summary import _spread
 
 RNG = np.random.default_rng(12)
 # Values over thirty decades, whose errors are from a millionth to ten times as large; and the awkward ones.

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.wording import duration
 from allanjax.inspection.motion import motions, rms_within
 from allanjax.inspection.plausible import coarse, implausible
 from allanjax.inspection.quiet import Event, Quiet, quiet_part
 from allanjax.inspection.scores import mean_squares
 from allanjax.inspection.windows import Windows
 from allanjax.inspection.words import cannot_cut, grid, refused, said_of_events, said_of_motion, span, unclear
-from allanjax.recording import Axis, Recording
-from allanjax.wording import duration
+from allanjax.record.recording import Axis, Recording
 
 #: Least share of the recording that coefficients may be of: one event leaves half of it wherever it is, two
 #: leave a third.

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from allanjax.inspection.motion import AT_REST
 from allanjax.inspection.windows import Windows
-from allanjax.recording import Axis, scales_of
-from allanjax.units import parse_sample_unit, unit_scale
+from allanjax.record.recording import Axis, scales_of
+from allanjax.record.units import parse_sample_unit, unit_scale
 
 _DEG = np.pi / 180.0
 _G = 9.80665

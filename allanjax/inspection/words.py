@@ -9,8 +9,8 @@ import numpy as np
 
 from allanjax.inspection.motion import Motion
 from allanjax.inspection.quiet import Event
-from allanjax.recording import Axis
-from allanjax.units import rate_unit_of
+from allanjax.record.recording import Axis
+from allanjax.record.units import rate_unit_of
 
 # More events of a kind than this are counted.
 _NAMED = 3

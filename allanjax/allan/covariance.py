@@ -1,0 +1,277 @@
+"""How Allan variance estimates scatter: their covariance and degrees of freedom under a model.
+
+For a Gaussian process with phase covariance G, the overlapping estimates V_i at cluster sizes m_i, of
+M_i = N + 1 − 2m_i differences each (N rate samples), have
+
+    cov(V_i, V_j) = [1/(4 T_i² T_j² M_i M_j)] Σ_s w_ij(s)·2 C_ij(s)²,
+    C_ij(s) = Σ_{p,q∈{0,1,2}} a_p a_q G((s + p·m_i − q·m_j)·t0),    a = (1, −2, 1),
+
+where w_ij(s) counts the pairs of differences at lag s. Both C_ij and w_ij are even about s = m_j − m_i; with
+u the distance from there,
+
+    C_ij(u) = 4G(u) − 2G(u ± m_i) − 2G(u ± m_j) + G(u ± m_i ± m_j),
+    w_ij(u) = min(M_i, M_j, N + 1 − m_i − m_j − u).
+
+Between the points u = 0, m_i, m_j − m_i, m_j, m_i + m_j both are smooth (polynomials for quantization, random
+walks and ramps), so the sum over the integers between two such points is a Gauss quadrature of the counting
+measure: exact for those terms, and of the same cost for any cluster size.
+
+Estimates that take every s_i-th start only (the pyramid's) have M_i = ⌊(N − 2m_i)/s_i⌋ + 1 differences. Where
+s_i divides m_i, and the stride s_j of the larger clusters, the lags are the multiples of s_i, and
+
+    w_ij(u) = M_j − ⌈(u − m_j + m_i − d)/s_j⌉ where that is less than M_j,
+
+with d = 0 for the lags on one side of m_j − m_i and d = (N mod s_j) − (N mod s_i) for those on the other.
+
+A deterministic part μ of the differences (a ramp, a line) adds 4μμ'C and no 2μ²μ'²: its own square does not
+scatter from record to record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.terms import AngleRandomWalk
+
+if TYPE_CHECKING:
+    from allanjax.noise.model import Model
+
+# Points a stretch between two kinks; 8 sum polynomials up to degree 15 exactly.
+_ORDER = 8
+# With more than twice as many points, a longer sum than this is taken for an integral.
+_LONG_SUM = 256
+# Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
+# in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
+_TAIL = (2, 5, 20, 80, 320)
+
+
+def discrete_gauss(
+    count: Int[np.ndarray, ...], order: int = _ORDER
+) -> tuple[Float[np.ndarray, "... order"], Float[np.ndarray, "... order"]]:
+    """Nodes and weights that sum a function over the integers 0 … count−1.
+
+    Gauss quadrature of the counting measure (Golub & Welsch 1969, with the recurrence of the discrete
+    Chebyshev polynomials): exact for polynomials up to degree 2·order − 1, and for every function where
+    count ≤ order. Weights are zero where count ≤ 0.
+    """
+    counts, which = np.unique(np.maximum(np.asarray(count), 0), return_inverse=True)
+    N = counts[:, None].astype(float)
+    x, w = np.polynomial.legendre.leggauss(order)
+    nodes, weights = (N * (x + 1.0) - 1.0) / 2.0, N * w / 2.0
+    # A long sum is an integral, to 1/(24·count²): worth knowing where eigenvalue problems are large.
+    exact = counts <= (_LONG_SUM if order > 2 * _ORDER else np.inf)
+    k, N = np.arange(1, order), N[exact]
+    beta = np.maximum(k**2 * (N**2 - k**2) / (4.0 * (4.0 * k**2 - 1.0)), 0.0)
+    jacobi = np.zeros((len(N), order, order))
+    jacobi[:, k - 1, k] = jacobi[:, k, k - 1] = np.sqrt(beta)
+    values, vectors = np.linalg.eigh(jacobi)
+    few, integers = order >= N, np.arange(order)
+    nodes[exact] = np.where(few, integers, values + (N - 1.0) / 2.0)
+    weights[exact] = np.where(few, integers < N, N * vectors[:, 0, :] ** 2)
+    shape = (*np.shape(count), order)
+    return nodes[which].reshape(shape), weights[which].reshape(shape)
+
+
+def _sum_over_lags(
+    kinks: Int[np.ndarray, "pairs k"], support: Int[np.ndarray, " pairs"], order: int = _ORDER
+) -> tuple[Float[np.ndarray, "pairs lags"], Float[np.ndarray, "pairs lags"]]:
+    """Nodes u ≥ 0 and weights of a sum over all integers −support < u < support of an even function.
+
+    The function is smooth between `kinks` (which include 0); the last kink ends the sum.
+    """
+    ends = np.sort(np.minimum(kinks, support[:, None] - 1), axis=1)
+    first_of_its_kind = np.diff(ends, axis=1, prepend=-1) > 0
+    nodes, weights = discrete_gauss(np.diff(ends, axis=1) - 1, order)
+    nodes = nodes + ends[:, :-1, None] + 1
+    u = np.concatenate([ends, nodes.reshape(len(ends), -1)], axis=1)
+    w = np.concatenate([first_of_its_kind, weights.reshape(len(ends), -1)], axis=1)
+    return u, np.where(u > 0, 2.0, 1.0) * w
+
+
+def _pairs_at_lag(
+    u: Float[np.ndarray, "pairs lags"],
+    mi: Int[np.ndarray, "pairs 1"],
+    mj: Int[np.ndarray, "pairs 1"],
+    si: Int[np.ndarray, "pairs 1"],
+    sj: Int[np.ndarray, "pairs 1"],
+    Mj: Int[np.ndarray, "pairs 1"],
+    shift: Int[np.ndarray, "pairs 1"],
+) -> Float[np.ndarray, "pairs lags"]:
+    """Pairs of differences at distance u from lag m_j − m_i, on the side that has this shift."""
+    beyond = (u - (mj - mi) - shift) / sj
+    # Nodes of the tail are far apart: they stand for the mean of the steps, of which equal strides have none.
+    steps = np.where((si < sj) & (u <= mi + mj), np.ceil(beyond), beyond + (1.0 - si / sj) / 2.0)
+    return np.clip(Mj - steps, 0.0, Mj)
+
+
+class AllanCovariance(eqx.Module):
+    """The geometry of the covariance: what does not depend on the model.
+
+    Attributes:
+        sample_interval: t0 [s].
+        duration: of the record [s].
+        sizes: cluster sizes in samples, increasing.
+        pairs: row and column of each pair with i ≤ j.
+        lags: distances u of the quadrature, in samples.
+        weights: their weights, with w_ij and the factors before the sum.
+    """
+
+    sample_interval: Float[np.ndarray, ""]
+    duration: Float[np.ndarray, ""]
+    sizes: Float[np.ndarray, " m"]
+    pairs: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]
+    lags: Float[np.ndarray, "pairs lags"]
+    weights: Float[np.ndarray, "pairs lags"]
+
+    @classmethod
+    def of(
+        cls,
+        n: int,
+        rate: float,
+        sizes: Int[np.ndarray, " m"],
+        order: int = _ORDER,
+        strides: Int[np.ndarray, " m"] | None = None,
+    ) -> AllanCovariance:
+        """The geometry for estimates at these cluster sizes of n rate samples at `rate` [Hz].
+
+        Args:
+            n, rate, sizes: as above.
+            order: nodes a stretch between two kinks.
+            strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
+                of the strides after it, and an eighth of the size at least where these are larger; 1 for
+                overlapping estimates, if there are none.
+        """
+        sizes = np.asarray(sizes, np.int64)
+        strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
+        i, j = np.triu_indices(len(sizes))
+        mi, mj, si, sj = sizes[i], sizes[j], strides[i], strides[j]
+        Mi, Mj = (n - 2 * mi) // si + 1, (n - 2 * mj) // sj + 1
+        both, shift = mi + mj, n % sj - n % si
+        kinks = np.stack([0 * mi, mi, mj - mi, mj, both, *(reach * both for reach in _TAIL)], axis=1)
+        support = mj - mi + shift + (Mj - 1) * sj + si
+        u, w = _sum_over_lags(kinks // si[:, None], support // si, order)
+        u = u * si[:, None]
+        sides = [_pairs_at_lag(u, *(x[:, None] for x in (mi, mj, si, sj, Mj, d))) for d in (0 * shift, shift)]
+        factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
+        weights = factor[:, None] * w * sum(sides) / 2.0
+        return cls(np.asarray(1.0 / rate), np.asarray(n / rate), sizes.astype(float), (i, j), u, weights)
+
+    @property
+    def cluster_time(self) -> Float[Array, " m"]:
+        """Cluster times [s]."""
+        return jnp.asarray(self.sizes) * self.sample_interval
+
+    def kernel(self, term: NoiseTerm) -> Float[Array, "pairs lags"]:
+        """C_ij(u) of one term at the lags of the quadrature."""
+        coefficient = jnp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
+        i, j = self.pairs
+        sizes = jnp.asarray(self.sizes)
+
+        def of_pair(mi: Array, mj: Array, u: Array) -> Array:
+            offset = jnp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj])
+            G = term.phase_covariance(jnp.abs(u[:, None] + offset) * self.sample_interval)
+            return G @ coefficient
+
+        return jax.vmap(of_pair)(sizes[i], sizes[j], jnp.asarray(self.lags))
+
+    def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
+        """The symmetric matrix with these values for the pairs."""
+        i, j = self.pairs
+        full = jnp.zeros((len(self.sizes),) * 2).at[i, j].set(values)
+        return full + jnp.triu(full, 1).T
+
+    def of_terms(self, terms: Sequence[NoiseTerm]) -> Float[Array, "m m"]:
+        """Covariance [rate⁴] of the estimates for a sum of terms, as sampled."""
+        kernels = [(term.deterministic, self.kernel(term)) for term in terms]
+        nothing = jnp.zeros(self.lags.shape)
+        total = sum((k for _, k in kernels), nothing)
+        deterministic = sum((k for is_deterministic, k in kernels if is_deterministic), nothing)
+        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=1))
+
+
+# Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.
+_FILTERS = {"allan": (6.0, -4.0, 1.0), "modified": (6.0, -4.0, 1.0), "hadamard": (20.0, -15.0, 6.0, -1.0)}
+# A modified variance with more samples a cluster than this is treated as one with so many.
+_FINEST_MODIFIED = 64
+
+
+def equivalent_degrees_of_freedom(
+    n: int,
+    rate: float,
+    sizes: Int[np.ndarray, " m"],
+    kind: str = "allan",
+    overlapping: bool = True,
+    model: Model | None = None,
+    strides: Int[np.ndarray, " m"] | None = None,
+) -> Float[np.ndarray, " m"]:
+    """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variance estimates V.
+
+    Args:
+        n: number of rate samples.
+        rate: sample rate [Hz].
+        sizes: cluster sizes in samples.
+        kind: "allan", "modified" or "hadamard".
+        overlapping: False for clusters that do not overlap.
+        model: the model they are estimates of; white rate noise if there is none.
+        strides: samples from one start of a cluster to the next, each a divisor of its cluster size; if there
+            are none, 1 or, where clusters do not overlap, their size.
+
+    The lag sum is that of this module's covariance. A modified variance at more than 64 samples a cluster is
+    computed for a record thinned to 64 (exact for self-similar noise, close for others).
+    """
+    if strides is None:
+        strides = np.ones_like(sizes) if overlapping else sizes
+    pairs = list(zip(sizes, strides, strict=True))
+    if model is None:
+        terms: Any = (AngleRandomWalk(1.0),)
+        return np.array([_edf(terms, n, rate, int(m), kind, int(s)) for m, s in pairs])
+    model.check_complete()
+    terms = model.sampled(rate).terms
+
+    @eqx.filter_jit
+    def all_sizes(terms: Any) -> Array:
+        return jnp.stack([_edf(terms, n, rate, int(m), kind, int(s)) for m, s in pairs])
+
+    return np.asarray(all_sizes(terms))
+
+
+def _edf(terms: Any, n: int, rate: float, m: int, kind: str, stride: int) -> Any:
+    alpha = _FILTERS[kind]
+    reach = len(alpha)
+    if kind == "modified":
+        thin = max(1.0, m / _FINEST_MODIFIED)
+        n, rate, m = round(n / thin), rate / thin, round(m / thin)
+        M = n + 2 - 3 * m
+        u, w = _integers(np.arange(min(M, 4 * m)))
+        inner = np.arange(-m + 1.0, m)
+        share = (m - np.abs(inner)) / m**2
+    else:
+        M = (n - (reach - 1) * m) // stride + 1
+        kinks = np.array([[*range(reach), *(multiple * reach for multiple in _TAIL)]]) * (m // stride)
+        u, w = (x[0] for x in _sum_over_lags(kinks, np.array([M])))
+        u = u * stride
+        inner, share = np.zeros(1), np.ones(1)
+
+    def kernel(term: NoiseTerm) -> Any:
+        lag = u[:, None] + inner
+        steps = np.arange(-reach + 1, reach)
+        G = term.phase_covariance(np.abs(lag[..., None] + steps * m) / rate)
+        return (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
+
+    kernels = [(term.deterministic, kernel(term)) for term in terms]
+    total = sum(k for _, k in kernels)
+    deterministic = sum(k for is_deterministic, k in kernels if is_deterministic)
+    scatter = (w * (M - u / stride) * (total**2 - deterministic**2)).sum()
+    return M**2 * total[0] ** 2 / scatter
+
+
+def _integers(u: Int[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    return u.astype(float), np.where(u > 0, 2.0, 1.0)

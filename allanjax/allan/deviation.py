@@ -1,0 +1,254 @@
+"""Allan variance and its relatives: cluster analysis of a static recording.
+
+The estimators are those of Hou (2004), eqs. (4.1)-(4.9), and of NIST SP 1065, section 5. All are the mean
+square of a difference of the phase (angle or velocity, the running integral of the rate): the second
+difference (Allan), the third (Hadamard), or the second averaged over one cluster time (modified Allan).
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from allanjax.allan.clusters import Kind, Spacing, check_member, cluster_sizes, difference_count, too_few
+from allanjax.allan.covariance import equivalent_degrees_of_freedom
+from allanjax.allan.estimators import DataType, allan_variance_estimates
+from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.presented import presented
+from allanjax.record.io.given import RecordingLike, samples_of
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import default_coefficient_unit, unit_scale
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Estimator = Literal["exact", "pyramid"]
+
+
+@dataclass(frozen=True, eq=False)
+class AllanDeviation(ByValue):
+    """Estimated Allan (or modified, or Hadamard) deviation of each axis against the cluster time.
+
+    Attributes:
+        cluster_time: [m] cluster times T [s].
+        cluster_size: [m] samples per cluster.
+        deviation: [m, axes] square root of the variance [rad/s or m/s², or the unit of the array analysed].
+        count: [m] differences averaged.
+        edf: [m, axes] equivalent degrees of freedom of the variance.
+        kind: "allan", "modified" or "hadamard".
+        overlapping: whether the clusters overlap.
+        estimator: "exact" if every start of a cluster counts, "pyramid" if every m/8-th does; see `Pyramid`.
+        n: rate samples per axis.
+        rate: sample rate [Hz].
+        axes: the recording's axes, or None for an array.
+    """
+
+    cluster_time: Float[np.ndarray, " m"]
+    cluster_size: Int[np.ndarray, " m"]
+    deviation: Float[np.ndarray, "m axes"]
+    count: Int[np.ndarray, " m"]
+    edf: Float[np.ndarray, "m axes"]
+    n: int
+    rate: float
+    kind: Kind = "allan"
+    overlapping: bool = True
+    axes: tuple[Axis, ...] | None = None
+    estimator: Estimator = "exact"
+
+    @classmethod
+    def of_pyramid(
+        cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
+    ) -> "AllanDeviation":
+        """The deviations that a pyramid has gathered from samples at `rate` [Hz].
+
+        Raises:
+            AllanjaxError: fewer than two samples.
+        """
+        if pyramid.n < 2:
+            raise AllanjaxError(too_few(pyramid.n, "allan"))
+        sizes, variance = pyramid.cluster_size, pyramid.variance()
+        edf = equivalent_degrees_of_freedom(pyramid.n, rate, sizes, strides=pyramid_strides(sizes))
+        return cls(
+            cluster_time=sizes / rate,
+            cluster_size=sizes,
+            deviation=np.sqrt(variance),
+            count=pyramid.count,
+            edf=np.broadcast_to(edf[:, None], variance.shape),
+            n=pyramid.n,
+            rate=float(rate),
+            axes=axes,
+            estimator="pyramid",
+        )
+
+    @property
+    def strides(self) -> Int[np.ndarray, " m"]:
+        """Samples from one start of a cluster to the next, [m]."""
+        if self.estimator == "pyramid":
+            return pyramid_strides(self.cluster_size)
+        return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
+
+    @property
+    def variance(self) -> Float[np.ndarray, "m axes"]:
+        """Square of the deviation."""
+        return self.deviation**2
+
+    @property
+    def standard_error(self) -> Float[np.ndarray, "m axes"]:
+        """Standard error of the deviation, to first order: deviation / √(2 edf)."""
+        return self.deviation / np.sqrt(2 * self.edf)
+
+    @property
+    def thesis_relative_error(self) -> Float[np.ndarray, " m"]:
+        """Relative error of the deviation by Hou (2004) eq. (4.66): 1 / √(2 (n/m − 1)).
+
+        It holds for non-overlapping clusters, whereas eqs. (4.5) and (4.9) average overlapping ones: it
+        overstates their error. `standard_error` is the better figure.
+        """
+        return 1 / np.sqrt(2 * (self.n / self.cluster_size - 1))
+
+    def confidence_interval(
+        self, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, "m axes"], Float[np.ndarray, "m axes"]]:
+        """Lower and upper end of the central interval of the deviation, as if edf · s²/σ² had the χ² law.
+
+        Raises:
+            AllanjaxError: `level` not between 0 and 1.
+        """
+        from scipy.stats import chi2
+
+        if not 0 < level < 1:
+            raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
+        lower = self.deviation * np.sqrt(self.edf / chi2.ppf((1 + level) / 2, self.edf))
+        upper = self.deviation * np.sqrt(self.edf / chi2.ppf((1 - level) / 2, self.edf))
+        return lower, upper
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes; "0", "1", … for an array."""
+        if self.axes is None:
+            return tuple(str(k) for k in range(self.deviation.shape[1]))
+        return tuple(axis.name for axis in self.axes)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """One row a cluster time: every axis's deviation, its 68 % interval and its degrees of freedom.
+
+        Headers state the units, deg/h or µg; without them, of an array, deviations are in its own.
+        """
+        import pandas as pd
+
+        columns = {"cluster time [s]": self.cluster_time, "cluster size": self.cluster_size}
+        lower, upper = self.confidence_interval(0.68)
+        for k, name in enumerate(self.names):
+            unit, scale = ("", 1.0) if self.axes is None else rate_unit(self.axes[k])
+            for label, x in (("", self.deviation), (" lower_68", lower), (" upper_68", upper)):
+                columns[f"{name}{label}" + (f" [{unit}]" if unit else "")] = x[:, k] / scale
+            columns[f"{name} degrees of freedom"] = self.edf[:, k]
+        return pd.DataFrame(columns)
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
+        """Draw the deviations with their 68 % intervals; see `plot_allan`."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        overlap = "overlapping" if self.overlapping else "non-overlapping"
+        overlap = "pyramid" if self.estimator == "pyramid" else overlap
+        names = ", ".join(self.names) if self.axes else f"{self.deviation.shape[1]} axes"
+        first, last = self.cluster_time[[0, -1]]
+        return (
+            f"AllanDeviation({self.kind}, {overlap}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
+            f"{len(self.cluster_time)} cluster times from {first:.4g} s to {last:.4g} s)"
+        )
+
+
+def rate_unit(axis: Axis) -> tuple[str, float]:
+    """Unit for people of an axis's Allan deviation, and its factor to SI."""
+    unit = default_coefficient_unit(axis.sensor, 0.0)
+    return unit, unit_scale(unit, axis.sensor)
+
+
+def allan_deviation(
+    data: RecordingLike,
+    rate: float | None = None,
+    *,
+    data_type: DataType = "rate",
+    kind: Kind = "allan",
+    overlapping: bool = True,
+    cluster_times: Spacing = "octave",
+    estimator: Estimator = "exact",
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> AllanDeviation:
+    """Allan deviation of every axis, Hou (2004) eqs. (4.5) and (4.9), or its modified or Hadamard variant.
+
+    Args:
+        data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
+        rate: sample rate [Hz], for an array only: a recording has its own.
+        data_type: "rate", or "phase" for an array of angles or velocities.
+        kind: "allan", "modified" (always overlapping) or "hadamard".
+        overlapping: average over every start of a cluster, or only over every m-th.
+        cluster_times: spacing of the cluster times, or these times [s]; see `cluster_sizes`.
+        estimator: "exact", or "pyramid" for long records: several times faster, and for all noise but strong
+            quantization less than 1 % less precise. Overlapping Allan variances of rates at octaves only.
+        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
+            deviations are in the array's own, whatever that is.
+
+    The degrees of freedom are those of white noise, the noise that most of the curve's short end shows.
+
+    Raises:
+        AllanjaxError: no rate or not a positive one, samples that are not finite, too few of them, an unknown
+            option, one that the pyramid does not have, or a cluster time that the data do not allow.
+    """
+    check_member(kind, Kind, "kind")
+    check_member(data_type, DataType, "data_type")
+    if estimator in get_args(Kind):
+        raise AllanjaxError(f'the {estimator} variance is a kind, not an estimator: give kind="{estimator}"')
+    check_member(estimator, Estimator, "estimator")
+    if kind == "modified" and not overlapping:
+        raise AllanjaxError("the modified Allan variance is defined for overlapping clusters only")
+    if isinstance(data, Recording) and data_type != "rate":
+        raise AllanjaxError("a recording holds rates: leave out data_type")
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    if estimator == "pyramid":
+        plain = (kind, data_type, overlapping) == ("allan", "rate", True)
+        if not (plain and isinstance(cluster_times, str) and cluster_times == "octave"):
+            raise AllanjaxError(
+                "the pyramid has overlapping Allan variances of rates at octaves only: leave out kind, "
+                'data_type, overlapping and cluster_times, or take estimator="exact"'
+            )
+        return AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
+    n = values.shape[0] - (data_type == "phase")
+    sizes = cluster_sizes(n, rate, cluster_times, kind)
+    variance = np.asarray(
+        allan_variance_estimates(values, sizes, rate, kind=kind, overlapping=overlapping, data_type=data_type)
+    )
+    # A sample that is not finite spoils all variances of its axis: a look at each one would take longer.
+    if not np.isfinite(variance).all():
+        check_finite(values)
+    edf = equivalent_degrees_of_freedom(n, rate, sizes, kind, overlapping)
+    return AllanDeviation(
+        cluster_time=sizes / rate,
+        cluster_size=sizes,
+        deviation=np.sqrt(variance),
+        count=difference_count(n, sizes, kind, overlapping),
+        edf=np.broadcast_to(edf[:, None], variance.shape),
+        n=n,
+        rate=float(rate),
+        kind=kind,
+        overlapping=overlapping,
+        axes=axes,
+    )

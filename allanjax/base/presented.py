@@ -1,0 +1,37 @@
+"""Methods of results that draw, tell or export: declared with the result, written where people look.
+
+A result is data, and the rooms that make results know nothing of pictures. So a result declares such a method
+with its signature and docstring, and `report`, which knows all results, says by `present` which function of
+its own that is. The function's module is imported when the method is called for the first time: drawing
+libraries take long to load.
+"""
+
+import functools
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any, ParamSpec, TypeVar
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+_FUNCTIONS: dict[str, str] = {}
+
+
+def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Decorator of a method without a body: calls go to the function that `present` was told."""
+
+    @functools.wraps(method)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        return _function(method.__qualname__)(*args, **kwargs)
+
+    return call
+
+
+def present(functions: Mapping[str, str]) -> None:
+    """Say which functions are the methods of results: {"Fit.plot": "package.module.function"}."""
+    _FUNCTIONS.update(functions)
+
+
+def _function(name: str) -> Callable[..., Any]:
+    module, _, function = _FUNCTIONS[name].rpartition(".")
+    return getattr(importlib.import_module(module), function)

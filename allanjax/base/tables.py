@@ -1,0 +1,48 @@
+"""Tables for people: of text for a terminal, of HTML for a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+from allanjax.base.plain import printable
+
+WIDTH = 110
+"""Columns of what is printed."""
+
+
+def text_table(
+    title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()
+) -> str:
+    """A table whose first column names the group of rows; it is written once a group.
+
+    Names are data: no markup is looked for. `right` are the headings of columns that end at the right.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=printable(title), title_justify="left")
+    for heading in headings:
+        table.add_column(printable(heading), justify="right" if heading in right else "left")
+    previous = None
+    for first, *others in rows:
+        if previous not in (None, first):
+            table.add_section()
+        table.add_row(*map(printable, (first if first != previous else "", *others)))
+        previous = first
+    console = Console(
+        width=WIDTH, record=False, color_system=None, markup=False, emoji=False, highlight=False
+    )
+    with console.capture() as capture:
+        console.print(table)
+    return capture.get().rstrip("\n")
+
+
+def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """The same for a notebook."""
+    head = "".join(f"<th>{html.escape(heading)}</th>" for heading in headings)
+    body = "".join(
+        "<tr>" + "".join(f"<td style='text-align:left'>{html.escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in rows
+    )
+    return f"<p>{html.escape(title)}</p><table><tr>{head}</tr>{body}</table>"

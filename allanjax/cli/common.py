@@ -1,0 +1,173 @@
+"""What commands share: files, progress, errors, and names of results."""
+
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.plain import is_unicode
+from allanjax.fleet.files import matching_files
+
+RESULTS = Path("allanjax-results")
+_STDIN = "-"
+INTERRUPTED = 130
+"""Exit code of a command that was told to stop, as shells count it."""
+
+Files = Annotated[
+    list[str],
+    typer.Argument(
+        help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5 or .mat; patterns of them in quotes, "
+        "* for any name, ** for any folders; - for standard input.",
+        metavar="FILE",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(help=f"Folder for the results, by default {RESULTS}; with --json there is none by default."),
+]
+
+
+def epilog(*examples: str) -> str:
+    """Examples and exit codes, a line each: typer breaks lines at empty ones only."""
+    codes = (
+        "Exit codes: 0 success; 1 bad input, or an axis without result; 2 a wrong command line; "
+        f"{INTERRUPTED} interrupted."
+    )
+    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
+
+
+class Input(NamedTuple):
+    """A recording to work on.
+
+    Attributes:
+        path: of the file that is read.
+        label: what messages call it.
+        name: of its results, which no other one has.
+    """
+
+    path: Path
+    label: str
+    name: str
+
+
+@contextmanager
+def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, ...]]:
+    """What arguments stand for: files, those that match a pattern, standard input; each once.
+
+    A pattern does not mean results, which are below `out`. A pipe is kept in a file while it is worked on: it
+    can be read but once.
+    """
+    with TemporaryDirectory() as folder:
+        files: dict[Path, tuple[Path, str]] = {}
+        for text in arguments:
+            if text == _STDIN or Path(text).is_fifo():
+                name = "stdin" if text == _STDIN else Path(text).name
+                kept = Path(folder) / f"{len(files)}" / name
+                kept.parent.mkdir()
+                with open(text, "rb") if text != _STDIN else nullcontext(sys.stdin.buffer) as pipe:
+                    kept.write_bytes(pipe.read())
+                files.setdefault(Path(text), (kept, name if text == _STDIN else text))
+                continue
+            try:
+                found = matching_files(text, out or RESULTS)
+            except AllanjaxError:
+                # Reading it will say that there is none, and the others go on.
+                found = (Path(text),)
+            for path in found:
+                files.setdefault(path.resolve(), (path, str(path)))
+        given = list(files.values())
+        names = result_names([path for path, _ in given])
+        yield tuple(Input(*file, name) for file, name in zip(given, names, strict=True))
+
+
+def prepare(out: Path | None = None) -> None:
+    """What every command needs before it computes: a place for results, programs of earlier runs, no windows.
+
+    Ends the program if the folder `out` can not be written to.
+    """
+    if out is not None:
+        place = next(path for path in (out, *out.absolute().parents) if os.path.exists(path))
+        if not place.is_dir():
+            print_error(f"{place} is a file: give a folder for the results by --out")
+            raise typer.Exit(1)
+        if not os.access(place, os.W_OK | os.X_OK):
+            print_error(f"{place} can not be written to: give another folder for the results by --out")
+            raise typer.Exit(1)
+    os.environ["MPLBACKEND"] = "Agg"
+    # It has a word to say of a home that can not be written to.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    from allanjax.base.cache import enable_compilation_cache
+
+    enable_compilation_cache()
+
+
+#: What the input, the disk or the machine can do to a command; anything else is a bug and shows itself.
+FAILURES = (AllanjaxError, OSError, MemoryError)
+
+
+def reason(failure: BaseException, label: str) -> str:
+    """What went wrong with the file of this label, in words."""
+    if isinstance(failure, MemoryError):
+        return f"{label}: not enough memory; take a stretch by --start and --stop, or --stream"
+    if isinstance(failure, OSError) and failure.strerror:
+        return f"{label if failure.filename is None else failure.filename}: {failure.strerror}"
+    return str(failure)
+
+
+@contextmanager
+def stage(text: str) -> Iterator[Callable[[str], None]]:
+    """A spinner on stderr, where that is a terminal; what it gives changes the text."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    with console.status(Text(text)) as status:
+        yield lambda words: status.update(Text(words))
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    """On stdout, and nothing else there."""
+    print(json.dumps(document, indent=2, ensure_ascii=not is_unicode(sys.stdout), allow_nan=False))
+
+
+def print_error(message: str) -> None:
+    """On stderr."""
+    print(f"error: {message}", file=sys.stderr)
+
+
+def reported(file: Input, message: str) -> dict[str, str]:
+    """An error of a file, told on stderr, as the JSON has it."""
+    begin = f"{file.label}: "
+    print_error(message if message.startswith(begin) else begin + message)
+    return {"file": file.label, "message": message}
+
+
+def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
+    """Say which of so many files failed, if any did, and end the program."""
+    if errors:
+        failed = dict.fromkeys(error["file"] for error in errors)
+        if files > 1:
+            print(f"{len(failed)} of {files} files failed: {', '.join(failed)}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def result_names(files: Sequence[Path]) -> list[str]:
+    """A name for the results of each file: its own without suffix, numbered where several share it."""
+    names: list[str] = []
+    for file in files:
+        stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
+        name, number = stem, 1
+        # Some file systems do not tell case apart.
+        while name.casefold() in (taken.casefold() for taken in names):
+            number += 1
+            name = f"{stem}-{number}"
+        names.append(name)
+    return names

@@ -1,0 +1,138 @@
+"""Options that commands share, each declared once: a command takes one object for all of a kind.
+
+`@with_options` gives a command, for its parameter `reading`, the options of `ReadOptions`, and for its
+parameter `options` those of `FitOptions`, the former among them. What a command is not given one by one, it
+can not forget to pass on.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.fleet.options import FitOptions
+from allanjax.record.io.options import ReadOptions
+
+if TYPE_CHECKING:
+    from allanjax.noise.model import Model
+
+Sensor = Literal["gyro", "accel"]
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with options in place of its parameters `reading` and `options`."""
+    expanded = list(_expanded(command))
+
+    @functools.wraps(command)
+    def called(**values: Any) -> None:
+        _call(command, values)
+
+    called.__signature__ = inspect.Signature(expanded)  # type: ignore[attr-defined]
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in expanded}
+    return called
+
+
+def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+    """The parameters of a function, those of a builder in place of what it builds."""
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.name in _BUILDERS:
+            yield from _expanded(_BUILDERS[parameter.name])
+        else:
+            yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+
+
+def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
+    """Call a function with its share of the values, what is built among them."""
+    return function(
+        **{
+            name: _call(_BUILDERS[name], values) if name in _BUILDERS else values[name]
+            for name in inspect.signature(function).parameters
+        }
+    )
+
+
+def _read_options(**values: Any) -> ReadOptions:
+    try:
+        return ReadOptions(**values)
+    except AllanjaxError as error:
+        raise typer.BadParameter(str(error), param_hint="--start, --stop") from error
+
+
+def _typed(name: str) -> Any:
+    """The type of an option's value as it is written on a command line."""
+    return (float if name in ("rate", "start", "stop") else str) | None
+
+
+_read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    [
+        inspect.Parameter(
+            option.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[_typed(option.name), typer.Option(help=option.metadata["help"])],
+        )
+        for option in fields(ReadOptions)
+    ]
+)
+
+
+def _fit_options(
+    reading: ReadOptions,
+    terms: Annotated[
+        str | None,
+        typer.Option(
+            help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
+            "markov(correlation_time=100 s held)'. Without: those of the five basic terms and a Markov "
+            "process that the data call for, by their evidence."
+        ),
+    ] = None,
+    objective: Annotated[
+        Literal["allan", "whittle"],
+        typer.Option(
+            help="Fit the Allan variances, or the spectrum by Whittle's likelihood: better for lines."
+        ),
+    ] = "allan",
+    regressors: Annotated[
+        str | None,
+        typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
+    ] = None,
+    as_is: Annotated[
+        bool,
+        typer.Option("--as-is", help="Use all of a recording, also where it was handled or disturbed."),
+    ] = False,
+    vibrating: Annotated[
+        bool,
+        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
+    ] = False,
+) -> FitOptions:
+    model = None if terms is None else fit_model(terms)
+    names = (name.strip() for name in (regressors or "").split(","))
+    return FitOptions(reading, model, objective, tuple(name for name in names if name), as_is, vibrating)
+
+
+_BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options": _fit_options}
+
+
+def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
+    """The model that --terms writes down; a wrong command line if it writes down none."""
+    from allanjax.noise.notation import parse_model
+
+    try:
+        return parse_model(terms, sensor)
+    except AllanjaxError as error:
+        raise typer.BadParameter(str(error), param_hint="--terms") from error
+
+
+def fit_model(terms: str) -> "Model":
+    """The model that a fit is to start from: without amplitudes, which are what it estimates."""
+    model = parsed_model(terms)
+    for p in model.parameters:
+        if p.parameter.kind == "amplitude" and p.start is not None:
+            raise typer.BadParameter(
+                f"{p.label} is what the fit estimates; leave out its value", param_hint="--terms"
+            )
+    return model

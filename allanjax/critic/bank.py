@@ -1,0 +1,217 @@
+"""Banks of shapes for matched filters, and the price of searching through them.
+
+In the whitened record an effect a·h in noise of covariance C has the signal-to-noise ratio
+a·√(h'C⁻¹h), and no detector does better than its matched filter. The largest output of a bank of filters has
+a law of its own: it is simulated, and continued beyond the simulated range as that of N independent
+filters with an N that may grow with the level.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int
+from scipy.fft import idct
+from scipy.linalg.blas import dger
+from scipy.special import log_ndtr
+from scipy.stats import norm
+
+from allanjax.critic.noise import Noise
+from allanjax.critic.view import View
+
+_DRAWS = 400
+_GROWTH = 0.6
+_FOLD_BLOCK = 8
+#: Share of a shape's square below which nothing of it is left beside what is free.
+NOTHING = 1e-12
+#: Parts of a record, each held out in turn.
+PARTS = 8
+#: Effects that are slow: so many of the lowest coefficients have all of them that noise leaves.
+SLOW = 4096
+#: Of the finest bank there is, of strong steps.
+FINEST = 8 * SLOW
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scan:
+    """The output of a bank.
+
+    Attributes:
+        snr: of each shape, with its sign.
+        amplitude, std: of each shape.
+    """
+
+    snr: Float[np.ndarray, " shapes"]
+    amplitude: Float[np.ndarray, " shapes"]
+    std: Float[np.ndarray, " shapes"]
+
+    @property
+    def best(self) -> int:
+        """The most conspicuous shape."""
+        return int(np.argmax(abs(self.snr)))
+
+    @property
+    def search_price(self) -> float:
+        """What not knowing the shape costs [nats]: the best likelihood over their mean."""
+        half = 0.5 * self.snr**2
+        return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
+
+
+def amplitude_price(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
+    """What an unknown amplitude costs [nats], with the prior of `evidence` for either sign."""
+    return np.log((np.abs(snr) + 1.0) * 2.0 * np.log1p(1e4) / np.sqrt(2.0 * np.pi))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Matched:
+    """Matched filters: shapes and a record divided by the noise, without what is free beside them.
+
+    No copy of all shapes is made: that would cost more than the sums over them.
+
+    Attributes:
+        shapes: cosine coefficients, one row a shape.
+        root: standard deviation of the coefficients.
+        e: the record, whitened.
+        free: orthonormal directions that are projected out.
+        common: products of the whitened shapes with these.
+        lengths: of the whitened shapes, what is free being projected out.
+    """
+
+    shapes: Float[np.ndarray, "shapes slow"]
+    root: Float[np.ndarray, " slow"]
+    e: Float[np.ndarray, " slow"]
+    free: Float[np.ndarray, "slow k"]
+    common: Float[np.ndarray, "shapes k"]
+    lengths: Float[np.ndarray, " shapes"]
+
+    def products(self, z: Float[np.ndarray, " slow"]) -> Float[np.ndarray, " shapes"]:
+        """Of every shape with something that is whitened."""
+        return self.shapes @ (z / self.root) - self.common @ (z @ self.free)
+
+    def rows(self, some: slice | Int[np.ndarray, " some"] = slice(None)) -> Float[np.ndarray, "some slow"]:
+        """Some of the shapes, whitened."""
+        rows = self.shapes[some] / self.root
+        for k, q in enumerate(self.free.T):
+            # In place: another array of this size would cost more than the product.
+            rows = dger(-1.0, q, self.common[some, k], a=rows.T, overwrite_a=True).T
+        return rows
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bank:
+    """Cosine coefficients of shapes, the lowest `SLOW` ones.
+
+    Attributes:
+        shapes: one row a shape.
+    """
+
+    shapes: Float[np.ndarray, "shapes slow"]
+
+    @functools.cached_property
+    def squares(self) -> Float[np.ndarray, "shapes slow"]:
+        """Of the coefficients."""
+        return self.shapes**2
+
+    def matched(self, view: View, noise: Noise) -> Matched:
+        """To this noise; a ramp that it has, or the shapes beside which these are looked at, are free."""
+        J = self.shapes.shape[1]
+        v = view.lowest(noise, J)
+        root = np.sqrt(v)
+        e, own = view.c[:J] / root, self.squares @ (1.0 / v)
+        others = [view.family.ramp] if noise.ramp else []
+        columns = [shape[:J] / root for shape in (*others, *view.beside)]
+        free = np.zeros((J, 0))
+        if columns:
+            free = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
+        common = self.shapes @ (free / root[:, None])
+        left = np.maximum(own - np.sum(common**2, axis=1), NOTHING * own)
+        return Matched(self.shapes, root, e - free @ (e @ free), free, common, np.sqrt(left))
+
+    def scan(self, view: View, noise: Noise) -> Scan:
+        """Every shape's matched filter."""
+        matched = self.matched(view, noise)
+        projected, norms = matched.products(matched.e), matched.lengths
+        return Scan(projected / norms, projected / norms**2, 1.0 / norms)
+
+    def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
+        """Log-likelihood [nats] gained on held-out data by the effect that is not there `after`.
+
+        The whole bank is searched without the part of the record that is predicted, in this noise or that of
+        `after`.
+        """
+        noise = noise or after.noise
+        matched = self.matched(view, noise)
+        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (matched.rows(), matched.e))
+        parts = folds(len(e), _FOLD_BLOCK)
+        projected = np.stack([bank[:, part] @ e[part] for part in parts], axis=1)
+        squares = np.stack([np.sum(bank[:, part] ** 2, axis=1) for part in parts], axis=1)
+        whole = projected.sum(axis=1) ** 2 / np.maximum(squares.sum(axis=1), 1e-300)
+        gain = 0.0
+        for k in range(len(parts)):
+            p, s = (z.sum(axis=1) - z[:, k] for z in (projected, squares))
+            best = int(np.argmax(p**2 / np.maximum(s, 1e-300)))
+            a = p[best] / max(s[best], 1e-300)
+            gain += float(a * projected[best, k] - 0.5 * a**2 * squares[best, k])
+        return view.gained(after, 0.5 * float(whole.max()), gain)
+
+    def p_value(self, view: View, noise: Noise, snr: float | None = None) -> float:
+        """Probability that noise alone has an output as large as this, or as the largest in this view."""
+        if snr is None:
+            snr = float(np.max(abs(self.scan(view, noise).snr)))
+        matched = self.matched(view, noise)
+        # Seven digits are plenty for draws, and half the work. Each record has draws of its own: with the
+        # same for all, their p-values would all be wrong alike.
+        rng = np.random.default_rng(view.c[:_FOLD_BLOCK].view(np.uint64))
+        draws = rng.standard_normal((len(matched.e), _DRAWS), np.float32)
+        outputs = matched.rows().astype(np.float32) @ draws
+        return extrapolated(np.max(abs(outputs) / matched.lengths[:, None], axis=0), abs(snr))
+
+
+def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:
+    """A partition of n samples into parts, each of blocks from everywhere, by chance.
+
+    What is predicted for a part is found and fitted without it. With eight parts that is done with seven
+    eighths of the data; with halves an effect would have to be twice as conspicuous to be found at all.
+    """
+    owner = np.random.default_rng(1).permutation(np.arange(-(-n // block)) % PARTS)
+    owner = np.repeat(owner, block)[:n]
+    return [owner == k for k in range(PARTS)]
+
+
+def extrapolated(largest: Float[np.ndarray, " draws"], value: float) -> float:
+    """P(max > value) from draws of the maximum of many standard normal magnitudes.
+
+    P = 1 − exp(−N(u)·2Q(u)) with ln N linear in u, fitted to the upper half of the draws.
+    """
+    u = np.sort(largest)
+    anchor = float(np.quantile(u, 0.9))
+    if value < anchor:
+        return float((1.0 + np.sum(u >= value)) / (1.0 + len(u)))
+    below = (np.arange(len(u)) + 0.5) / len(u)
+    upper = slice(len(u) // 2, None)
+    log_count = np.log(-np.log(below[upper])) - np.log(2.0) - norm.logsf(u[upper])
+    slope, level = np.polyfit(u[upper], log_count, 1, w=np.sqrt(1.0 - below[upper]))
+    # Far out the number of independent filters grows no faster than a rough process's, like u².
+    growth = float(np.clip(slope, 0.0, _GROWTH)) * (min(value, anchor + 3.0) - anchor)
+    return float(-np.expm1(-np.exp(level + slope * anchor + growth + np.log(2.0) + log_ndtr(-value))))
+
+
+def any_of(p: float, count: float) -> float:
+    """Probability of a p-value as small as p in any of `count` independent tests (Šidák 1967)."""
+    return float(-np.expm1(count * np.log1p(-min(p, 1.0 - 1e-16))))
+
+
+@functools.lru_cache(maxsize=2)
+def step_bank(n: int) -> tuple[Bank, np.ndarray]:
+    """Steps at `SLOW`/4 places, and these [samples]."""
+    J = min(SLOW, n - 1)
+    places = np.unique(np.rint(np.linspace(0.0, n, min(SLOW // 4, n // 4) + 2)[1:-1]))
+    return Bank(step_coefficients(places, n, J)), places
+
+
+def step_coefficients(places: np.ndarray, n: int, J: int) -> np.ndarray:
+    """Of a unit step from sample k on: −√(2/n) sin(a_j·k)/(2 sin(a_j/2))."""
+    a = np.pi * np.arange(1, J + 1) / n
+    return -np.sqrt(2.0 / n) * np.sin(np.outer(places, a)) / (2.0 * np.sin(a / 2.0))

@@ -1,0 +1,154 @@
+"""What causes with a known shape have in common: a matched filter, the noise chosen anew without them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critic.bank import Bank
+from allanjax.critic.marginal import log_evidence
+from allanjax.critic.view import Candidate, Quantity, View
+from allanjax.critic.weighing import SETS, odds
+from allanjax.noise.model import Model
+from allanjax.noise.terms import NoiseTerm
+
+# Below this signal-to-noise ratio nothing is looked at more closely.
+_WORTH = 3.5
+_ROUNDS = 3
+# An end of a bank as likely as that, compared with the best shape, is within two standard deviations; the
+# probability that is left beyond a limit.
+_LIKELY, _BEYOND = float(np.exp(-2.0)), 0.05
+
+
+def additive(
+    view: View,
+    cause: str,
+    bank: Bank,
+    shape: Callable[[int], Float[np.ndarray, " n"]],
+    parameters: Callable[[int, float, float, Float[np.ndarray, " shapes"]], Mapping[str, Quantity]],
+    span: Callable[[int], tuple[float, float]],
+    more: float = 0.0,
+    term: Callable[[int, float], NoiseTerm] | None = None,
+) -> Candidate | None:
+    """The best candidate of a bank, whatever the noise without it may be.
+
+    Args:
+        view: what is looked at.
+        cause: the candidate's name.
+        bank: of shapes.
+        shape: the shape of that index in full, for n samples.
+        parameters: from index, amplitude, its standard deviation and the likelihood of each shape, sum 1.
+        span: from index.
+        more: further price of the search [nats].
+        term: the noise term of that index and amplitude [SI], if there is one.
+    """
+    best: Candidate | None = None
+    tried: set[int] = set()
+    for noise in view.noises:
+        scan = bank.scan(view, noise)
+        k = scan.best
+        if abs(scan.snr[k]) < _WORTH or k in tried:
+            continue
+        # At first the noise is chosen without what the bank has of the shape, which costs no transform.
+        for exact in (False, True):
+            for _ in range(_ROUNDS):
+                tried.add(k)
+                taken, a = k, float(scan.amplitude[k])
+                if exact:
+                    after = view.with_x(view.x - a * shape(k))
+                    noise = after.noise
+                else:
+                    noise = view.noise_without(a * bank.shapes[k])
+                scan = bank.scan(view, noise)
+                if scan.best == k:
+                    break
+                k = scan.best
+        gain = log_evidence(view, after, bank, taken, a) - view.total - more
+        if best is None or gain > best.gain:
+            best = Candidate(
+                cause,
+                {},
+                gain,
+                1.0,
+                after,
+                partial(bank.held_out, view, after),
+                span(k),
+                "time",
+                adding(term and term(k, float(scan.amplitude[k]))),
+                shaped=True,
+            )
+            searched, place = (noise, float(scan.snr[k])), (k, float(scan.amplitude[k]))
+    if best is None or not best.gain > 0.0:
+        return None
+    # Noise alone has an evidence of e^gain against it with no more than this probability.
+    p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
+    found = parameters(*place, *known(view, best.after, bank, *place))
+    return dataclasses.replace(best, p_value=p_value, parameters=found)
+
+
+def known(
+    view: View, after: View, bank: Bank, k: int, amplitude: float
+) -> tuple[float, Float[np.ndarray, " shapes"]]:
+    """Deviation of the amplitude and likelihood of the shapes, whatever the noise may be.
+
+    In noise that drifts a step is known by the samples next to it, in white noise by all: where the record
+    does not tell which noise it is, both count.
+    """
+    sets = after.weighing.likely(after.allowed, most=SETS)
+    variance, likelihood = 0.0, np.zeros(len(bank.shapes))
+    for noise, share in zip(sets, odds(sets), strict=True):
+        if share > 0.0:
+            scan = bank.scan(view, noise)
+            half = 0.5 * scan.snr**2
+            weight = np.exp(half - half.max())
+            weight /= weight.sum()
+            # The amplitude is known no better than the shape it belongs to.
+            off = scan.std[k] ** 2 + weight @ (scan.amplitude - amplitude) ** 2
+            variance, likelihood = variance + share * off, likelihood + share * weight
+    return float(np.sqrt(variance)), likelihood
+
+
+def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:
+    """What puts a term, if there is one, into a model."""
+    return lambda model: model if term is None else model + term
+
+
+def shape_parameter(
+    values: Float[np.ndarray, " shapes"],
+    likelihood: Float[np.ndarray, " shapes"],
+    spacing: float | Float[np.ndarray, " shapes"] = 1.0,
+) -> tuple[float, float, Literal["", "above", "below"]]:
+    """Mean and deviation of a shape's parameter; where an end of the bank is likely, a limit instead.
+
+    Args:
+        values: of the parameter, increasing.
+        likelihood: of each.
+        spacing: of the values, where a flat prior is to count them by it.
+
+    Returns:
+        The mean, the standard deviation and ""; or the 95 % limit, nan, and on which side of it it is.
+    """
+    weight = likelihood * spacing / np.sum(likelihood * spacing)
+    ends = likelihood[[0, -1]] / likelihood.max()
+    if ends.max() < _LIKELY:
+        return *mean_and_std(values, weight), ""
+    share = np.cumsum(weight)
+    # Between the two values of the bank that the limit is between.
+    between = np.convolve(np.pad(values, 1, mode="edge"), [0.5, 0.5], "valid")
+    if ends[1] >= ends[0]:
+        return float(between[np.searchsorted(share, _BEYOND)]), float("nan"), "above"
+    return float(between[np.searchsorted(share, 1.0 - _BEYOND) + 1]), float("nan"), "below"
+
+
+def mean_and_std(
+    values: Float[np.ndarray, " shapes"], likelihood: Float[np.ndarray, " shapes"]
+) -> tuple[float, float]:
+    """Of a shape's parameter, under a flat prior over the bank."""
+    weight = likelihood / likelihood.sum()
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (values - mean) ** 2))

@@ -1,0 +1,227 @@
+"""Noise that several axes share: a supply, a clock, the floor."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import betainc
+
+from allanjax.critic.bank import any_of, folds
+from allanjax.critic.noise import NEARLY_ALL
+from allanjax.critic.result import Finding
+from allanjax.critic.view import Quantity
+
+NAME = "common_mode"
+# Correlations are looked for in all coefficients, in the lowest quarter, its lowest quarter, and so on.
+_SPLIT = 4
+_LEAST = 64
+_FOLD_BLOCK = 32
+_WEAKEST = 0.2
+# No two axes are quite the same.
+_STRONGEST = 0.999
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Link:
+    """What two axes share: a part of all their noise, or of the white noise only.
+
+    Attributes:
+        noise: "all" or "white".
+        a, b: the lowest whitened coefficients of both.
+        share: of this noise in the expected products of the two, were it one and the same in both.
+    """
+
+    noise: str
+    a: Float[np.ndarray, " k"]
+    b: Float[np.ndarray, " k"]
+    share: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, axes: _Axes, one: int, other: int, noise: str, top: int) -> _Link:
+        a, b = axes.z[one][:top], axes.z[other][:top]
+        first, second = axes.white[one], axes.white[other]
+        if noise == "all" or first is None or second is None:
+            return cls("all", a, b, np.ones(top))
+        return cls(noise, a, b, np.sqrt(first[:top] * second[:top]))
+
+    @property
+    def top(self) -> int:
+        return len(self.a)
+
+    @functools.cached_property
+    def size(self) -> float:
+        """The correlation's variance is 1/size where nothing is shared."""
+        return float(self.share @ self.share)
+
+    @functools.cached_property
+    def correlation(self) -> float:
+        """Of this noise in the two axes."""
+        return self.among(slice(None))
+
+    def among(self, some: Bool[np.ndarray, " k"] | slice) -> float:
+        """The same by some of the coefficients: Σ share·ab / Σ share²."""
+        share = self.share[some]
+        r = float(share @ (self.a[some] * self.b[some]) / (share @ share)) / np.prod(self.levels)
+        return float(np.clip(r, -_STRONGEST, _STRONGEST))
+
+    @functools.cached_property
+    def levels(self) -> tuple[float, float]:
+        """Root mean squares of a and b."""
+        a, b = (float(np.sqrt(x @ x / self.top)) for x in (self.a, self.b))
+        return a, b
+
+    @property
+    def p_value(self) -> float:
+        """P(|correlation| of independent axes is larger).
+
+        That of k pairs of zero mean has r² ~ Beta(½, (k−1)/2).
+        """
+        return float(betainc((self.size - 1.0) / 2.0, 0.5, 1.0 - self.correlation**2))
+
+    @property
+    def evidence(self) -> float:
+        """Log-likelihood that the correlation gains [nats]."""
+        return -0.5 * float(np.sum(np.log1p(-((self.correlation * self.share) ** 2))))
+
+    @property
+    def held_out(self) -> float:
+        """Log-likelihood of one axis's coefficients given the other's, by a correlation from elsewhere."""
+        gain = 0.0
+        for part in folds(self.top, min(_FOLD_BLOCK, max(self.top // 64, 1))):
+            a, b = (x[part] / level for x, level in zip((self.a, self.b), self.levels, strict=True))
+            r = self.among(~part) * self.share[part]
+            gain += 0.5 * float(np.sum(b**2 - (b - r * a) ** 2 / (1.0 - r**2) - np.log1p(-(r**2))))
+        return gain
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Axes:
+    """Names, whitened coefficients, and the share of white noise in each of these."""
+
+    names: Sequence[str]
+    z: Sequence[Float[np.ndarray, " n-1"]]
+    white: Sequence[Float[np.ndarray, " n-1"] | None]
+
+
+#: Pairs of axes: what they share, and its p-value.
+Links: TypeAlias = dict[tuple[int, int], tuple[_Link, float]]
+
+
+def common_mode(
+    names: Sequence[str],
+    z: Sequence[Float[np.ndarray, " n-1"]],
+    white: Sequence[Float[np.ndarray, " n-1"] | None],
+    rate: float,
+    alpha: float,
+) -> list[Finding]:
+    """Groups of axes whose whitened cosine coefficients are correlated.
+
+    Args:
+        names: of the axes.
+        z: their whitened coefficients.
+        white: share of the white noise in each axis's noise, None where there is none.
+        rate: sample rate [Hz].
+        alpha: probability of a false finding.
+    """
+    # Where white noise is nearly all that an axis has there is nothing to tell it from.
+    axes = _Axes(names, z, [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white])
+    tops = [len(z[0])]
+    while tops[-1] // _SPLIT >= _LEAST:
+        tops.append(tops[-1] // _SPLIT)
+    pairs = [(a, b) for a in range(len(z)) for b in range(a)]
+    linked: Links = {}
+    for a, b in pairs:
+        noises = ("all",) if axes.white[a] is None or axes.white[b] is None else ("all", "white")
+        links = [_Link.of(axes, a, b, noise, top) for noise in noises for top in tops]
+        link = min((link for link in links if link.size >= _LEAST), key=lambda link: link.p_value)
+        p = any_of(link.p_value, len(pairs) * len(links))
+        if p < alpha and link.held_out > 0.0:
+            linked[a, b] = link, p
+    return [_finding(axes, group, linked, rate) for group in _groups(linked)]
+
+
+def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Finding:
+    members = {pair: link for pair, (link, _) in linked.items() if set(pair) <= group}
+    strong = _strong(list(members.values()))
+    pairs = sorted(pair for pair, link in members.items() if link in strong)
+    # One kind of noise for all of them: that which explains most.
+    noises = ["all"] if any(axes.white[k] is None for pair in pairs for k in pair) else ["all", "white"]
+    tops = {link.top for link in members.values()}
+    together = [[_Link.of(axes, *pair, noise, top) for pair in pairs] for noise in noises for top in tops]
+    # There, pairs that share hardly anything are another matter: what they share is elsewhere.
+    possible = [_strong(links) for links in together if all(link.size >= _LEAST for link in links)]
+    evidence = np.array([sum(link.evidence for link in links) for links in possible])
+    # The mean over the pairs, of which those with a minus sign share noise of opposite sign.
+    means = np.array([np.mean([abs(link.correlation) for link in links]) for links in possible])
+    best = int(np.argmax(evidence))
+    links, mean = possible[best], float(means[best])
+    likelihood = np.exp(evidence - evidence[best])
+    # What it is the correlation of is part of what is not known.
+    spread = likelihood @ (means - mean) ** 2 / likelihood.sum()
+    top, names = links[0].top, tuple(axes.names[k] for k in sorted(group))
+    signs = tuple(f"{axes.names[a]}/{axes.names[b]}: {members[a, b].correlation:+.3g}" for a, b in pairs)
+    return Finding(
+        cause=NAME,
+        axes=names,
+        parameters={
+            "axes": Quantity(names, 0.0, ""),
+            "correlation": Quantity(mean, float(np.hypot(_error(mean, links), np.sqrt(spread))), "1")
+            if mean < _STRONGEST - 1e-9
+            else Quantity.beyond(_STRONGEST, "above", "1"),
+            "noise": Quantity((links[0].noise,), 0.0, ""),
+            "pairs": Quantity(signs, 0.0, ""),
+        },
+        p_value=min(linked[pair][1] for pair in pairs),
+        evidence=float(evidence[best]),
+        gain=float(sum(link.held_out for link in links)),
+        rivals=(),
+        span=(rate / (2.0 * len(axes.z[0]) + 2.0), top * rate / (2.0 * len(axes.z[0]) + 2.0)),
+        domain="frequency",
+    )
+
+
+def _strong(links: Sequence[_Link]) -> list[_Link]:
+    """Those of which the correlation is not much less than the largest one."""
+    least = _WEAKEST * max(abs(link.correlation) for link in links)
+    return [link for link in links if abs(link.correlation) >= least]
+
+
+def _error(r: float, links: Sequence[_Link]) -> float:
+    """Deviation of the mean of correlations that are all about r, of pairs that have an axis in common.
+
+    By the moments of normal variates of correlations r·share, divided by estimates of their mean squares;
+    with equal shares of 1 it is what Olkin & Siotani (1976) give.
+    """
+    share, k = np.mean([link.share for link in links], axis=0), links[0].top
+    S = float(share @ share)
+    third, fourth = (float(np.sum(share**p)) / S for p in (3, 4))
+    square = r**2 * S / k
+    own = (1.0 + r**2 * fourth) / S - r**2 * (3.0 - square) / k
+    common = (r * third + r**2 * fourth) / S - 2.0 * r**2 * (1.0 + r * third) / k
+    common += 0.5 * r**2 * (1.0 + 3.0 * square) / k
+    return float(np.sqrt(max(own / len(links) + (1.0 - 1.0 / len(links)) * common, 0.0)))
+
+
+def _groups(linked: Links) -> list[set[int]]:
+    """Axes that are linked, directly or through others.
+
+    From the strongest link on; what is shared much less than that is another matter, if it is shared at all.
+    """
+    groups: list[set[int]] = []
+    left = {pair: link.correlation for pair, (link, _) in linked.items()}
+    while left:
+        strongest = max(left, key=lambda pair: abs(left[pair]))
+        least = _WEAKEST * abs(left[strongest])
+        group, grown = set(strongest), True
+        while grown:
+            near = {k for pair, r in left.items() if abs(r) >= least and set(pair) & group for k in pair}
+            grown = not near <= group
+            group |= near
+        groups.append(group)
+        left = {pair: r for pair, r in left.items() if not set(pair) & group}
+    return groups

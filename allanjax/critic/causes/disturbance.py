@@ -1,0 +1,138 @@
+"""The unit was bumped or handled: for a while it did not stand still."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import dct
+from scipy.special import gammaincc
+
+from allanjax.critic.bank import folds
+from allanjax.critic.filling import filled
+from allanjax.critic.view import Candidate, Cause, View, in_time
+
+_SHORTEST = 0.1  # s
+_LONGEST = 0.25  # of the record
+_WORTH = 12.0
+_BANDS = 6
+# Motion is smooth: this share of the excess is in the lowest quarter of the frequencies. And it is no whim of
+# the noise: in one band at least there is so much more power.
+_SMOOTH, _LOUD = 0.75, 2.0
+_QUIET = 3.0
+# Blocks that its beginning and end are looked for in; share of it that is below the noise at either.
+_FADING, _UNSEEN = 10, 0.1
+_FOLD_BLOCK = 16
+
+
+class Disturbance(Cause):
+    """A stretch whose residuals are much larger than noise, and correlated."""
+
+    name = "disturbance"
+
+    def detect(self, view: View) -> Candidate | None:
+        block = max(int(np.rint(_SHORTEST * view.rate)), 4)
+        quiet = view
+        # Noise estimated with the motion in it has taken part of it for its own: once more, without.
+        for _ in range(2):
+            e = in_time(view.c / np.sqrt(view.variance(quiet.noise)))
+            e /= 1.4826 * float(np.median(abs(e)))
+            squares = e**2
+            loudest = _loudest(squares, block)
+            if loudest is None:
+                return None
+            start, end = _grown(squares, loudest[0], loudest[1], block)
+            start, end = _faded(e, start, end, block)
+            excess = _bands(e[start:end])
+            power = excess[:, 0] * (excess[:, 1] - 1.0)
+            if np.sum(power[:-2]) < _SMOOTH * np.sum(power) or np.max(excess[:, 1]) < _LOUD:
+                return None
+            missing = np.zeros(view.n, bool)
+            missing[max(start - block, 0) : end + block] = True
+            quiet = filled(view, missing)
+        assert loudest is not None
+        windows = loudest[2]
+        m, level = end - start, float(np.mean(squares[start:end]))
+        coloured = 0.5 * float(np.sum(excess[:, 0] * (excess[:, 1] - 1.0 - np.log(excess[:, 1]))))
+        white = 0.5 * m * (level - 1.0 - np.log(level))
+        price = 2.0 * np.log(len(squares) / block) + 2.5 * len(excess)
+        gain = coloured - price
+        if gain < _WORTH or coloured - 2.5 * len(excess) < white:
+            return None
+        p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
+        # It begins and ends below the noise: a share of it is not seen.
+        std = float(np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m))
+        peak = float(np.max(abs(view.x[start:end] - np.median(view.x))))
+        return Candidate(
+            self.name,
+            {
+                "start": view.time(start, std),
+                "end": view.time(end, std),
+                "peak": view.own(peak, view.spikes[1]),
+            },
+            gain,
+            p_value,
+            quiet,
+            lambda: _held_out(squares, start, end),
+            (start / view.rate, end / view.rate),
+            "time",
+        )
+
+
+def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, float] | None:
+    """The window of any length with the largest likelihood of being louder, and how many were looked at."""
+    total = np.concatenate([[0.0], np.cumsum(squares)])
+    best, windows, width = (0.0, 0, 0), 0.0, block
+    while width <= _LONGEST * len(squares):
+        first = np.arange(0, len(squares) - width + 1, max(width // 4, 1))
+        level = (total[first + width] - total[first]) / width
+        gain = np.where(level > 1.0, 0.5 * width * (level - 1.0 - np.log(np.maximum(level, 1e-12))), 0.0)
+        k = int(np.argmax(gain))
+        if gain[k] > best[0]:
+            best = (float(gain[k]), int(first[k]), int(first[k] + width))
+        windows += len(first)
+        width *= 2
+    return None if best[0] < _WORTH else (best[1], best[2], windows)
+
+
+def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
+    """The window moved out while it is loud there, and in while it is not."""
+    limit = 1.0 + _QUIET * np.sqrt(2.0 / block)
+
+    def loud(at: int) -> bool:
+        return at >= 0 and at + block <= len(squares) and float(np.mean(squares[at : at + block])) > limit
+
+    while loud(start - block):
+        start -= block
+    while loud(end):
+        end += block
+    while end - start > 2 * block and not loud(start):
+        start += block
+    while end - start > 2 * block and not loud(end - block):
+        end -= block
+    return start, end
+
+
+def _faded(e: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
+    """The stretch moved out as far as it is loud at low frequencies: motion is slow, and fades out."""
+    count = len(e) // block
+    means = e[: count * block].reshape(count, block).mean(axis=1) * np.sqrt(block)
+    first, last = _grown(means**2, start // block, -(-end // block), _FADING)
+    return min(first * block, start), max(min(last * block, len(e)), end)
+
+
+def _bands(e: Float[np.ndarray, " m"]) -> Float[np.ndarray, "bands 2"]:
+    """Number of coefficients and mean square in bands, each twice as wide as the one below."""
+    c = dct(e, norm="ortho")
+    edges = np.unique(np.rint(len(e) / 2.0 ** np.arange(_BANDS, -1, -1))).astype(int)
+    edges = np.unique(np.append(0, edges[edges > 0]))
+    size = np.diff(edges)
+    return np.column_stack([size, np.maximum(np.add.reduceat(c**2, edges[:-1]) / size, 1e-12)])
+
+
+def _held_out(squares: Float[np.ndarray, " n"], start: int, end: int) -> float:
+    """Gain on parts of the stretch by the level that the others show."""
+    gain, inside = 0.0, squares[start:end]
+    for part in folds(len(inside), max(min(_FOLD_BLOCK, len(inside) // 16), 1)):
+        level, rest = inside[~part].mean(), inside[part]
+        gain += 0.5 * float(np.sum(rest - rest / level) - len(rest) * np.log(level))
+    return gain

@@ -1,0 +1,356 @@
+"""The sensor's bandwidth, or an anti-alias filter: noise falls off at high frequencies (thesis Fig. 5.10)."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.fft import dct, dst
+from scipy.ndimage import uniform_filter1d
+
+from allanjax.critic.causes.spectral import SHARES, FineLevels, Limit, limited
+from allanjax.critic.noise import MARKOV, density
+from allanjax.critic.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, in_time
+from allanjax.noise import terms
+from allanjax.noise.model import Model
+
+_WORTH = 6.0
+_GRID = 40
+# Kinds of filters that are so much less likely [nats] are out of the question.
+_RIVALS = 10.0
+# What quantization costs [nats]: the mean price of a term in `evidence`.
+_PRICE = 4.0
+# Of the response: points, and up to which share of the Nyquist frequency.
+_RESPONSE, _REACHED = 4097, 0.8
+# A Markov process this short [samples] without white noise is white noise behind a filter.
+_SHORT = 20.0
+# Below this response the record's ends are reckoned with; coefficients that a local mean is taken over.
+_DEEP, _LOCAL = 0.01, 401
+# Coefficients of a bin that says how little noise there is anywhere.
+_COUNTED = 100
+# So many times what the ends leave a level must be to tell anything.
+_ABOVE = 10.0
+# Share of the record at each end that these make loud.
+_ENDS = 0.02
+# Order, and whether the filter is a digital one made by the bilinear transformation.
+_FILTERS = ((1, False), (2, False), (1, True), (2, True), (3, True), (4, True))
+
+
+class LowPass(Cause):
+    """All noise behind a Butterworth filter.
+
+    The bandwidth found is where the samples' spectrum has fallen by half, or, where aliases keep it from
+    falling so far, the −3 dB frequency of the analog filter.
+    """
+
+    name = "low_pass"
+    joint = "at once"
+
+    def detect(self, view: View) -> Candidate | None:
+        if self.name in view.found:
+            return None
+        noise = view.noise
+        # A basic term that the model lacks and that explains as much is the better word.
+        basic, instead = view.basic, view.allowed
+        if "angle_random_walk" not in basic.terms and basic.shape * view.rate < _SHORT:
+            # The same spectrum by another name: as white noise that is filtered it says where it ends.
+            basic = view.weighing.best([t for t in (*EVERYTHING, *view.allowed) if t != MARKOV])
+            instead = [t for t in view.allowed if t != MARKOV]
+        screen = _Screen(view)
+        gains = screen.gains
+        if gains.max() < _WORTH:
+            return None
+        filter_, bandwidth, told = screen.best()
+        behind = screen.behind(view, filter_, bandwidth)
+        visible = _visible(view, behind)
+        after = view.behind(visible)
+        # Of the samples as they are: with its ends replaced a record is another one.
+        filtered = after.noise.log_evidence
+        deep = visible < _DEEP
+        if deep.any():
+            stationary = behind.passed + behind.floor / after.noise.variance
+            after = _without_ends(after, deep, np.minimum(stationary / visible, 1.0))
+            # What is below the response now is what was added, no longer the ends.
+            visible = _visible(view.with_x(after.x), behind)
+            after = dataclasses.replace(after, factor=view.combined(visible))
+        after = dataclasses.replace(after, passes=visible)
+        gain = filtered - basic.log_evidence
+        # Odds among the bandwidths and orders: flat.
+        gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
+        if filtered < noise.log_evidence - 4.0:
+            return None
+        return Candidate(
+            self.name,
+            {
+                "bandwidth": told,
+                # Steeper filters than the steepest one that is looked for look like it.
+                "order": Quantity.beyond(float(filter_[0]), "above", "1")
+                if filter_[0] == max(order for order, _ in _FILTERS)
+                else Quantity(float(filter_[0]), 0.0, "1"),
+            },
+            gain,
+            float(np.exp(-max(gain, 0.0))),
+            after,
+            lambda: _held_out(view) - view.foretold_by(instead),
+            (bandwidth, view.rate / 2.0),
+            "frequency",
+            lambda model: _filtered(model, bandwidth, min(filter_[0], 2)),
+        )
+
+
+def _passed(
+    frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool]
+) -> Float[np.ndarray, " k"]:
+    """The filter's power response, aliases of an analog one included."""
+    order, digital = filter_
+    if digital:
+        ratio = np.tan(np.pi * frequency / rate) / np.tan(np.pi * bandwidth / rate)
+        return 1.0 / (1.0 + ratio ** (2 * order))
+    term = terms.LowPass(1.0, bandwidth, order=order).sampled(rate)
+    return density(term, frequency, rate)
+
+
+@functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
+def _ends(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> Float[np.ndarray, " fine"]:
+    """Power that a record's two ends add to the response, times the number of samples (`_fine`).
+
+    Cosines see the record continued by its mirror image, which has kinks there. With the autocovariance r the
+    squares of coefficients are expected to be Σ (2 − 2k/n)·r_k cos(ak) − r_0 − 2/(n sin a)·Σ r_k sin(ak); the
+    ends' part is −(2/n)·[Σ k·r_k cos(ak) + Σ r_k sin(ak)/sin a].
+    """
+    m = _RESPONSE - 1
+    response = _passed(_fine(rate), rate, bandwidth, filter_)
+    r = dct(np.concatenate([response[:1], response, response[-1:]]), type=1) / (2.0 * m)
+    lag = np.arange(m + 1.0)
+    cosines = 0.5 * dct(lag * r, type=1)[1:-1] + 0.5 * m * r[-1] * (-1.0) ** lag[1:-1]
+    sines = 0.5 * dst(r[1:-1], type=1) / np.sin(np.pi * lag[1:-1] / m)
+    return np.maximum(-2.0 * (cosines + sines), 0.0)
+
+
+def _fine(rate: float) -> Float[np.ndarray, " fine"]:
+    """Frequencies between zero and Nyquist's."""
+    return np.arange(1, _RESPONSE - 1) * rate / (2.0 * (_RESPONSE - 1))
+
+
+def _at(
+    frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """The filter's power response, and what the ends add to it times the number of samples."""
+    ends = np.interp(frequency, _fine(rate), _ends(rate, bandwidth, filter_))
+    return _passed(frequency, rate, bandwidth, filter_), ends
+
+
+@functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
+def _response(
+    within: bytes, rate: float, bandwidth: float, filter_: tuple[int, bool]
+) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
+    """Means in bins of the response and its ends, kept: all axes are looked through for the same filters."""
+    found = _at(np.frombuffer(within), rate, bandwidth, filter_)
+    passed, ends = (x.reshape(-1, len(SHARES)) @ SHARES for x in found)
+    return passed, ends
+
+
+class _Behind(NamedTuple):
+    """What a record shows behind a filter, coefficient by coefficient.
+
+    Attributes:
+        passed: power response.
+        ends: what the record's two ends add to it.
+        floor: power of what is added behind the filter and hides its deepest response.
+        told: highest frequency at which the filter decides what is seen [Hz].
+    """
+
+    passed: Float[np.ndarray, " n-1"]
+    ends: Float[np.ndarray, " n-1"]
+    floor: float
+    told: float
+
+
+def _visible(view: View, behind: _Behind, fold: np.ndarray | None = None) -> Float[np.ndarray, " n-1"]:
+    """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
+
+    Where the record's ends or what is added behind the filter count more than what it passes, the level is
+    the record's own, and nothing is said.
+    """
+    passed, ends, floor, limit = behind
+    deep, used = passed < _DEEP, np.ones(view.n - 1) if fold is None else fold.astype(float)
+    if not deep.any():
+        return passed
+    clear = ~deep & (used > 0.0)
+    level = float(np.mean(view.squares[clear] / passed[clear]))
+    factor = passed + np.where(deep, ends + floor / level, 0.0)
+    noise = view.weighed(fold, factor).best(view.allowed)
+    added = np.where(deep, ends + floor / noise.variance, 0.0)
+    ratio = uniform_filter1d(used * view.squares / noise.variance, _LOCAL, mode="nearest")
+    ratio /= np.maximum(uniform_filter1d(used, _LOCAL, mode="nearest"), 1.0 / _LOCAL)
+    told = (added <= passed) & (view.family.frequency <= limit)
+    return np.where(told, passed + added, np.maximum(ratio, 1e-9 * factor))
+
+
+def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.ndarray, " n-1"]) -> View:
+    """The view with noise of its own kind at the ends of what the filter stopped; the ends count as restored.
+
+    What was stopped is amplified by whitening, and so are the kinks of the mirrored record.
+
+    Args:
+        view: behind the filter.
+        deep: what the filter stopped.
+        share: of the expected squares, without the kinks.
+    """
+    k = np.arange(view.n)
+    # Gradually: an edge would be a sample that stands out.
+    near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
+    root = np.sqrt(view.variance())
+    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
+    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
+    mended = view.x + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
+    return dataclasses.replace(view.with_x(mended), restored=view.restored | (near > 0.0))
+
+
+def _filtered(model: Model, bandwidth: float, order: int) -> Model:
+    """The model with its white noise behind the filter; slower noise passes."""
+    white = "angle_random_walk"
+    if white not in model.term_labels:
+        return model
+    N = model.values[white]
+    return model.without([white]) + terms.LowPass(N, bandwidth, order=order)
+
+
+class _Screen(FineLevels):
+    """Likelihoods of many filters."""
+
+    def __init__(self, view: View, fold: np.ndarray | None = None) -> None:
+        super().__init__(view, fold)
+        self.rate = view.rate
+        self.n, self.plain = view.n, self.log_likelihood()
+        self.quantized = {"quantization", "angle_random_walk"} <= set(view.allowed)
+        level = self.squares / self.size
+        self.least = float(np.min(level[self.size >= _COUNTED], initial=np.inf))
+        self.grid = np.geomspace(0.005 * self.rate, 0.98 * self.rate / 2.0, _GRID)
+        self.gains = np.full((len(_FILTERS), _GRID), -np.inf)
+        for some in (slice(0, None, 2), slice(1, None, 2)):
+            self.gains[:, some] = [[self.gain(filter_, f) for f in self.grid[some]] for filter_ in _FILTERS]
+            # Half as far from the best bandwidth as its neighbours are, these gain not much more than they.
+            if self.gains.max() < 0.5 * _WORTH:
+                break
+
+    def behind(self, view: View, filter_: tuple[int, bool], bandwidth: float) -> _Behind:
+        """What the view shows behind a filter; the power of what is added there is the fitted one.
+
+        That may be outliers too small to be seen, the digits of the samples.
+        """
+        passed, ends = _at(view.family.frequency, self.rate, bandwidth, filter_)
+        floor = self._fitted(filter_, bandwidth)[1]
+        return _Behind(passed, ends / view.n, floor, float(self.frequency[-1]))
+
+    def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
+        """Of a filter."""
+        return self._fitted(filter_, bandwidth)[0] - self.plain
+
+    def _hidden(self, bandwidth: float) -> bool:
+        """Whether the spectrum falls so far that something else may be seen there."""
+        return bool(self.least < _DEEP * np.interp(bandwidth, self.frequency, self.smooth))
+
+    def _fitted(self, filter_: tuple[int, bool], bandwidth: float) -> tuple[float, float]:
+        """Log-likelihood of the best powers, and that of what is added behind the filter."""
+        passed, ends = _response(self.within.tobytes(), self.rate, bandwidth, filter_)
+        deep = passed < _DEEP
+        passed = np.where(deep, passed + ends / self.n, passed)
+        if not (deep.any() and self._hidden(bandwidth)):
+            return self.log_likelihood(passed), 0.0
+        value, powers = self.scored(passed, deep / passed)
+        return value, float(powers[-1])
+
+    def best(self) -> tuple[tuple[int, bool], float, Quantity]:
+        """The best filter, its bandwidth [Hz], and its half-power frequency as it is known.
+
+        Other filters being possible, and quantization, which rises where a filter falls.
+        """
+        self._leave_ends_out()
+        likely = np.flatnonzero(self.gains.max(axis=1) > self.gains.max() - _RIVALS)
+        noises = (
+            [(self.columns, _PRICE), (self.columns[1:], 0.0)] if self.quantized else [(self.columns, 0.0)]
+        )
+        found: list[_Maximum] = []
+        for columns, price in noises:
+            self.columns = columns
+            found += [self._maximum(int(i), price) for i in likely]
+        best = max(found, key=lambda one: one.gain)
+        self.columns = best.columns
+        weight = np.exp([one.gain - best.gain for one in found])
+        off = [one.std**2 + (one.half_power - best.half_power) ** 2 for one in found]
+        if best.limit:
+            return best.filter_, best.bandwidth, Quantity.beyond(best.half_power, best.limit, "Hz")
+        std = float(np.sqrt(weight @ off / weight.sum()))
+        return best.filter_, best.bandwidth, Quantity(best.half_power, std, "Hz")
+
+    def _leave_ends_out(self) -> None:
+        """Leave out the highest frequencies, where the ends are all that is left.
+
+        They are two draws there, not one of every coefficient, which would outvote all others.
+        """
+        i, k = np.unravel_index(np.argmax(self.gains), self.gains.shape)
+        passed, ends = _response(self.within.tobytes(), self.rate, float(self.grid[k]), _FILTERS[i])
+        level = float(np.median((self.smooth / passed)[passed > 0.5 * passed.max()]))
+        told = np.flatnonzero(self.squares / self.size > _ABOVE * level * ends / self.n)
+        if len(told):
+            self.keep(int(told[-1]) + 1)
+            self.plain = self.log_likelihood()
+
+    def _maximum(self, i: int, price: float) -> _Maximum:
+        """Of one kind of filter."""
+        k, filter_ = int(np.argmax(self.gains[i])), _FILTERS[i]
+        bounds = (np.log(self.grid[max(k - 1, 0)]), np.log(self.grid[min(k + 1, _GRID - 1)]))
+        u, std, gain = self.shape_of(lambda u: self.gain(filter_, float(np.exp(u))), bounds)
+        bandwidth = float(np.exp(u))
+        u, std, limit = limited(u, std, (np.log(self.grid[0]), np.log(self.grid[-1])))
+        if limit:
+            told = float(np.exp(u))
+            told = _half_power(self.rate, told, filter_) or told
+            return _Maximum(filter_, bandwidth, told, 0.0, gain - price, self.columns, limit)
+        half, above = (_half_power(self.rate, float(np.exp(x)), filter_) for x in (u, u + std))
+        std = bandwidth * std if half is None else abs((above or self.rate / 2.0) - half)
+        return _Maximum(filter_, bandwidth, half or bandwidth, std, gain - price, self.columns, "")
+
+
+class _Maximum(NamedTuple):
+    """Best bandwidth of one kind of filter [Hz], its half-power frequency or a limit of that, the noise."""
+
+    filter_: tuple[int, bool]
+    bandwidth: float
+    half_power: float
+    std: float
+    gain: float
+    columns: Float[np.ndarray, "terms bins"]
+    limit: Limit
+
+
+def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float | None:
+    """Where the samples' spectrum has fallen by half, which aliases put above an analog filter's −3 dB.
+
+    None where they keep it from falling so far before the Nyquist frequency is near: then the bandwidth of
+    the analog filter is what can be said.
+    """
+    frequency = np.linspace(0.0, _REACHED * rate / 2.0, _RESPONSE)[1:]
+    passed = _passed(frequency, rate, bandwidth, filter_)
+    below = np.flatnonzero(passed < 0.5 * passed[0])
+    if len(below) == 0 or below[0] == 0:
+        return None
+    k = below[0]
+    share = (passed[k - 1] - 0.5 * passed[0]) / (passed[k - 1] - passed[k])
+    return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
+
+
+def _held_out(view: View) -> float:
+    """Log-likelihood of half of the coefficients under the filter and the noise of the others, both ways."""
+    gain = 0.0
+    for fold in coefficient_folds(view.n):
+        screen = _Screen(view, fold)
+        filter_, bandwidth, *_ = screen.best()
+        factor = _visible(view, screen.behind(view, filter_, bandwidth), fold)
+        noise = view.weighed(fold, factor).best(view.allowed)
+        gain += view.log_likelihood(noise, ~fold, factor)
+    return gain

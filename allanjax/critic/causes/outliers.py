@@ -1,0 +1,220 @@
+"""Single samples far from where all others put them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import dct, rfft
+from scipy.optimize import minimize
+from scipy.stats import norm
+
+from allanjax.critic.bank import any_of, folds
+from allanjax.critic.causes.additive import shape_parameter
+from allanjax.critic.filling import filled
+from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
+
+_SCALES = np.geomspace(3.0, 3e4, 25)
+_SHARES = np.geomspace(1e-7, 0.1, 40)
+# Below this no outlier could be told from noise.
+_NOTICED = 3.0
+# Louder scores are looked at one by one, others in bins of this width.
+_LOUD, _FINE = 8.0, 0.02
+_WORTH = 8.0
+# Log-odds from which on a sample counts as an outlier: seven to one.
+_ODDS = 2.0
+# Prediction errors so near [samples] to each other may have one cause; longer trains are no outliers.
+_APART, _LONGEST = 8, 48
+# Samples at each end of the record whose scatter is looked at; rounds in which neighbours come to light.
+_END, _ROUNDS = 16, 5
+_FOLD_BLOCK = 16
+# Scales that are weighed.
+_WEIGHED = 201
+
+
+class Outliers(Cause):
+    """A share of the samples has an error of its own, of much larger scale than the noise."""
+
+    name = "outliers"
+    joint = "at last"
+
+    def p_value(self, view: View) -> float:
+        return _p_value(float(np.max(abs(_scores(view, view.spikes[1])))), view.n)
+
+    def detect(self, view: View) -> Candidate | None:
+        # The scale of the bulk: that of the fit has the outliers in it.
+        bulk = 1.4826 * float(np.median(abs(view.spikes[0])))
+        if bulk == 0.0:
+            return None
+        z = _scores(view, bulk)
+        gain, share, scale = _mixture(z)
+        if gain < _WORTH:
+            return None
+        threshold = _threshold(share, scale)
+        missing, scores, after = np.zeros(view.n, bool), np.zeros(view.n), view
+        seen = z
+        # Beside a large one others are seen only when it is gone.
+        for _ in range(_ROUNDS):
+            loud = np.flatnonzero(abs(seen) > threshold)
+            if len(loud) == 0:
+                break
+            peaks = _peaks(seen, loud)
+            if peaks is None:
+                return None
+            missing[peaks], scores[peaks] = True, seen[peaks]
+            after = filled(after, missing)
+            seen = _scores(after, bulk)
+        times = np.flatnonzero(missing)
+        if len(times) == 0:
+            return None
+        gain -= _price(view.n)
+        # Of all that there are, also of those too small to be seen.
+        spread, relative, limit = _known(scores[missing], threshold)
+        spread *= bulk
+        parameters = {
+            "count": Quantity(float(len(times)), float(np.sqrt(len(times) * 0.05)), "1"),
+            "times": Quantity(tuple(float(k / view.rate) for k in times), 1.0 / view.rate, "s"),
+            "scale": dataclasses.replace(view.own(spread, relative * spread), limit=limit),
+        }
+        p_value = _p_value(float(np.max(abs(z))), view.n)
+        return Candidate(
+            self.name,
+            parameters,
+            float(gain),
+            float(min(p_value, np.exp(-max(gain, 0.0)))),
+            after,
+            lambda: _held_out(z),
+            (times[0] / view.rate, times[-1] / view.rate),
+            "time",
+        )
+
+    def again(self, view: View, found: Candidate) -> Candidate:
+        """The same samples, filled in with the noise as it is known now."""
+        missing = np.zeros(view.n, bool)
+        times = np.asarray(found.parameters["times"].value, float)
+        missing[np.rint(times * view.rate).astype(int)] = True
+        return dataclasses.replace(found, after=filled(view, missing))
+
+
+def _p_value(largest: float, n: int) -> float:
+    """Probability that one of n normal scores is larger."""
+    return any_of(2.0 * float(norm.sf(largest)), n)
+
+
+def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
+    """The largest of each group of neighbours, to which one outlier's prediction errors spread.
+
+    None if a group is longer than that.
+    """
+    groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
+    if max(g[-1] - g[0] for g in groups) > _LONGEST:
+        return None
+    return np.array([g[np.argmax(abs(z[g]))] for g in groups])
+
+
+def _price(n: int) -> float:
+    """What not knowing share and scale costs [nats]: each anywhere in its grid."""
+    return float(np.log(len(_SCALES)) + np.log(np.log(n)))
+
+
+def _log_ratio(
+    z: Float[np.ndarray, " k"], share: float, scale: Float[np.ndarray, " scales"] | float
+) -> Float[np.ndarray, "k scales"]:
+    """ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)] at z."""
+    s2 = np.asarray(scale) ** 2
+    exponent = 0.5 * z[:, None] ** 2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
+    return np.logaddexp(np.log1p(-share), np.log(share) + exponent)
+
+
+def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
+    """Log-likelihood ratio of the best mixture to noise alone, its share and scale."""
+    size = abs(z)
+    if not np.any(size > _NOTICED):
+        return 0.0, 0.0, 1.0
+    # A histogram is enough, of the quiet ones a coarse one; of the few that are loud each is looked at.
+    parts = (60, 0.0, _NOTICED), (round((_LOUD - _NOTICED) / _FINE), _NOTICED, _LOUD)
+    found = [np.histogram(size, count, (low, high)) for count, low, high in parts]
+    counts = np.concatenate([count for count, _ in found])
+    centres = np.concatenate([0.5 * (edges[1:] + edges[:-1]) for _, edges in found])
+    few = size[size > _LOUD]
+
+    def values(share: float, scale: Float[np.ndarray, " scales"]) -> Float[np.ndarray, " scales"]:
+        return _log_ratio(few, share, scale).sum(axis=0) + counts @ _log_ratio(centres, share, scale)
+
+    best = (0.0, 0.0, 1.0)
+    for share in _SHARES[_SHARES * len(z) > 0.3]:
+        value = values(share, _SCALES)
+        k = int(np.argmax(value))
+        if value[k] > best[0]:
+            best = (float(value[k]), float(share), float(_SCALES[k]))
+    gain, share, scale = best
+    if gain == 0.0:
+        return 0.0, 0.0, 1.0
+    refined = minimize(
+        lambda u: -float(values(min(np.exp(u[0]), 0.5), np.exp(u[1:]))[0]),
+        np.log([share, scale]),
+        method="Nelder-Mead",
+        options={"xatol": 0.01, "fatol": 0.01},
+    )
+    share, scale = np.exp(refined.x)
+    return -float(refined.fun), float(min(share, 0.5)), float(scale)
+
+
+def _known(
+    found: Float[np.ndarray, " k"], threshold: float
+) -> tuple[float, float, Literal["", "above", "below"]]:
+    """The scale of those that scores above a threshold belong to, and its relative deviation; or a limit.
+
+    Of normal errors only those are found that are larger: the normal law is cut off there.
+    """
+    log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
+    width = np.sqrt(1.0 + np.exp(2.0 * log))
+    each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
+    total = each.sum(axis=0)
+    middle, spread, limit = shape_parameter(log, np.exp(total - total.max()))
+    return float(np.exp(middle)), spread, limit
+
+
+def _threshold(share: float, scale: float) -> float:
+    """Score from which on a sample has been drawn from the wider of the two laws."""
+    s2 = scale**2
+    least = _ODDS - np.log(share / (1.0 - share)) + 0.5 * np.log1p(s2)
+    return float(np.sqrt(2.0 * max(least, 0.0) * (1.0 + s2) / s2))
+
+
+def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
+    """The spikes over their scale, zero where samples were filled in.
+
+    At the record's ends quantization noise is not the one that the mirrored record has, and spikes scatter
+    more: those that stand out there are compared with their own scatter.
+    """
+    z = np.where(view.restored, 0.0, view.spikes[0] / scale)
+    v, n = view.variance(), view.n
+    for k in (*range(_END), *range(n - _END, n)):
+        if abs(z[k]) > _NOTICED:
+            sample = np.zeros(n)
+            sample[k] = 1.0
+            weight = in_time(dct(sample, norm="ortho", workers=-1)[1:] / v) / float(np.mean(1.0 / v))
+            # Its variance by the density, in a record so long that the ends do not meet.
+            response = np.abs(rfft(weight, 2 * n, workers=-1)[1:n]) ** 2
+            z[k] /= max(1.0, np.sqrt(float(response @ v) / n * np.mean(1.0 / v)))
+    return z
+
+
+def _held_out(z: Float[np.ndarray, " n"]) -> float:
+    """Gain on parts of the samples by the mixture of the others.
+
+    Of outliers that the others do not have nothing is known but that they are rare, and of any scale: so is
+    a single one foretold.
+    """
+    gain = 0.0
+    for part in folds(len(z), _FOLD_BLOCK):
+        _, share, scale = _mixture(z[~part])
+        if share > 0.0:
+            gain += float(_log_ratio(z[part], share, scale).sum())
+        else:
+            each = _log_ratio(z[part], 0.5 / np.sum(~part), _SCALES)
+            gain += float(np.sum(np.logaddexp.reduce(each, axis=1) - np.log(len(_SCALES))))
+    return gain

@@ -1,0 +1,163 @@
+"""Narrow-band noise: a damped oscillator, a structure or a loop that rings."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaincc
+
+from allanjax.critic.bank import any_of
+from allanjax.critic.causes.bump import LINE, LOWEST, Spectrum
+from allanjax.critic.causes.spectral import limited
+from allanjax.critic.noise import Noise
+from allanjax.critic.view import Candidate, Cause, Quantity, View, coefficient_folds
+from allanjax.noise import terms
+
+_NARROWEST = 8
+# Independent windows a width, and how many more for each e-fold that what they show is rarer; widest windows
+# that see nothing of their own.
+_INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
+_WORTH = 8.0
+# The noise has taken part of the bump for its own, and gives it back bit by bit.
+_ROUNDS, _SETTLED = 8, 0.2
+# A wider one is no bump but an edge, as of a filter.
+_BUMP_Q = 1.0
+
+
+class Resonance(Cause):
+    """A bump of the spectrum, which passes a filter that was found as all noise does."""
+
+    name = "resonance"
+    joint = "at last"
+
+    def p_value(self, view: View) -> float:
+        window = _conspicuous(view.c**2 / view.variance())
+        return window[2]
+
+    def detect(self, view: View) -> Candidate | None:
+        window = _conspicuous(view.c**2 / view.variance())
+        middle, width, *_ = window
+        spacing = view.rate / (2.0 * view.n)
+        Q = np.clip(middle / max(width, 1.0), 1.0, max(middle / LINE / 2.0, 1.0))
+        return self._near(view, window, np.log([middle * spacing, Q]), view.noise)
+
+    def again(self, view: View, found: Candidate) -> Candidate | None:
+        about = [float(np.asarray(found.parameters[x].value)) for x in ("frequency", "quality_factor")]
+        window = _conspicuous(view.c**2 / view.variance())
+        return self._near(view, window, np.log(about), found.after.noise)
+
+    def _near(
+        self, view: View, window: tuple[float, ...], start: Float[np.ndarray, " 2"], noise: Noise
+    ) -> Candidate | None:
+        """The bump of about e^start in frequency and quality factor, in about this noise.
+
+        None if the window that shows most shows nothing.
+        """
+        _, width, p_value, windows, net = window
+        if net < _WORTH:
+            return None
+        spectrum, theta = Spectrum(view, start, width), np.append(start, np.inf)
+        for _ in range(_ROUNDS):
+            before, beside = theta, noise
+            theta, covariance = spectrum.fitted(noise, theta[:2])
+            if not np.isfinite(covariance).all():
+                return None
+            noise = spectrum.noise_behind(theta, beside)
+            if np.all(abs(theta - before) < _SETTLED * np.sqrt(np.diag(covariance))):
+                after = view.behind(1.0 + _density(theta, view) / view.variance(beside))
+                if after.noise.terms == noise.terms:
+                    break
+                # Another set of noise terms suits the record better now.
+                noise = after.noise
+        else:
+            after = view.behind(1.0 + _density(theta, view) / view.variance(beside))
+        if np.exp(theta[1]) < _BUMP_Q:
+            return None
+        gain = after.noise.log_evidence - view.noise.log_evidence
+        # Where it is, how wide and how strong: each a share of what might have been.
+        widths = np.log(len(view.c) / _NARROWEST)
+        gain -= np.log(windows) + np.log(widths) + 2.0
+        f0, Q, amplitude = np.exp(theta)
+        if view.passes is not None:
+            # As it is recorded, behind the filter.
+            amplitude *= np.sqrt(np.interp(f0, view.family.frequency, view.passes))
+        relative = np.sqrt(np.diag(covariance))
+        # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.
+        spacing = view.rate / (2.0 * view.n)
+        parameters = {
+            "frequency": _logarithmic(theta[0], relative[0], (LOWEST * spacing, view.rate / 2.0), "Hz"),
+            "quality_factor": _logarithmic(theta[1], relative[1], (_BUMP_Q, f0 / (LINE * spacing)), "1"),
+            "amplitude": view.own(float(amplitude), float(relative[2] * amplitude)),
+        }
+        half = f0 / Q
+        return Candidate(
+            self.name,
+            parameters,
+            float(gain),
+            p_value,
+            after,
+            lambda: _held_out(view, after, theta, width),
+            (max(f0 - 2.0 * half, 0.0), min(f0 + 2.0 * half, view.rate / 2.0)),
+            "frequency",
+            lambda model: model + terms.Resonance(float(amplitude), float(f0), float(Q)),
+        )
+
+
+def _logarithmic(u: float, std: float, bounds: tuple[float, float], unit: str) -> Quantity:
+    """A quantity of which the logarithm is known, between bounds."""
+    u, std, limit = limited(float(u), float(std), (float(np.log(bounds[0])), float(np.log(bounds[1]))))
+    return Quantity(float(np.exp(u)), float(np.exp(u)) * std, unit, limit)
+
+
+def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " n-1"]:
+    f0, Q, amplitude = (float(x) for x in np.exp(theta))
+    density = view.family.spectrum(terms.Resonance(amplitude, f0, Q).sampled(view.rate))
+    return density if view.passes is None else density * view.passes
+
+
+def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float, float, float]:
+    """The window with most excess: middle, width [coefficients], p-value, count of such windows, gain.
+
+    Of a width, windows a quarter apart are worth two to four independent ones each width, the more the rarer
+    what they show, as simulated (`_INDEPENDENT`).
+    """
+    total = np.concatenate([[0.0], np.cumsum(ratio)])
+    best = (-np.inf, 0.0, 0.0, 0.0, 0.0)
+    width, widths = _NARROWEST, 0.0
+    least = 1.0
+    while width <= (len(ratio) - LOWEST) // 4:
+        step = max(width // 4, 1)
+        excess = total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]
+        k = int(np.argmax(excess))
+        level = float(excess[k]) / width
+        windows = len(ratio) / width
+        gain = 0.5 * width * (level - 1.0 - np.log(level)) if level > 1.0 else 0.0
+        tail = min(max(float(gammaincc(width / 2.0, level * width / 2.0)), 1e-300), 1.0 - 1e-12)
+        independent = min(_INDEPENDENT[0] - _INDEPENDENT[1] * np.log(tail), 4.0)
+        least, widths = min(least, any_of(tail, independent * windows)), widths + 1.0
+        if gain - np.log(windows) > best[0]:
+            best = (
+                gain - np.log(windows),
+                LOWEST + k * step + width / 2.0 + 1.0,
+                float(width),
+                windows,
+                gain,
+            )
+        width *= 2
+    # Every width is a search of its own, but that the widest ones see what narrower ones have seen.
+    return best[1], best[2], any_of(least, max(widths - _WIDE, 1.0)), best[3], best[4]
+
+
+def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: float) -> float:
+    """Gain on every other coefficient by the bump fitted to the others, both ways.
+
+    It is sought from where all of them have it, and in the noise that the others show behind that one.
+    """
+    gain = -view.foretold
+    for fold in coefficient_folds(view.n):
+        beside = after.weighed(fold).roughly(view.allowed, after.weighing)
+        found, _ = Spectrum(view, theta[:2], width, fold).fitted(beside, theta[:2])
+        factor = 1.0 + _density(found, view) / view.variance(beside)
+        noise = view.weighed(fold, factor).roughly(view.allowed, after.weighing)
+        gain += view.log_likelihood(noise, ~fold, factor)
+    return gain

@@ -1,0 +1,62 @@
+"""The output has a resolution, and it is coarser than the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critic.causes.imputation import imputed
+from allanjax.critic.view import Candidate, Cause, View
+
+# Samples this close to a multiple of the step, in steps, are on the lattice.
+_TOLERANCE = 1e-3
+_SHARE = 0.999
+_FEW = 20000
+#: A resolution finer than this share of the noise does no harm.
+HARMLESS = 0.35
+
+
+class Rounding(Cause):
+    """All samples are multiples of one step."""
+
+    name = "rounding"
+    of_samples = True
+
+    def detect(self, view: View) -> Candidate | None:
+        q = lattice(view.raw)
+        if q is None or not np.array_equal(view.x, view.raw):
+            return None
+        # No noise has less than half of its differences' variance around its local mean.
+        if q < HARMLESS * 0.5 * float(np.std(np.diff(view.x))):
+            return None
+        x, sigma = imputed(view.x, view.x - q / 2.0, view.x + q / 2.0, len(view.x))
+        if q < HARMLESS * sigma:
+            return None
+        # A continuous output would be this close to a multiple with the probability 2·tolerance.
+        gain = view.n * float(np.log(0.5 / _TOLERANCE))
+        return Candidate(
+            self.name,
+            {"step": view.own(q, q * _TOLERANCE / np.sqrt(view.n))},
+            gain,
+            float(np.exp(-min(gain, 700.0))),
+            view.with_x(x),
+            lambda: gain,
+            (0.0, view.duration),
+            "time",
+        )
+
+
+def lattice(x: Float[np.ndarray, " n"]) -> float | None:
+    """The step that all samples are multiples of (from the first), or None."""
+    values = np.unique(x)
+    least = 1e-9 * float(np.max(abs(values))) + 1e-300
+    gaps = np.diff(values)
+    gaps = gaps[gaps > least]
+    if len(gaps) < 1 or (len(values) > max(len(x) / 2.0, 3) and len(values) > _FEW):
+        return None
+    q = float(gaps.min())
+    for _ in range(3):
+        steps = np.rint(gaps / q)
+        q = float(np.sum(gaps) / np.sum(steps))
+    off = abs(gaps / q - np.rint(gaps / q))
+    return q if np.mean(off < _TOLERANCE * np.maximum(np.rint(gaps / q), 1.0)) > _SHARE else None

@@ -1,0 +1,71 @@
+"""The output is clipped at its range."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from allanjax.critic.causes.imputation import imputed
+from allanjax.critic.causes.rounding import lattice
+from allanjax.critic.view import Candidate, Cause, Quantity, View
+
+_LEAST, _MANY = 4, 100
+# With fewer levels than that there is no tail to pile up.
+_FEW_LEVELS = 4
+
+
+class Saturation(Cause):
+    """Samples pile up at the largest value, at the smallest, or at both."""
+
+    name = "saturation"
+    of_samples = True
+
+    def detect(self, view: View) -> Candidate | None:
+        raw = view.raw
+        q = lattice(raw)
+        sides = [side for side in (1.0, -1.0) if _piled_up(side * raw, q)]
+        if not sides:
+            return None
+        lower, upper = view.x.copy(), view.x.copy()
+        far = 1e3 * float(np.std(raw)) + 1e-300
+        count = 0
+        parameters: dict[str, Quantity] = {}
+        for side in sides:
+            level = side * float(np.max(side * raw))
+            clipped = raw == level
+            count += int(clipped.sum())
+            (upper if side > 0.0 else lower)[clipped] += side * far
+            parameters["upper_level" if side > 0.0 else "lower_level"] = view.own(level, 0.0)
+        if count > 0.9 * view.n:
+            return None
+        x, sigma = imputed(view.x, lower, upper, count)
+        parameters["fraction"] = Quantity(count / view.n, 0.0, "1")
+        # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit.
+        gain = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
+        return Candidate(
+            self.name,
+            parameters,
+            gain,
+            float(np.exp(-min(gain, 700.0))),
+            dataclasses.replace(
+                view.with_x(x), restored=view.restored | (raw == raw.max()) | (raw == raw.min())
+            ),
+            lambda: gain,
+            (0.0, view.duration),
+            "time",
+        )
+
+
+def _piled_up(raw: np.ndarray, q: float | None) -> bool:
+    """Whether more samples are at the largest value than a tail would leave there."""
+    top = raw.max()
+    at_top = int(np.sum(raw == top))
+    if q is None:
+        clipped = np.concatenate([[0], (raw == top).astype(int), [0]])
+        # Copies of one extreme sample are another matter.
+        return int(np.sum(np.diff(clipped) == 1)) >= _LEAST or at_top >= _MANY
+    if np.ptp(raw) < _FEW_LEVELS * q:
+        return False
+    below = int(np.sum(abs(raw - (top - q)) < q / 2.0))
+    return at_top > below + 6.0 * np.sqrt(below + 1.0) and at_top >= 5 * _LEAST

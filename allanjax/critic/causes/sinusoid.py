@@ -1,0 +1,159 @@
+"""A line: a sinusoid that keeps its phase through the record."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import next_fast_len, rfft
+from scipy.optimize import minimize_scalar
+
+from allanjax.critic.bank import folds
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
+from allanjax.estimate.deterministic import LINE_REACH, line_columns
+from allanjax.noise import terms
+
+# Below so many periods a record, a line is not told from drift.
+_PERIODS = 6.0
+# Between two frequencies that are looked at, half a Fourier bin apart, a line's power may be a fifth more: so
+# many of the highest peaks are looked at more closely.
+_PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
+_WORTH = 8.0
+_FOLD_BLOCKS = 256
+
+
+class Sinusoid(Cause):
+    """The strongest line; several are found one after the other."""
+
+    name = "sinusoid"
+
+    def p_value(self, view: View) -> float:
+        return _line_p_value(_strongest(view)[-1], view)
+
+    def detect(self, view: View) -> Candidate | None:
+        f, f_std, beta, std, z = _strongest(view)
+        if z < _WORTH:
+            return None
+        after = view.with_x(view.x - wave(f, beta, view.n, view.rate))
+        v = after.variance()
+        f, f_std, beta, std, z = refined(view.c, v, f, view.rate)
+        amplitude = float(np.hypot(*beta))
+        snr = np.sqrt(2.0 * z)
+        gain = after.noise.log_evidence - view.noise.log_evidence
+        # Prior: the amplitude's of `evidence`, any phase, any frequency.
+        gain -= np.log(snr * (snr + 1.0) * np.log1p(1e4))
+        gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
+        parameters = {"frequency": Quantity(f, f_std, "Hz"), "amplitude": view.own(amplitude, std)}
+        # One of fewer periods is seen as near to it as is looked at, and less of it.
+        if f < _PERIODS / view.duration and refined(view.c, v, f - 1.0 / view.duration, view.rate)[-1] > z:
+            least = dataclasses.replace(view.own(amplitude - ONE_SIDED * std, np.nan), limit="above")
+            parameters = {"frequency": Quantity.beyond(float(f), "below", "Hz"), "amplitude": least}
+
+        def held_out() -> float:
+            root = np.sqrt(v)
+            kept = _held_out(in_time(view.c / root), view.rate, _PERIODS / view.duration)
+            return view.gained(after, z, kept)
+
+        width = 40.0 / view.duration
+        return Candidate(
+            self.name,
+            parameters,
+            float(gain),
+            _line_p_value(z, view),
+            after,
+            held_out,
+            (f - width, f + width),
+            "frequency",
+            lambda model: model + terms.Sinusoid(amplitude, f),
+        )
+
+
+def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
+    """What `refined` says about the strongest line."""
+    spectrum, spacing = _spectrum(view.e, view.rate)
+    first = int(np.ceil(_PERIODS / view.duration / spacing))
+    k = np.arange(first, len(spectrum) - 1)
+    highest = spectrum[k].max()
+    peak = (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] >= spectrum[k + 1])
+    k = k[peak & (spectrum[k] > _SCALLOP * highest) | (spectrum[k] == highest)]
+    v = view.variance()
+    starts = spacing * k[np.argsort(-spectrum[k])[:_PEAKS]]
+    found = [refined(view.c, v, float(start), view.rate) for start in starts]
+    return max(found, key=lambda line: line[-1])
+
+
+def _line_p_value(z: float, view: View) -> float:
+    return line_p_value(z, view.rate / 2.0 - _PERIODS / view.duration, view.duration)
+
+
+def line_p_value(z: float, band: float, duration: float) -> float:
+    """P(largest half squared signal-to-noise ratio of a line anywhere in a band > z) (Baluev 2008, eq. 6).
+
+    MNRAS 385:1279: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the band's start.
+    """
+    expected = band * duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
+    return float(1.0 - (1.0 - np.exp(-z)) * np.exp(-expected)) if expected > 1e-9 else float(expected)
+
+
+def wave(frequency: float, beta: Float[np.ndarray, " 2"], n: int, rate: float) -> Float[np.ndarray, " n"]:
+    """β₀ cos + β₁ sin of 2πf·(k + ½)/rate."""
+    phase = 2.0 * np.pi * frequency * (np.arange(n) + 0.5) / rate
+    return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
+
+
+def refined(
+    c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: float, rate: float
+) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
+    """Frequency, its deviation, both amplitudes, their deviation and the gain of the line near `start`."""
+    n = len(c) + 1
+    spacing = rate / (2.0 * n)
+    centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
+    near = np.arange(max(centre - LINE_REACH, 1), min(centre + LINE_REACH, n - 1) + 1)
+    root = np.sqrt(v[near - 1])
+    data = c[near - 1] / root
+
+    def fitted(f: float) -> tuple[float, np.ndarray, float]:
+        D = line_columns(f, near, n, rate) / root[:, None]
+        gram = D.T @ D
+        beta = np.linalg.solve(gram + 1e-12 * np.trace(gram) * np.eye(2), D.T @ data)
+        return 0.5 * float(data @ D @ beta), beta, float(np.sqrt(2.0 / np.trace(gram)))
+
+    grid = np.clip(start + np.arange(-2.0, 2.01, 0.25) * spacing, spacing, (n - 1.0) * spacing)
+    f = grid[np.argmax([fitted(g)[0] for g in grid])]
+    bounds = (f - 0.25 * spacing, f + 0.25 * spacing)
+    f = float(
+        minimize_scalar(
+            lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options={"xatol": 1e-9 * spacing}
+        ).x
+    )
+    z, beta, std = fitted(f)
+    # Cramér–Rao, of frequency with phase and amplitude unknown (Rife & Boorstyn 1974).
+    # √6·σ/(πAT√n), where A²n/2σ² is the squared signal-to-noise ratio 2z.
+    f_std = np.sqrt(6.0) / (np.pi * (n / rate) * 2.0 * np.sqrt(max(z, 1e-6)))
+    return f, float(f_std), beta, std, z
+
+
+def _spectrum(e: Float[np.ndarray, " n"], rate: float) -> tuple[Float[np.ndarray, " frequencies"], float]:
+    """Half the squared signal-to-noise ratio at every frequency, and the frequencies' spacing [Hz]."""
+    size = next_fast_len(_PADDING * len(e), real=True)
+    spectrum = rfft(e, size, workers=-1)
+    return (spectrum.real**2 + spectrum.imag**2) / np.sum(e**2), rate / size
+
+
+def _held_out(e: Float[np.ndarray, " n"], rate: float, lowest: float) -> float:
+    """Gain on parts of the record by the line that the others show."""
+    gain, t = 0.0, 2.0 * np.pi * (np.arange(len(e)) + 0.5) / rate
+    for part in folds(len(e), max(len(e) // _FOLD_BLOCKS, 1)):
+        fold = ~part
+        spectrum, spacing = _spectrum(np.where(fold, e, 0.0), rate)
+        first = int(np.ceil(lowest / spacing))
+        k = first + int(np.argmax(spectrum[first:-1]))
+        # The peak between the frequencies looked at, by a parabola.
+        left, mid, right = spectrum[k - 1 : k + 2]
+        f = (k + 0.5 * (left - right) / (left - 2.0 * mid + right)) * spacing
+        D = np.column_stack([np.cos(t * f), np.sin(t * f)])
+        beta = np.linalg.lstsq(D[fold], e[fold], rcond=None)[0]
+        predicted = D[part] @ beta
+        gain += float(predicted @ e[part] - 0.5 * predicted @ predicted)
+    return gain

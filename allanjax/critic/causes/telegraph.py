@@ -1,0 +1,214 @@
+"""The bias jumps to and fro between two levels."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import chi2
+
+from allanjax.critic.bank import Bank, folds
+from allanjax.critic.causes.additive import additive, shape_parameter
+from allanjax.critic.noise import centred
+from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
+from allanjax.noise import terms
+
+_BLOCKS = 2048
+_LEAST_JUMPS = 3
+# Blocks that levels to start from are smoothed over; rounds of adjusting them.
+_SMOOTH, _ROUNDS = (8, 32, 128), 10
+# Shares of the frequencies that blocks have between which their noise is looked at.
+_WHITE = (32, 4)
+# Dwell times that are compared: from so many blocks to a half of the record, flat in the logarithm.
+_SHORTEST, _DWELLS = 4.0, 12
+
+
+class Telegraph(Cause):
+    """Two levels. How likely the record is is summed over all paths between them (a hidden Markov chain)."""
+
+    name = "telegraph"
+    # The evidence is the test, and what it holds on other data: of 600 records of sensors without an effect
+    # none has both.
+    level = 0.05
+
+    def detect(self, view: View) -> Candidate | None:
+        blocks = min(_BLOCKS, view.n // 8)
+        length = view.n // blocks
+        means = view.x[: blocks * length].reshape(blocks, length).mean(axis=1)
+        sigma = _noise(means)
+        if sigma == 0.0:
+            return None
+        found = two_levels(means, sigma)
+        path = (found.upper > 0.5).astype(float)
+        jumps = int(np.sum(np.diff(path) != 0.0))
+        if jumps < _LEAST_JUMPS:
+            return None
+        whole = np.concatenate([np.repeat(path, length), np.full(view.n - blocks * length, path[-1])])
+        dwell, spread = (x * length / view.rate for x in found.dwell)
+        limit = found.limit
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
+            return {
+                "amplitude": view.own(abs(a), std),
+                "dwell_time": Quantity(dwell, spread, "s", limit),
+                "jumps": Quantity(float(jumps), 0.0, "1"),
+            }
+
+        shape = Bank(centred(whole)[None, : 4 * _BLOCKS])
+        candidate = additive(
+            view,
+            self.name,
+            shape,
+            lambda k: whole,
+            parameters,
+            lambda k: (0.0, view.duration),
+            found.price(means, path),
+            lambda k, a: terms.Telegraph(abs(a), dwell),
+        )
+        if candidate is None:
+            return None
+        # Any basic term that the model lacks and that explains as much is the better word for it.
+        gain = candidate.gain + view.total - view.basic_total
+        p_value = float(np.exp(-max(gain, 0.0)))
+        held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
+        return dataclasses.replace(candidate, gain=gain, p_value=p_value, held_out=held_out)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Levels:
+    """Two levels and what blocks say about the path between them.
+
+    Attributes:
+        sigma: the blocks' noise.
+        upper: probability that a block is on the second level.
+        dwell: mean time between jumps [blocks], and its deviation.
+        limit: on which side of `dwell` that time is, if it may be anywhere there.
+        log_likelihood: of all blocks, over all paths and dwell times, less than that of a known block at its
+            level by what is lost [nats].
+    """
+
+    sigma: float
+    upper: Float[np.ndarray, " blocks"]
+    dwell: tuple[float, float]
+    log_likelihood: float
+    limit: Literal["", "above", "below"] = ""
+
+    def price(self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]) -> float:
+        """What not knowing the path costs [nats]: its likelihood, at its best levels, over that of all."""
+        upper = path > 0.5
+        left = np.where(upper, means - means[upper].mean(), means - means[~upper].mean())
+        return -0.5 * float(np.sum((left / self.sigma) ** 2)) - self.log_likelihood
+
+
+def _noise(means: Float[np.ndarray, " blocks"]) -> float:
+    """Deviation of the blocks by noise that is white from block to block.
+
+    Of frequencies above those of a telegraph, and below those of quantization noise.
+    """
+    first, last = (max(len(means) // part, 1) for part in _WHITE)
+    return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
+
+
+def two_levels(
+    means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
+) -> Levels:
+    """The most likely levels, adjusted to the probable path again and again (Baum & Welch).
+
+    Blocks that are not `known` are bridged.
+
+    Args:
+        means: of the blocks.
+        sigma: their noise.
+        known: which of them are looked at; all by default.
+    """
+    weight = np.ones(len(means)) if known is None else known.astype(float)
+    y = means[weight > 0.0]
+    dwells = np.geomspace(_SHORTEST, max(len(means) / 2.0, 2.0 * _SHORTEST), _DWELLS)
+
+    def likelihoods(values: Float[np.ndarray, "starts 2"]) -> Float[np.ndarray, "starts blocks 2"]:
+        return -0.5 * ((means[:, None] - values[:, None, :]) / sigma) ** 2 * weight[:, None]
+
+    smooth = [np.convolve(y - y.mean(), np.ones(width) / width, "valid") + y.mean() for width in _SMOOTH]
+    values = np.stack([np.quantile(x, [0.2, 0.8]) for x in smooth])
+    for _ in range(_ROUNDS):
+        total, upper = _chain(likelihoods(values), dwells[_DWELLS // 2 :][:1])
+        share = np.stack([1.0 - upper, upper], axis=1) * weight
+        values = share @ means / np.maximum(share.sum(axis=-1), 1e-9)
+    total, upper = _chain(likelihoods(values[[int(np.argmax(total))]]), dwells)
+    probable = np.exp(total - np.logaddexp.reduce(total))
+    log, spread, limit = shape_parameter(np.log(dwells), probable)
+    dwell = float(np.exp(log))
+    return Levels(
+        sigma,
+        probable @ upper,
+        (dwell, dwell * spread),
+        float(np.logaddexp.reduce(total) - np.log(_DWELLS)),
+        limit,
+    )
+
+
+def _chain(
+    log_likelihood: Float[np.ndarray, "#chains blocks 2"], dwells: Float[np.ndarray, "#chains"]
+) -> tuple[Float[np.ndarray, " chains"], Float[np.ndarray, "chains blocks"]]:
+    """Of chains of two states that jump with these mean dwell times [blocks]; one of either is for all.
+
+    Returns:
+        Its log-likelihood over all paths, and the probability of the second state in each block.
+    """
+    largest = log_likelihood.max(axis=-1)
+    jump = -0.5 * np.expm1(-2.0 / dwells)[:, None]
+    step = np.stack([1.0 - jump, jump, jump, 1.0 - jump]).reshape(2, 2, -1, 1)
+    links = step * np.moveaxis(np.exp(log_likelihood - largest[..., None]), -1, 0)
+    forward, scale = _products(links)
+    # Backwards, a link's likelihood is on the other side of its step.
+    backward, _ = _products(np.swapaxes(links, 0, 1)[..., ::-1])
+    ahead = 0.5 * forward.sum(axis=0)
+    behind = np.ones_like(ahead)
+    behind[..., :-1] = backward[..., ::-1].sum(axis=0)[..., 1:]
+    both = ahead * behind
+    total = np.log(ahead[..., -1].sum(axis=0)) + scale[:, -1] + largest.sum(axis=-1)
+    return total, both[1] / both.sum(axis=0)
+
+
+def _products(
+    links: Float[np.ndarray, "2 2 chains blocks"],
+) -> tuple[Float[np.ndarray, "2 2 chains blocks"], Float[np.ndarray, "chains blocks"]]:
+    """Products of the first one, two, three, … matrices, and the logarithms of what they were divided by.
+
+    By doubling: those of two, four, eight, … in a row.
+    """
+    found = links.copy()
+    scale = np.zeros(links.shape[2:])
+    reach = 1
+    while reach < links.shape[-1]:
+        # Written out: NumPy multiplies stacks of small matrices one by one.
+        one, other = found[..., :-reach], found[..., reach:]
+        found[..., reach:] = one[:, :1] * other[:1] + one[:, 1:] * other[1:]
+        scale[:, reach:] = scale[:, :-reach] + scale[:, reach:]
+        size = found.max(axis=(0, 1))
+        found /= size
+        scale += np.log(size)
+        reach *= 2
+    return found, scale
+
+
+def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
+    """Gain on some blocks by the levels that the others are on."""
+    kept, length = 0.0, view.n // len(means)
+    c = centred(means)
+    root = np.sqrt(after.variance()[: len(c)] / length)
+
+    def path(known: Bool[np.ndarray, " blocks"] | None) -> Float[np.ndarray, " blocks"]:
+        return in_time(centred(two_levels(means, sigma, known).upper) / root)
+
+    e = in_time(c / root)
+    for rest in folds(len(means), 2):
+        fold = ~rest
+        h = path(fold)
+        a = float(h[fold] @ e[fold] / (h[fold] @ h[fold]))
+        kept += a * float(h[rest] @ e[rest]) - 0.5 * a**2 * float(h[rest] @ h[rest])
+    h = path(None)
+    return view.gained(after, 0.5 * float(h @ e) ** 2 / float(h @ h), kept)

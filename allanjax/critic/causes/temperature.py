@@ -1,0 +1,88 @@
+"""The rate follows an auxiliary channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.fft import dct, idct
+
+from allanjax.critic.bank import SLOW, Bank, any_of
+from allanjax.critic.causes.additive import additive, shape_parameter
+from allanjax.critic.noise import centred
+from allanjax.critic.view import Candidate, Cause, Quantity, View
+
+_LAGS = 48
+# A channel that is a straight line but for this share of its variance is a clock or a counter.
+_CLOCK = 1e-6
+
+
+class Temperature(Cause):
+    """coefficient · channel(t − lag), for every auxiliary channel; lags up to a tenth of the record."""
+
+    name = "temperature"
+    # Units do feel the temperature: shorter odds than of other causes will do.
+    margin = 1.5
+    joint = "at once"
+
+    def detect(self, view: View) -> Candidate | None:
+        found = [self._of(view, name, channel) for name, channel in view.auxiliary.items()]
+        real = [candidate for candidate in found if candidate is not None]
+        return max(real, key=lambda candidate: candidate.gain, default=None)
+
+    def p_value(self, view: View) -> float | None:
+        banks = [_bank(np.asarray(channel, float)) for channel in view.auxiliary.values()]
+        p = [bank[1].p_value(view, view.noise) for bank in banks if bank is not None]
+        # Of several channels the best, and there were so many.
+        return any_of(min(p), len(p)) if p else None
+
+    def _of(self, view: View, name: str, channel: np.ndarray) -> Candidate | None:
+        z = np.asarray(channel, float)
+        found = _bank(z)
+        if found is None:
+            return None
+        lags, bank = found
+        step = view.n / min(SLOW, view.n - 1)
+
+        def shape(k: int) -> np.ndarray:
+            delay = round(lags[k] * step)
+            return np.concatenate([np.full(delay, z[0]), z[: view.n - delay]]) - z.mean()
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
+            # The bank is not evenly spaced: its points count by the lags they stand for.
+            spacing = np.gradient(lags.astype(float))
+            lag, spread, limit = shape_parameter(lags * step, likelihood, spacing)
+            spread = np.hypot(spread, step * np.interp(lag, lags * step, spacing) / np.sqrt(12.0))
+            return {
+                "coefficient": view.own(a, std, f"/[{name}]"),
+                "lag": Quantity(lag / view.rate, float(spread) / view.rate, "s", limit),
+                "channel": Quantity((name,), 0.0, ""),
+            }
+
+        return additive(
+            view,
+            self.name,
+            bank,
+            shape,
+            parameters,
+            lambda k: (0.0, view.duration),
+            float(np.log(len(view.auxiliary))),
+        )
+
+
+def _bank(z: Float[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " lags"], Bank] | None:
+    """Lags, and the coefficients of a channel that comes so much later; None if it is no such channel."""
+    n = len(z)
+    if not np.isfinite(z).all() or np.ptp(z) == 0.0:
+        return None
+    t = np.arange(n) - (n - 1) / 2.0
+    if np.var(z - np.polynomial.Polynomial.fit(t, z, 1)(t)) < _CLOCK * np.var(z):
+        return None
+    # Lags are applied to the channel at the bank's resolution.
+    J = min(SLOW, n - 1)
+    slow = idct(np.concatenate([[0.0], centred(z)[: J - 1]]), norm="ortho")
+    lags = np.unique(np.rint(np.concatenate([np.arange(8.0), np.geomspace(8.0, J / 10.0, _LAGS - 8)])))
+    lags = lags.astype(int)
+    shifted = np.stack([np.concatenate([np.full(k, slow[0]), slow[: J - k]]) for k in lags])
+    return lags, Bank(dct(shifted, norm="ortho", axis=1)[:, 1:])

@@ -1,0 +1,281 @@
+"""The noise is louder, or quieter, for a while."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import multivariate_normal, norm
+
+from allanjax.critic.bank import any_of, extrapolated, folds
+from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
+
+_BLOCKS = 256
+# Share of the record that an interval has at least: what is shorter is an event.
+_SHORTEST = 0.01
+_DRAWS = 1000
+_WORTH = 6.0
+_FINER = 32
+_FOLD_BLOCK = 16
+# Samples at each end of the record that are not looked at.
+_ENDS = 16
+# The least that can be left of a noise, less one.
+_LEAST = -0.99
+# Normal variates beyond this are too rare for the bivariate law to be computed.
+_NORMAL = 5.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Kind:
+    """A part of the noise that may change: all of it, or the white noise only.
+
+    Attributes:
+        name: for people.
+        share: of this part in the expected squares of the coefficients.
+        squares: of the record behind the filter √share matched to a change of this part, mean 1.
+        worth: of one of them as a degree of freedom: neighbours are correlated.
+        edges: of the blocks that intervals are made of [samples].
+    """
+
+    name: str
+    share: Float[np.ndarray, " n-1"] | float
+    squares: Float[np.ndarray, " n"]
+    worth: float
+    edges: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, view: View, name: str, share: Float[np.ndarray, " n-1"] | float) -> _Kind:
+        u = (
+            view.e
+            if isinstance(share, float)
+            else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
+        )
+        squares = u**2
+        # Samples that were drawn anew have the right variance, but not the record's ends behind a filter; and
+        # quantization noise at the ends is not that of the mirrored record.
+        known = np.flatnonzero(~view.restored)
+        first, last = max(known[0], _ENDS), min(known[-1], view.n - 1 - _ENDS)
+        squares[:first] = squares[last + 1 :] = np.mean(squares[first : last + 1])
+        worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
+        blocks = min(_BLOCKS, view.n // 16)
+        edges = np.rint(np.arange(blocks + 1) * view.n / blocks)
+        return cls(name, share, squares / squares.mean(), worth, edges)
+
+    def scores(self) -> Float[np.ndarray, "k k"]:
+        """Log-likelihood gained by another variance between any two edges, less what the interval costs."""
+        return self.worth * interval_gains(self.squares, self.edges) - _price(len(self.edges))
+
+    def excess(self, ratio: float) -> float:
+        """By what share of itself this part has grown where the squares have grown by a ratio."""
+        return (ratio - 1.0) * float(np.mean(self.share) / np.mean(np.square(self.share)))
+
+
+def _kinds(view: View) -> list[_Kind]:
+    kinds = [_Kind.of(view, "all", 1.0)]
+    power = view.noise.power.get(WHITE)
+    if power is not None:
+        share = power * view.family.spectra[FIXED.index(WHITE)] / view.noise.variance
+        if np.mean(share) < NEARLY_ALL:
+            kinds.append(_Kind.of(view, "white", share))
+    return kinds
+
+
+class VarianceChange(Cause):
+    """One interval in which the noise, or its white part, has another variance.
+
+    Beforehand it is as likely to last to an end of the record, with one place to know, as to begin and end.
+    """
+
+    name = "variance_change"
+
+    def p_value(self, view: View) -> float:
+        kinds = _kinds(view)
+        return _p_value(float(max(kind.scores().max() for kind in kinds)), kinds)
+
+    def detect(self, view: View) -> Candidate | None:
+        kinds = _kinds(view)
+        scores = [kind.scores() for kind in kinds]
+        best = int(np.argmax([score.max() for score in scores]))
+        kind, score = kinds[best], scores[best]
+        if score.max() < _WORTH:
+            return None
+        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
+        # The mean over those that last to an end, of which each counts fully, and the others together.
+        count = 2.0 * len(kinds) * np.sum(_lasting(len(score)))
+        each = np.concatenate([s[_intervals(len(s))] for s in scores])
+        mean = float(np.logaddexp.reduce(each) - np.log(count))
+        a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
+        inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
+        louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
+        # A record that begins or ends with another level: the louder part is what changed.
+        if not louder and (a == 0 or b == view.n):
+            a, b = (b, view.n) if a == 0 else (0, a)
+            inside = ~inside
+        spreads = _spreads(kind, score, a, b)
+        m = kind.worth * np.array([inside.sum(), (~inside).sum()], float)
+        level = np.array([kind.squares[inside].mean(), kind.squares[~inside].mean()])
+        found = kind.excess(float(level[0] / level[1]))
+        excess = max(found, _LEAST)
+        # The ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
+        scatter = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m))))
+        ratio = _ratio(found, scatter)
+        quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
+        after = view.with_x(view.recoloured(np.where(inside, quieter, view.e)))
+        return Candidate(
+            self.name,
+            {
+                "start": view.time(a, spreads[0]),
+                "end": view.time(b, spreads[1]),
+                "ratio": ratio,
+                "noise": Quantity((kind.name,), 0.0, ""),
+            },
+            mean - 3.0,
+            _p_value(float(score.max()), kinds),
+            after,
+            lambda: _held_out(kind),
+            (a / view.rate, b / view.rate),
+            "time",
+        )
+
+
+def _ratio(excess: float, scatter: float) -> Quantity:
+    """Of the noise's deviations, from what it has grown by and the scatter of that, as shares of the power.
+
+    Of a noise that has all but vanished it is known only below what it is.
+    """
+    if excess < max(_LEAST, 2.0 * scatter - 1.0):
+        return Quantity.beyond(float(np.sqrt(1.0 + max(excess + ONE_SIDED * scatter, _LEAST))), "below", "1")
+    ratio = float(np.sqrt(1.0 + excess))
+    # d ratio = d excess / (2 ratio).
+    return Quantity(ratio, scatter / (2.0 * ratio), "1")
+
+
+def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
+    """Probability of so large a score by any of the kinds, where nothing changes.
+
+    Sums of the squares behind the two filters, 1 and √share, are correlated by √worth.
+    """
+    p = scan_p_value(score, len(kinds[0].edges) - 1)
+    if len(kinds) == 1:
+        return p
+    u, r = float(np.sqrt(2.0 * score)), float(np.sqrt(kinds[1].worth))
+    both = multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]])
+    # As a pair of normal variates exceeds u more often than one of them, so do the largest of many.
+    below = both.cdf([u, u], lower_limit=[-u, -u])
+    times = min((1.0 - below) / (2.0 * norm.sf(u)), 2.0) if u < _NORMAL else 2.0
+    return any_of(p, times)
+
+
+def _intervals(edges: int) -> Bool[np.ndarray, "k k"]:
+    """From the first of two edges to the second one."""
+    return np.triu(np.ones((edges, edges), bool), 1)
+
+
+def _lasting(edges: int) -> Bool[np.ndarray, "k k"]:
+    """Intervals to an end of the record."""
+    lasting = _intervals(edges)
+    lasting[1:, :-1] = False
+    return lasting
+
+
+@functools.lru_cache(maxsize=4)
+def _price(edges: int) -> Float[np.ndarray, "k k"]:
+    """What an interval costs that does not last to an end: there are so many more of these [nats]."""
+    lasting = _lasting(edges)
+    others = _intervals(edges) & ~lasting
+    return np.where(others, np.log(others.sum() / lasting.sum()), 0.0)
+
+
+def interval_gains(
+    squares: Float[np.ndarray, " n"], edges: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k k"]:
+    """Log-likelihood gained by another variance between any two edges."""
+    return _gains(np.concatenate([[0.0], np.cumsum(squares)])[edges.astype(int)], edges)
+
+
+def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+    """The same from the sum of squares up to each edge."""
+    inner, count = total[None, :] - total[:, None], edges[None, :] - edges[:, None]
+    outer, rest = total[-1] - inner, edges[-1] - count
+    shortest = _SHORTEST * edges[-1]
+    valid = (count > shortest) & (rest > shortest)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gains = 0.5 * (
+            edges[-1] * np.log(total[-1] / edges[-1])
+            - count * np.log(inner / count)
+            - rest * np.log(outer / rest)
+        )
+    return np.where(valid & np.isfinite(gains), gains, 0.0)
+
+
+def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float) -> tuple[int, int]:
+    """The interval, its ends moved about within a block of where they were found."""
+    n = len(squares)
+    near = [
+        np.unique(np.rint(np.linspace(max(e - length, 0), min(e + length, n), 2 * _FINER + 1)))
+        if 0 < e < n
+        else np.array([e])
+        for e in (a, b)
+    ]
+    edges = np.unique(np.concatenate([[0.0], *near, [float(n)]]))
+    gains = interval_gains(squares, edges)
+    rows, columns = np.isin(edges, near[0]), np.isin(edges, near[1])
+    gains = np.where(rows[:, None] & columns[None, :], gains, -np.inf)
+    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    return int(edges[i]), int(edges[j])
+
+
+def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tuple[float, float]:
+    """How far each of the two places may be from where it was found, the other being right: rms [samples]."""
+    inside = np.zeros(len(kind.squares), bool)
+    inside[a:b] = True
+    step = kind.squares[inside].mean() / kind.squares[~inside].mean()
+    # Within a block: what a change of this size stands out in.
+    block = kind.edges[1] / np.sqrt(12.0)
+    fine = min(4.0 / max((step - 1.0 - np.log(step)) * kind.worth, 1e-6), block)
+    i, j = (int(np.argmin(abs(kind.edges - x))) for x in (a, b))
+    found = []
+    for along, x in ((gains[:, j], a), (gains[i], b)):
+        weight = np.exp(along - along.max())
+        found.append(float(np.hypot(fine, np.sqrt(weight @ (kind.edges - x) ** 2 / weight.sum()))))
+    return found[0], found[1]
+
+
+@functools.lru_cache(maxsize=4)
+def _null(blocks: int) -> Float[np.ndarray, " draws"]:
+    """Largest root of twice the score in draws of blocks of many samples, which are normal."""
+    rng = np.random.default_rng(0)
+    many = 400
+    edges = np.arange(blocks + 1.0) * many
+    found = []
+    for _ in range(_DRAWS):
+        total = np.concatenate([[0.0], np.cumsum(rng.chisquare(many, blocks))])
+        found.append(np.sqrt(2.0 * np.max(_gains(total, edges) - _price(len(edges)))))
+    return np.array(found)
+
+
+def scan_p_value(score: float, blocks: int) -> float:
+    """Probability that equal noise has so large a score in some interval."""
+    return extrapolated(_null(blocks), float(np.sqrt(2.0 * score)))
+
+
+def _held_out(kind: _Kind) -> float:
+    """Gain on parts of the samples by the interval and the levels that the others show."""
+    squares, edges = kind.squares, kind.edges
+    gain, place = 0.0, np.arange(len(squares))
+    for part in folds(len(squares), _FOLD_BLOCK):
+        fold = ~part
+        counted = np.concatenate([[0.0], np.cumsum(fold)])[edges.astype(int)]
+        gains = kind.worth * interval_gains(squares[fold], counted) - _price(len(edges))
+        i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+        inside = (place >= edges[i]) & (place < edges[j])
+        whole = squares[fold].mean()
+        for stretch in (inside, ~inside):
+            level = squares[fold & stretch].mean()
+            rest = squares[part & stretch]
+            gain += 0.5 * float(np.sum(rest / whole - rest / level) + len(rest) * np.log(whole / level))
+    return kind.worth * gain

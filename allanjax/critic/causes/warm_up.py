@@ -1,0 +1,69 @@
+"""The bias settles exponentially after switching on."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critic.bank import SLOW, Bank
+from allanjax.critic.causes.additive import additive, shape_parameter
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View
+from allanjax.noise import terms
+
+_TIMES = 48
+
+
+class WarmUp(Cause):
+    """a·exp(−t/T), T from a five hundredth of the record to its half: beyond, it is a ramp."""
+
+    name = "warm_up"
+    # Units do warm up: shorter odds than of other causes will do.
+    margin = 1.0
+    joint = "at once"
+
+    def p_value(self, view: View) -> float:
+        return _bank(view.n, view.rate)[1].p_value(view, view.noise)
+
+    def detect(self, view: View) -> Candidate | None:
+        t = np.arange(view.n) / view.rate
+        times, bank = _bank(view.n, view.rate)
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
+            log_time, spread, limit = shape_parameter(np.log(times), likelihood)
+            spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
+            T = float(np.exp(log_time))
+            # Of a slower one, or a faster one, more is before or between what was recorded.
+            least = a - np.sign(a) * ONE_SIDED * std
+            beyond = dataclasses.replace(view.own(least, np.nan), limit="above" if a > 0.0 else "below")
+            return {
+                "amplitude": beyond if limit else view.own(a, std),
+                "time_constant": Quantity(T, float(spread) * T, "s", limit),
+            }
+
+        return additive(
+            view,
+            self.name,
+            bank,
+            lambda k: np.exp(-t / times[k]),
+            parameters,
+            lambda k: (0.0, min(3.0 * times[k], view.duration)),
+            term=lambda k, a: terms.WarmUp(abs(a), float(times[k])),
+        )
+
+
+@functools.lru_cache(maxsize=2)
+def _bank(n: int, rate: float) -> tuple[Float[np.ndarray, " times"], Bank]:
+    times = np.geomspace(n / 500.0, n / 2.0, _TIMES)
+    return times / rate, Bank(_coefficients(times, n))
+
+
+def _coefficients(times: Float[np.ndarray, " times"], n: int) -> Float[np.ndarray, "times slow"]:
+    """Of e^{−k/T}, T in samples: the real part of a geometric series."""
+    a = np.pi * np.arange(1, min(SLOW, n - 1) + 1) / n
+    ratio = np.exp(1j * a - 1.0 / times[:, None])
+    last = np.exp(1j * np.pi * np.arange(1, len(a) + 1) - n / times[:, None])
+    return np.sqrt(2.0 / n) * np.real(np.exp(0.5j * a) * (1.0 - last) / (1.0 - ratio))

@@ -1,0 +1,295 @@
+"""The record beside its simulations: whitened residuals, and the law of Allan deviations.
+
+A simulation draws cosine coefficients c_j ~ N(0, v_j), the levels v themselves being known only as well as
+the record shows them. The Allan variance of the record continued by its mirror image at both ends, known as
+the total variance (Greenhall, Howe & Percival 1999, IEEE Trans. UFFC 46:1183), is diagonal in them:
+
+    σ²(m) = (1/n) Σ_j c_j² w_j(m),    w_j(m) = 2 sin⁴(m a_j/2)/(m² sin²(a_j/2)),    a_j = πj/n.
+
+So the scatter of simulations needs no simulating: it is that of a weighted sum of χ² variates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.stats import chi2
+
+from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
+from allanjax.critic.result import Snapshot
+from allanjax.critic.view import in_time
+from allanjax.noise.terms import Markov, PowerLaw
+from allanjax.record.recording import Axis
+
+_CHUNK = 1 << 16
+# Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
+_FAST = 40.0
+_TURN = 0.04
+# Relative precision of such sums: what levels leave of a variance is no less.
+_ROUNDING = 1e-3
+_PER_OCTAVE = 6
+_CURVE_PER_OCTAVE = 4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Whitened:
+    """An axis at one stage of the critique, and what its model expects of it.
+
+    Attributes:
+        axis, scale: whose it is; factor from its own unit to SI.
+        rate: sample rate [Hz].
+        x: the samples without what was found and without a ramp [SI].
+        c: their cosine coefficients.
+        variance: expected squares of these.
+        stage: where it comes from.
+    """
+
+    axis: Axis
+    scale: float
+    rate: float
+    x: Float[np.ndarray, " n"]
+    c: Float[np.ndarray, " n-1"]
+    variance: Float[np.ndarray, " n-1"]
+    stage: Snapshot
+
+    @classmethod
+    def of(cls, axis: Axis, scale: float, rate: float, stage: Snapshot) -> Whitened:
+        """The ramp that the model has is taken out of the measurement as it is of the simulation."""
+        x = stage.x
+        if stage.ramp and np.isfinite(stage.ramp):
+            x = x - stage.ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / rate
+        return cls(axis, scale, rate, x, centred(x), stage.variance, stage)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.x)
+
+    @functools.cached_property
+    def z(self) -> Float[np.ndarray, " n-1"]:
+        """Whitened coefficients, independent and standard normal if the model is right."""
+        return self.c / np.sqrt(self.variance)
+
+    @functools.cached_property
+    def e(self) -> Float[np.ndarray, " n"]:
+        """The same in time order."""
+        return in_time(self.z)
+
+    @functools.cached_property
+    def _spectra(self) -> list[Float[np.ndarray, " n-1"]]:
+        """Of the noise terms, unit amplitude."""
+        family, found = family_of(self.n, self.rate), []
+        for name in self.stage.powers:
+            if name in FIXED:
+                found.append(family.spectra[FIXED.index(name)])
+            else:
+                term = Markov if name == MARKOV else PowerLaw
+                found.append(family.spectrum(term(1.0, self.stage.shape)))
+        return found
+
+    def shares(self, part: slice = slice(None)) -> Float[np.ndarray, "terms some"]:
+        """Share of each noise term in the expected squares; no rows where the terms are not known.
+
+        Of a part of the coefficients: all of them at all stages would take gigabytes.
+        """
+        rows = [p * x[part] for p, x in zip(self.stage.powers.values(), self._spectra, strict=True)]
+        if not rows:
+            return np.zeros((0, len(self.variance[part])))
+        return np.stack(rows) / np.maximum(np.sum(rows, axis=0), 1e-300)
+
+    def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
+        """Of one noise term; None if there is no such term."""
+        names = list(self.stage.powers)
+        return self.shares()[names.index(term)] if term in names else None
+
+    @functools.cached_property
+    def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
+        """Of the relative errors of the terms' powers.
+
+        The inverse of the Fisher information, to which 1 is added: no power is taken to be uncertain by more
+        than itself.
+        """
+        return np.linalg.inv(self.level_information + np.eye(len(self.stage.powers)))
+
+    @functools.cached_property
+    def level_information(self) -> Float[np.ndarray, "terms terms"]:
+        """Fisher information about the logarithms of the terms' powers: ½ Σ_j q_k q_l, q the shares."""
+        k = len(self.stage.powers)
+        return 0.5 * sum((q @ q.T for q in map(self.shares, _chunks(self.n - 1))), start=np.zeros((k, k)))
+
+    def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
+        """A record of the model at its levels [SI], without mean and ramp."""
+        draw = np.random.default_rng(seed).standard_normal(self.n - 1)
+        return in_time(draw * np.sqrt(self.variance))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AllanLaw:
+    """Allan variances of a record, and their law in simulations.
+
+    Attributes:
+        time: cluster times [s].
+        measured: Allan variances [rate²].
+        mean: of the simulations' variances.
+        covariance: of these over their means, errors of the model's levels included.
+        fitted: of the measured variances over the mean, if the model is right: its levels follow the record.
+    """
+
+    time: Float[np.ndarray, " m"]
+    measured: Float[np.ndarray, " m"]
+    mean: Float[np.ndarray, " m"]
+    covariance: Float[np.ndarray, "m m"]
+    fitted: Float[np.ndarray, "m m"]
+
+    def at(self, some: slice) -> AllanLaw:
+        """At some of the cluster times."""
+        both = some, some
+        return AllanLaw(
+            self.time[some], self.measured[some], self.mean[some], self.covariance[both], self.fitted[both]
+        )
+
+    def quantile(self, probability: float) -> Float[np.ndarray, " m"]:
+        """Of the simulations' Allan variances."""
+        dof = degrees_of_freedom(self.covariance)
+        return self.mean * chi2.ppf(probability, dof) / dof
+
+
+def degrees_of_freedom(covariance: Float[np.ndarray, "m m"]) -> Float[np.ndarray, " m"]:
+    """Of the χ² laws that have the mean 1 and these variances."""
+    return 2.0 / np.diag(covariance)
+
+
+def allan_law(record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+    """Of clusters of so many samples."""
+    (law,) = allan_laws([record], sizes)
+    return law
+
+
+def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
+    """Of several records of one length: the weights are computed once."""
+    n = records[0].n
+    sums = [_Sums.zero(len(sizes), len(record.stage.powers)) for record in records]
+    for part in _chunks(n - 1):
+        # Of neighbours between which no weight turns by more than a small angle, only the sum counts.
+        edges = np.arange(0, part.stop - part.start, max(int(part.start * _TURN / _FAST), 1))
+        last = np.append(edges[1:], part.stop - part.start)
+        a = np.pi * (part.start + 0.5 * (edges + last + 1)) / (2.0 * n)
+        # Where the weight oscillates fast in j it is replaced by its mean: one row for all such clusters.
+        fast = sizes * a[0] > _FAST
+        weight = np.ones((np.sum(~fast) + 1, len(a)))
+        weight[:-1] = np.sin(np.outer(sizes[~fast], a)) ** 2
+        weight *= weight
+        weight /= np.sin(a) ** 2
+        rows = np.zeros((len(sizes), len(weight)))
+        rows[~fast, :-1] = np.diag(2.0 / sizes[~fast] ** 2.0)
+        rows[fast, -1] = 0.75 / sizes[fast] ** 2.0
+        for record, total in zip(records, sums, strict=True):
+            v = record.variance[part]
+            c2, v2 = (np.add.reduceat(y**2, edges) for y in (record.c[part], v))
+            total.measured += rows @ (weight @ c2)
+            total.mean += rows @ (weight @ np.add.reduceat(v, edges))
+            total.square += rows @ ((weight * v2) @ weight.T) @ rows.T
+            total.slope += rows @ (weight @ np.add.reduceat(record.shares(part) * v, edges, axis=1).T)
+    return [total.law(record, sizes) for record, total in zip(records, sums, strict=True)]
+
+
+@dataclasses.dataclass(eq=False)
+class _Sums:
+    """Over the coefficients: of weighted squares, expected ones, their covariance, and by noise term."""
+
+    measured: Float[np.ndarray, " m"]
+    mean: Float[np.ndarray, " m"]
+    square: Float[np.ndarray, "m m"]
+    slope: Float[np.ndarray, "m terms"]
+
+    @classmethod
+    def zero(cls, m: int, terms: int) -> _Sums:
+        return cls(np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms)))
+
+    def law(self, record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+        slope = self.slope / self.mean[:, None]
+        known = 2.0 * self.square / np.outer(self.mean, self.mean)
+        L = record.level_covariance
+        # The errors of the levels, L·score, go with the record: their covariance with it is slope·L, and
+        # that of the score is its Fisher information.
+        followed = 2.0 * L - L @ record.level_information @ L
+        return AllanLaw(
+            sizes / record.rate,
+            self.measured / record.n,
+            self.mean / record.n,
+            known + slope @ L @ slope.T,
+            known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known)),
+        )
+
+
+def _chunks(size: int) -> Iterator[slice]:
+    """Parts of an array that double in length: the lowest coefficients differ most."""
+    first, length = 0, 1024
+    while first < size:
+        yield slice(first, min(first + length, size))
+        first, length = first + length, min(2 * length, _CHUNK)
+
+
+def octave_sizes(n: int) -> Int[np.ndarray, " m"]:
+    """Clusters of 1, 2, 4, … samples, up to half of the record."""
+    return 2 ** np.arange(int(np.log2(n // 2)) + 1)
+
+
+def octave_bins(n: int) -> Int[np.ndarray, " bins+1"]:
+    """Edges of logarithmic bins of the coefficients 1 … n−1, six an octave once that makes more than one."""
+    edges = [1]
+    while (last := edges[-1]) < n:
+        edges.append(last + max(1, int(last * (2.0 ** (1.0 / _PER_OCTAVE) - 1.0))))
+    # What is left over at the end belongs to the last whole bin.
+    return np.append(edges[:-2], n)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Comparison:
+    """A measured curve and where 95 % of simulations lie.
+
+    Attributes:
+        statistic: "allan_deviation" [rate, SI] over cluster time [s], or "psd", one-sided [rate²/Hz, SI],
+            over frequency [Hz].
+        place: cluster times or frequencies.
+        measured: the curve.
+        low, median, high: 2.5, 50 and 97.5 % of simulations.
+    """
+
+    statistic: str
+    place: Float[np.ndarray, " m"]
+    measured: Float[np.ndarray, " m"]
+    low: Float[np.ndarray, " m"]
+    median: Float[np.ndarray, " m"]
+    high: Float[np.ndarray, " m"]
+
+
+def summaries(record: Whitened) -> tuple[Comparison, Comparison]:
+    """Allan deviation and power spectral density, beside their simulations."""
+    n = record.n
+    sizes = np.unique(
+        np.rint(2.0 ** (np.arange(_CURVE_PER_OCTAVE * np.log2(n // 2) + 1) / _CURVE_PER_OCTAVE))
+    )
+    law = allan_law(record, sizes.astype(int))
+    allan = Comparison(
+        "allan_deviation",
+        law.time,
+        np.sqrt(law.measured),
+        *(np.sqrt(law.quantile(p)) for p in (0.025, 0.5, 0.975)),
+    )
+    edges = octave_bins(n)
+    first, count = edges[:-1] - 1, np.diff(edges)
+    q = np.add.reduceat(record.shares() * record.variance, first, axis=1)
+    expected = np.add.reduceat(record.variance, first)
+    q = q / expected
+    spread = 2.0 / count + np.einsum("kb,kl,lb->b", q, record.level_covariance, q)
+    dof = 2.0 / spread
+    density = 2.0 / record.rate / count
+    low, median, high = (density * expected * chi2.ppf(p, dof) / dof for p in (0.025, 0.5, 0.975))
+    middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * n)
+    measured = density * np.add.reduceat(record.c**2, first)
+    return allan, Comparison("psd", middle, measured, low, median, high)

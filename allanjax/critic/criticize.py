@@ -1,0 +1,243 @@
+"""The critique of a recording: fit, compare with simulations, find causes, extend, compare again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.critic.causes import CAUSES
+from allanjax.critic.causes.common_mode import common_mode
+from allanjax.critic.comparison import Whitened
+from allanjax.critic.discrepancies import discrepancies, mended
+from allanjax.critic.gain import coefficient_changes, drift_changes
+from allanjax.critic.noise import WHITE
+from allanjax.critic.result import (
+    AxisCritique,
+    Critique,
+    Discrepancy,
+    DriftChange,
+    Finding,
+    Rival,
+    Snapshot,
+)
+from allanjax.critic.search import Accepted, Search, basic_model, extended, search, view_of
+from allanjax.critic.step import Step
+from allanjax.critic.view import Cause, Quantity, View
+from allanjax.estimate.fit import fit as fit_recording
+from allanjax.estimate.result import Fit
+from allanjax.record.recording import Recording
+
+# Discrepancies of an extended model that are less probable than this are reported as unexplained.
+_UNEXPLAINED = 1e-6
+# Statistics that compare with other channels: what they show has a cause there.
+_BETWEEN = ("cross_correlation", "auxiliary_correlation")
+_IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
+# Statistics of the samples' distribution: restored samples are drawn, by a simple rule, and show it.
+_OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
+_SHORTEST = 1024
+# One more than there are cores on a small machine: axes wait for each other's compiled functions.
+_WORKERS = 3
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def criticize(
+    recording: Recording,
+    given: Fit | None,
+    causes: Sequence[Cause] | None,
+    false_alarms: float,
+    progress: Callable[[str], None] | None,
+) -> Critique:
+    """See `allanjax.critique.critique`.
+
+    The axes are criticized beside each other: threads of BLAS, which wait for work by spinning, would only be
+    in their way.
+    """
+    causes = CAUSES if causes is None else causes
+    tell = progress or (lambda text: None)
+    label = recording.name or "the recording"
+    if not 0.0 < false_alarms < 1.0:
+        raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
+    if recording.n < _SHORTEST:
+        raise FitError(
+            f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
+        )
+    if given is not None and given.axes != recording.names:
+        raise AllanjaxError(
+            f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
+        )
+    for result in given.results if given else ():
+        if not result.converged:
+            raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
+    per_axis = false_alarms / len(recording.axes)
+
+    def searched(k: int) -> Search:
+        scale, x = float(recording.own_scales[k]), recording.values[:, k]
+        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
+        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
+        return search(view, causes, per_axis, tell)
+
+    # The work is in transforms and compiled functions, which run beside each other. Where the terms are
+    # chosen the search needs no fit: it is for the report.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
+        searches = list(pool.map(searched, range(len(recording.axes))))
+    fit = fitting.result()
+    tell("comparing measurement and simulation")
+    stages = [_stages(s) for s in searches]
+    first, last = (
+        [
+            Whitened.of(s.start.axis, s.start.scale, s.start.rate, of_axis[i])
+            for s, of_axis in zip(searches, stages, strict=True)
+        ]
+        for i in (0, -1)
+    )
+    shared = tuple(
+        common_mode(
+            recording.names,
+            [w.z for w in last],
+            [w.share(WHITE) for w in last],
+            recording.rate,
+            Accepted.of(per_axis, causes).share,
+        )
+    )
+
+    def judged(k: int) -> AxisCritique:
+        s = searches[k]
+        before = _compared(k, first, s.start.raw, recording)
+        after = _compared(k, last, s.end.x if s.restored else s.start.raw, recording)
+        tell(f"{s.start.axis.name}: measuring the gain")
+        middle = [Whitened.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
+        records = [first[k], *middle, *([last[k]] if s.steps else [])]
+        pairs = [
+            (*of_step, *_of_samples(step, before, after))
+            for step, of_step in zip(s.steps, mended(records, recording.auxiliary), strict=True)
+        ]
+        drifts = drift_changes(s.steps)
+        findings = [_finding(*of_step) for of_step in zip(s.steps, pairs, drifts, strict=True)]
+        together = {name for f in shared if s.start.axis.name in f.axes for name in f.axes}
+        findings += _unexplained(s, after, bool(together))
+        return AxisCritique(
+            s.start.axis,
+            tuple(findings),
+            before,
+            after,
+            s.tests,
+            stages[k],
+            # An effect may be why there is no fit.
+            fit.results[k].model if fit.results[k].converged else basic_model(s.start),
+            extended(s),
+            fit.results[k].misfit,
+        )
+
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        axes = tuple(pool.map(judged, range(len(searches))))
+    return Critique(
+        recording.name,
+        recording.rate,
+        fit,
+        axes,
+        shared,
+        (
+            *fit.notes,
+            *(
+                f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence"
+                for r in fit.results
+                if not r.converged
+            ),
+            *(note for s in searches for note in s.notes),
+        ),
+        recording.dead,
+        fit.warnings,
+    )
+
+
+def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
+    tell("fitting the noise model")
+    # What was done to the recording is what is looked for.
+    fit = fit_recording(recording, as_is=True)
+    if all(result.converged for result in fit.results):
+        return fit
+    # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
+    return fit_recording(recording, objective="whittle", as_is=True)
+
+
+def _stages(s: Search) -> tuple[Snapshot, ...]:
+    # The last one is without all lines: of harmonics, which are one finding, some may have come late.
+    views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
+    return tuple(_snapshot(view) for view in views)
+
+
+def _snapshot(view: View) -> Snapshot:
+    noise = view.noise
+    return Snapshot(view.x, view.variance(), noise.terms, noise.power, noise.shape, view.slope)
+
+
+def _compared(
+    k: int, records: Sequence[Whitened], raw: np.ndarray, recording: Recording
+) -> tuple[Discrepancy, ...]:
+    others = {w.axis.name: w for i, w in enumerate(records) if i != k}
+    return discrepancies(records[k], raw, others, recording.auxiliary)
+
+
+def _of_samples(
+    step: Step, before: tuple[Discrepancy, ...], after: tuple[Discrepancy, ...]
+) -> list[tuple[Discrepancy, Discrepancy]]:
+    """What is seen in the samples themselves, and is mended by the causes that are found there."""
+    statistic = _IN_SAMPLES.get(step.candidate.cause)
+    old, new = ({d.statistic: d for d in found} for found in (before, after))
+    return [(old[statistic], new[statistic])] if statistic else []
+
+
+def _finding(
+    step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...], drift: DriftChange | None
+) -> Finding:
+    candidate = step.candidate
+    return Finding(
+        cause=candidate.cause,
+        axes=(step.before.axis.name,),
+        parameters=candidate.parameters,
+        p_value=candidate.p_value,
+        evidence=float(candidate.gain),
+        gain=float(step.gain),
+        rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
+        span=(float(candidate.span[0]), float(candidate.span[1])),
+        domain=candidate.domain,
+        coefficients=coefficient_changes(step),
+        drift=drift,
+        discrepancies=pairs,
+    )
+
+
+def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
+    """The most significant discrepancy that is left, if it is beyond doubt."""
+    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.restored else ())
+    left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
+    if not left:
+        return []
+    worst = min(left, key=lambda d: d.p_value)
+    parameters = {
+        "statistic": Quantity((worst.statistic,), 0.0, ""),
+        "where": Quantity(worst.where, 0.0, worst.where_unit),
+        "measured": Quantity(worst.measured, 0.0, worst.unit),
+        "simulated": Quantity(worst.simulated, 0.0, worst.unit),
+    }
+    time = worst.where_unit == "s"
+    span = (0.0, s.start.duration) if time else (0.0, s.start.rate / 2.0)
+    return [
+        Finding(
+            "unexplained",
+            (s.start.axis.name,),
+            parameters,
+            worst.p_value,
+            0.0,
+            0.0,
+            (),
+            span,
+            "time" if time else "frequency",
+            discrepancies=((worst, worst),),
+        )
+    ]

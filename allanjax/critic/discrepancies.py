@@ -1,0 +1,131 @@
+"""In which respects does a simulation differ from the measurement, and what did a finding mend?"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import binom
+
+from allanjax.critic.causes.rounding import HARMLESS, lattice
+from allanjax.critic.comparison import AllanLaw, Whitened, allan_laws, octave_sizes
+from allanjax.critic.noise import centred
+from allanjax.critic.profiles import (
+    TINY,
+    Profile,
+    allan_deviation,
+    autocorrelation,
+    auxiliary_correlation,
+    cluster_times,
+    cross_correlation,
+    largest_residual,
+    line,
+    psd,
+    tails,
+    windows,
+)
+from allanjax.critic.result import Discrepancy
+
+
+def discrepancies(
+    record: Whitened,
+    raw: Float[np.ndarray, " n"],
+    others: Mapping[str, Whitened] | None = None,
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+    seed: int = 0,
+) -> tuple[Discrepancy, ...]:
+    """Compare one axis at one stage with its simulations, in every respect.
+
+    Args:
+        record: the axis.
+        raw: its samples as recorded [SI]; restored ones once a cause that makes them what they are was found.
+        others: other axes by name.
+        auxiliary: other channels by name.
+        seed: of the simulation that repeated values are counted in.
+
+    Returns:
+        One discrepancy a statistic, also where there is none (p near 1).
+    """
+    profiles = [*cluster_times(record), psd(record), line(record), autocorrelation(record)]
+    profiles += [tails(record), largest_residual(record)]
+    found = [profile.worst() for profile in profiles]
+    found += [_lattice(record, raw), _repeated(record, raw, seed)]
+    found += [profile.worst() for profile in windows(record)]
+    if others:
+        found.append(cross_correlation(record, others).worst())
+    if channels := _varying(auxiliary):
+        found.append(auxiliary_correlation(record, channels).worst())
+    return tuple(found)
+
+
+def mended(
+    records: Sequence[Whitened], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
+) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
+    """What each finding mended: statistics before it and after, where the finding improved them most.
+
+    Args:
+        records: an axis before its first finding and after each.
+        auxiliary: other channels by name.
+
+    Returns:
+        For every finding pairs of discrepancies at the same place, one a statistic.
+    """
+    laws = allan_laws(records, octave_sizes(records[0].n))
+    channels = _varying(auxiliary)
+    stages = [_cheap(record, law, channels) for record, law in zip(records, laws, strict=True)]
+    found = []
+    for before, after in itertools.pairwise(stages):
+        pairs = []
+        for old, new in zip(before, after, strict=True):
+            place = int(np.argmax(abs(old.score) ** 2 - abs(new.score) ** 2))
+            pairs.append((old.at(place), new.at(place)))
+        found.append(tuple(pairs))
+    return found
+
+
+def _cheap(
+    record: Whitened, law: AllanLaw, channels: Mapping[str, Float[np.ndarray, " n-1"]]
+) -> list[Profile]:
+    """Profiles that cost little beside the transforms."""
+    profiles = [
+        allan_deviation(record, law),
+        psd(record),
+        line(record),
+        tails(record),
+        largest_residual(record),
+    ]
+    profiles += windows(record)
+    return [*profiles, auxiliary_correlation(record, channels)] if channels else profiles
+
+
+def _varying(
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None,
+) -> dict[str, Float[np.ndarray, " n-1"]]:
+    """Cosine coefficients of the channels that can be correlated with."""
+    channels = {name: np.asarray(h, float) for name, h in (auxiliary or {}).items()}
+    return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
+
+
+def _lattice(record: Whitened, raw: Float[np.ndarray, " n"]) -> Discrepancy:
+    """Share of the samples on a lattice; one finer than the noise is the file's way to write numbers."""
+    q = lattice(raw)
+    if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
+        return Discrepancy("lattice", 0.0, "", 0.0, 0.0, "1", 1.0)
+    return Discrepancy("lattice", 0.0, "", 1.0, 0.0, "1", TINY)
+
+
+def _repeated(record: Whitened, raw: Float[np.ndarray, " n"], seed: int) -> Discrepancy:
+    """Share of samples equal to the one before; simulations have the recording's resolution."""
+    gaps = np.diff(np.unique(raw))
+    q = float(gaps.min()) if len(gaps) else 0.0
+    count = int(np.sum(raw[1:] == raw[:-1]))
+    simulated = 0
+    if q > 0.0:
+        x = np.rint((record.simulate(seed) + float(np.mean(raw))) / q)
+        simulated = int(np.sum(x[1:] == x[:-1]))
+    # Two counts of one expectation: which of the two an event is in is a matter of chance.
+    p = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY)
+    n = record.n - 1
+    return Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)

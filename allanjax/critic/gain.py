@@ -1,0 +1,123 @@
+"""What a finding changes: the basic coefficients, and the drift that the model predicts."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
+from allanjax.critic.profiles import ANGLE
+from allanjax.critic.result import CoefficientChange, DriftChange
+from allanjax.critic.step import Step
+from allanjax.critic.view import View
+from allanjax.critic.weighing import Behind
+from allanjax.estimate.selection import basic_terms
+from allanjax.noise.terms import Markov
+from allanjax.record.units import default_coefficient_unit, unit_scale
+
+_HORIZONS = 4.0 ** np.arange(0.0, 10.0)
+
+
+def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
+    """Every basic coefficient that the noise had before or has after a finding."""
+    before, after = step.before.noise.power, step.candidate.after.noise.power
+    sensor = step.before.axis.sensor
+    changes = []
+    for name in (*FIXED, MARKOV):
+        if name not in before and name not in after:
+            continue
+        term = Markov() if name == MARKOV else basic_terms()[name]
+        unit = default_coefficient_unit(sensor, term.parameters()[0].time_exponent)
+        scale = unit_scale(unit, sensor)
+        old, new = (float(np.sqrt(p[name])) / scale if name in p else float("nan") for p in (before, after))
+        changes.append(CoefficientChange(name, old, new, unit))
+    return tuple(changes)
+
+
+def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
+    """Drift predicted for one half of the record from the noise of the other, before and after each finding.
+
+    The drift over a time T is the integral of the rate over T less that over the T before: its mean square is
+    2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
+    taken together. An effect with a shape of its own drifts as its shape does.
+    """
+    known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
+
+    def predicted(view: View) -> Float[np.ndarray, "halves m"]:
+        # What is after one finding is before the next, if only as the same samples behind the same spectrum.
+        key = id(view.x), id(view.factor), tuple(view.allowed)
+        if key not in known:
+            known[key] = _predicted(view)
+        return known[key]
+
+    return [_drift_change(step, predicted) for step in steps]
+
+
+def _drift_change(
+    step: Step, predicted: Callable[[View], Float[np.ndarray, "halves m"]]
+) -> DriftChange | None:
+    before, after = step.before, step.candidate.after
+    T, m = _horizons(before)
+    if len(T) == 0:
+        return None
+    rows = []
+    for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
+        # What is in the spectrum alone has no path of its own.
+        effect = 0.0 if after.x is before.x else _mean_squares((before.x - after.x)[mine], m)
+        rows.append((_mean_squares(before.x[mine], m), old, new + effect))
+    measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
+    k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
+    unit = ANGLE[before.axis.sensor]
+    scale = unit_scale(unit, before.axis.sensor)
+    found, was, now = (float(x[k] / scale) for x in (measured, old, new))
+    return DriftChange(float(T[k]), found, was, now, unit)
+
+
+def _horizons(view: View) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    T = _HORIZONS[_HORIZONS * view.rate * 4.0 <= view.n // 2]
+    return T, np.rint(T * view.rate).astype(int)
+
+
+def _halves(view: View) -> tuple[slice, slice]:
+    half = view.n // 2
+    return slice(0, half), slice(half, 2 * half)
+
+
+def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray, " m"]:
+    """Half the mean square difference of successive means of m samples."""
+    total = np.concatenate([[0.0], np.cumsum(x - x.mean())])
+    found = []
+    for k in m:
+        d = (total[2 * k :] - 2.0 * total[k:-k] + total[: -2 * k]) / k
+        found.append(0.5 * float(np.mean(d**2)))
+    return np.array(found)
+
+
+def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
+    """Allan variances of the noise that each half of the record shows."""
+    half = view.n // 2
+    _, m = _horizons(view)
+    family = family_of(half, view.rate)
+    # Every other coefficient of the whole record has a half's frequency.
+    factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
+    behind = Behind.of(family, factor)
+    found = []
+    for rows in _halves(view):
+        c = centred(view.x[rows])
+        noise = behind.weigh(c).roughly(view.allowed, view.weighing)
+        v = noise.variance if factor is None else noise.variance * factor
+        ramp = family.slope(c, v)[0] if noise.ramp else 0.0
+        variances = _weights(half, tuple(int(k) for k in m)) @ v
+        found.append(variances + 0.5 * (ramp * m / view.rate) ** 2)
+    return np.stack(found)
+
+
+@functools.lru_cache(maxsize=1)
+def _weights(n: int, m: tuple[int, ...]) -> Float[np.ndarray, "m n-1"]:
+    """Of the levels of n samples in their Allan variances: (1/n)·2 sin⁴(m·a/2)/(m² sin²(a/2))."""
+    a = np.pi * np.arange(1, n) / n
+    sine = np.sin(a / 2.0) ** 2
+    return np.stack([2.0 * np.sin(k * a / 2.0) ** 4 / (sine * n * k**2) for k in m])

@@ -1,0 +1,70 @@
+"""The evidence of a shape of a bank, whatever its amplitude and whatever the noise."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.critic.bank import NOTHING, Bank, amplitude_price
+from allanjax.critic.view import View
+from allanjax.critic.weighing import Sets
+
+
+class _Products(NamedTuple):
+    """Of the shapes with the record and with themselves, in each set's noise [sets, shapes]."""
+
+    cross: Float[np.ndarray, "sets shapes"]
+    gram: Float[np.ndarray, "sets shapes"]
+
+
+def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: float) -> float:
+    """Of the record with one of a bank's shapes in it [nats]; without one it is `View.total`.
+
+    The likelihood is averaged over shapes and amplitudes in every set of noise terms that may be right, and
+    over these. They are weighed, and their levels known, without the effect's most likely shape h and
+    amplitude a (with it a step would be taken for a random walk): with p and g the products of h with the
+    record and with itself, the likelihood of the record is that without a·h times exp(½a²g − ap).
+
+    Args:
+        view: the record.
+        after: the record without the effect at about its most likely.
+        bank: of the shapes.
+        taken, amplitude: which shape is not in `after`, and its amplitude.
+    """
+    sets = after.weighing.sets(view.allowed)
+    cross, gram = _products(view, bank, sets)
+    snr = cross / np.sqrt(gram)
+    each = 0.5 * snr**2 - amplitude_price(snr)
+    mean = np.logaddexp.reduce(each, axis=1) - np.log(each.shape[1])
+    own = amplitude * cross[:, taken] - 0.5 * amplitude**2 * gram[:, taken]
+    return float(np.logaddexp.reduce(sets.log_evidence - own + mean))
+
+
+def _products(view: View, bank: Bank, sets: Sets) -> _Products:
+    """What is free beside the shapes (a set's ramp, shapes that were taken out) being projected out."""
+    J = bank.shapes.shape[1]
+    first = view.family.bins.first[view.family.keep] - 1
+    first = first[first < J]
+    weight = np.ones(J) if view.factor is None else 1.0 / view.factor[:J]
+
+    def sums(z: Float[np.ndarray, "... slow"]) -> Float[np.ndarray, "... sets"]:
+        return np.add.reduceat(z, first, axis=-1) @ (1.0 / sets.level[:, : len(first)]).T
+
+    cross, gram = sums(bank.shapes * (weight * view.c[:J])).T, sums(bank.squares * weight).T
+    for some, others in (
+        (sets.ramp, (view.family.ramp, *view.beside)),
+        (~sets.ramp, view.beside),
+    ):
+        if not others or not some.any():
+            continue
+        free = np.stack([h[:J] / np.linalg.norm(h[:J]) for h in others])
+        mixed = np.stack([sums(bank.shapes * (weight * h))[:, some].T for h in free], axis=-1)
+        with_record = sums(free * (weight * view.c[:J]))[:, some].T
+        among = np.moveaxis(sums(free[:, None] * free * weight)[..., some], -1, 0)
+        # Not the inverse: two of them may be the same.
+        along = mixed @ np.linalg.pinv(among, hermitian=True)
+        cross[some] -= np.einsum("skf,sf->sk", along, with_record)
+        gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), NOTHING * gram[some])
+    return _Products(cross, gram)

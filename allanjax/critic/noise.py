@@ -1,0 +1,218 @@
+"""The noise of one axis, for whitening: the basic terms and their powers, chosen anew for every hypothesis.
+
+An effect that is not in the model is taken for noise: a step for a random walk, a temperature's influence for
+a Markov process. So no cause can be judged against noise estimated with the effect still in it. Each
+hypothesis gets the noise that suits it best (`Weighing.best`), and what is compared is their evidence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from allanjax.estimate.evidence import FURTHER, Evidence, Job, evidences
+from allanjax.estimate.selection import basic_terms, jobs_of
+from allanjax.noise.model import Model
+from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw
+from allanjax.spectrum.cosine import CosineBins, Levels, cosine_transform, ramp_column
+
+FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
+WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
+#: White noise that is so much of all noise is not told from it.
+NEARLY_ALL = 0.9
+# Lengths of spectra are rounded up to multiples of this.
+_PADDED = 4096
+#: Values of the free shape (a correlation time or an exponent) that are compared.
+GRID = 16
+# Slopes that no basic term has; the grid keeps its distance from those that have one.
+EXPONENTS = np.array(
+    [-0.6, -0.4, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 1.25, 1.35, 1.5, 1.65, 1.75, 2.3, 2.5, 2.8]
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Noise:
+    """A set of noise terms with their coefficients.
+
+    Attributes:
+        power: squared coefficient of each term, by name.
+        shape: correlation time [s] or exponent of the term that has one, nan if there is none.
+        ramp: whether a ramp was projected out.
+        log_evidence: of the record under this set [nats], up to a constant common to all sets.
+        family: of which it is a set.
+        index: place of the shape in its grid.
+    """
+
+    power: dict[str, float]
+    shape: float
+    ramp: bool
+    log_evidence: float
+    family: NoiseFamily
+    index: int
+
+    @functools.cached_property
+    def variance(self) -> Float[np.ndarray, " n-1"]:
+        """Expected squared cosine coefficients c_1 … c_{n−1} [rate²]."""
+        return self.family.expected(self.power, self.index)
+
+    def lowest(self, count: int) -> Float[np.ndarray, " count"]:
+        """Of the lowest coefficients; the others are not computed for these."""
+        if "variance" in vars(self):
+            return self.variance[:count]
+        return self.family.expected(self.power, self.index, count)
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms, the ramp included."""
+        return (*self.power, RAMP) if self.ramp else tuple(self.power)
+
+    def model(self) -> Model:
+        """The random terms with their values."""
+        terms: list[NoiseTerm] = []
+        for name, power in self.power.items():
+            value = float(np.sqrt(power))
+            if name == MARKOV:
+                terms.append(Markov(value, self.shape))
+            elif name == POWER_LAW:
+                terms.append(PowerLaw(value, self.shape))
+            else:
+                terms.append(basic_terms()[name].replace(coefficient=value))
+        return Model(tuple(terms))
+
+
+class NoiseFamily:
+    """All sets of basic terms for records of n samples at a rate.
+
+    A set with a power law has it in the Markov process's place.
+    """
+
+    def __init__(self, n: int, rate: float) -> None:
+        self.n, self.rate = n, rate
+        self.bins = CosineBins.of(n, rate)
+        self.keep = self.bins.size > 0
+        self.size = self.bins.size[self.keep].astype(float)
+        self.times = np.geomspace(4.0 / rate, n / rate / 4.0, GRID)
+        self.frequency = np.arange(1, n) * rate / (2.0 * n)
+        self._padded = jnp.asarray(_padded(self.frequency))
+        unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
+        self.spectra = np.stack([self.spectrum(term) for term in unit])
+        self.columns = np.asarray(_levels(tuple(unit), self.bins, Markov, self.times))[:, self.keep]
+        self.jobs = jobs_of(len(FIXED), GRID, True)
+        self.ramp = ramp_column(n, rate)
+
+    def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
+        """Expected squared coefficients [rate²] of a term of any amplitude, from its density."""
+        return self.rate * _evaluated(term, self._padded, self.rate)[: self.n - 1]
+
+    @functools.cached_property
+    def power_laws(self) -> Float[np.ndarray, "grid m"]:
+        """Levels of power laws of unit amplitude."""
+        return np.asarray(_levels((), self.bins, PowerLaw, EXPONENTS))[:, self.keep]
+
+    def slope(
+        self,
+        c: Float[np.ndarray, " n-1"],
+        variance: Float[np.ndarray, " n-1"],
+        fold: Bool[np.ndarray, " n-1"] | None = None,
+    ) -> tuple[float, float]:
+        """Ramp [rate/s] of the record with these coefficients, or with those in a fold; and its deviation."""
+        weight = self.ramp / variance if fold is None else fold * self.ramp / variance
+        gram = float(weight @ self.ramp)
+        return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
+
+    def run(
+        self,
+        levels: Levels,
+        size: Float[np.ndarray, " m"],
+        grid: Float[np.ndarray, "grid m"],
+        rows: Int[np.ndarray, " jobs"],
+        first: Float[np.ndarray, "jobs terms"] | None = None,
+        steps: int = FURTHER,
+    ) -> Evidence:
+        """Evidence and powers of these jobs after so many steps, from powers to start with."""
+        jobs, share = Job(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
+        known = self.columns[: len(FIXED)]
+        first = None if first is None else first[None]
+        found = evidences(jobs, levels, known, grid, size, share, first, steps)
+        return Evidence(*(x[0] for x in found))
+
+    @functools.lru_cache(maxsize=2 * GRID)  # noqa: B019 - families are few, and themselves cached
+    def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
+        """Levels and spectrum of a Markov process or a power law of unit amplitude, by place in its grid."""
+        if name == MARKOV:
+            return self.columns[len(FIXED) + index], self.spectrum(Markov(1.0, self.times[index]))
+        return self.power_laws[index], self.spectrum(PowerLaw(1.0, float(EXPONENTS[index])))
+
+    def unit(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
+        """Levels in the bins and spectrum of a term of unit amplitude."""
+        if name not in FIXED:
+            return self.shaped(name, index)
+        k = FIXED.index(name)
+        return self.columns[k], self.spectra[k]
+
+    def expected(
+        self, power: dict[str, float], index: int, count: int | None = None
+    ) -> Float[np.ndarray, " count"]:
+        """Expected squared coefficients of a set (all, or the lowest): from the density but for the first."""
+        count = self.n - 1 if count is None else count
+        variance, term = np.zeros(count), np.empty(count)
+        low = np.zeros(len(self.columns[0]))
+        for name, p in power.items():
+            level, spectrum = self.unit(name, index)
+            variance += np.multiply(p, spectrum[:count], out=term)
+            low += p * level
+        single = min(int(np.sum(np.cumprod(self.size == 1.0))), count)
+        variance[:single] = low[:single]
+        return variance
+
+
+def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
+    """`sampled_psd`, compiled once for all values of the parameters and lengths that are nearly the same."""
+    return _evaluated(term, _padded(frequency), rate)[: len(frequency)]
+
+
+def _padded(frequency: Float[np.ndarray, " k"]) -> Float[np.ndarray, " more"]:
+    return np.append(frequency, np.full(-len(frequency) % _PADDED, frequency[-1]))
+
+
+def _evaluated(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[np.ndarray, " k"]:
+    values = {p.name: getattr(term, p.name) for p in term.parameters()}
+    term = term.replace(**{name: np.asarray(x, float) for name, x in values.items() if np.isfinite(x)})
+    return np.asarray(_density(term, frequency, rate))
+
+
+@eqx.filter_jit
+def _density(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[Array, " k"]:
+    return term.sampled_psd(frequency, rate)
+
+
+@functools.lru_cache(maxsize=2)
+def family_of(n: int, rate: float) -> NoiseFamily:
+    """The family for such records; the axes of a recording share it."""
+    return NoiseFamily(n, rate)
+
+
+@eqx.filter_jit
+def _levels(
+    terms: tuple[NoiseTerm, ...],
+    bins: CosineBins,
+    shaped: Callable[[float, Any], NoiseTerm],
+    shapes: Float[ArrayLike, " grid"],
+) -> Float[Array, "rows m"]:
+    """Levels in the bins of these terms, and of one with each of its shapes, amplitude 1."""
+    rows = [bins.expected(term) for term in terms]
+    rows += list(jax.lax.map(lambda shape: bins.expected(shaped(1.0, shape)), jnp.asarray(shapes)))
+    return jnp.stack(rows)
+
+
+def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
+    """Coefficients c_1 … c_{n−1} of a record."""
+    return cosine_transform(x - x.mean())

@@ -1,0 +1,89 @@
+"""Two shapes of a bank at once: an effect may be nothing without another one that undoes half of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from allanjax.critic.bank import Bank, Matched
+from allanjax.critic.noise import Noise
+from allanjax.critic.view import View
+
+# Shapes of the bank between two that are tried at first.
+_COARSER = 8
+# A shape beside another one is looked at where so much of the most that can be is left of it.
+_CLEAR = 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Pair:
+    """Two shapes that together explain most.
+
+    Attributes:
+        members: their places in the bank.
+        amplitude: of each, by generalized least squares.
+        snr: of each beside the other, with its sign.
+        price: what not knowing which two costs [nats]: the best likelihood over the mean of all pairs.
+    """
+
+    members: tuple[int, int]
+    amplitude: Float[np.ndarray, 2]
+    snr: Float[np.ndarray, 2]
+    price: float
+
+
+def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None = None) -> Pair:
+    """The two shapes that explain most: of every eighth first, then of all, each in turn beside the other.
+
+    Args:
+        bank: of shapes.
+        view: what is looked at.
+        noise: what it is whitened by.
+        near: the two to begin with, if they are known nearly.
+    """
+    matched = bank.matched(view, noise)
+    p = matched.products(matched.e)
+    some = np.arange(_COARSER // 2, len(p), _COARSER)
+    i, j = np.triu_indices(len(some), 1)
+    coarse = _gains(matched.rows(some), p[some], i, j)
+    if near is None:
+        best = int(np.argmax(coarse))
+        near = int(some[i[best]]), int(some[j[best]])
+    first, _ = _beside(matched, p, near[1])
+    second, price = _beside(matched, p, first)
+    price += _beside(matched, p, second)[1] - np.log(2.0)
+    chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
+    covariance = np.linalg.pinv(chosen @ chosen.T)
+    amplitude = covariance @ p
+    # Where both are located more sharply than the coarse pairs are apart, one after the other tells better.
+    among = 0.5 * float(p @ amplitude) - float(np.logaddexp.reduce(coarse)) + np.log(len(coarse))
+    snr = amplitude / np.sqrt(np.diag(covariance))
+    return Pair((first, second), amplitude, snr, min(price, float(among)))
+
+
+def _gains(
+    shapes: Float[np.ndarray, "shapes slow"],
+    p: Float[np.ndarray, " shapes"],
+    i: Int[np.ndarray, " pairs"],
+    j: Int[np.ndarray, " pairs"],
+) -> Float[np.ndarray, " pairs"]:
+    """Log-likelihood gained by each pair of whitened shapes, `p` being their products with the record."""
+    gram = shapes @ shapes.T
+    own = np.diag(gram)
+    det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
+    return 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
+
+
+def _beside(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
+    """The shape that explains most where another one may be of any size, and what not knowing it costs.
+
+    `p` are the shapes' products with the record.
+    """
+    own = matched.lengths**2
+    common = matched.products(matched.rows(np.array([other]))[0]) / own[other]
+    left = np.maximum(own - common**2 * own[other], 0.0)
+    clear = left > _CLEAR**2 * left.max()
+    half = np.where(clear, 0.5 * (p - common * p[other]) ** 2 / np.where(clear, left, 1.0), 0.0)
+    return int(np.argmax(half)), float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))

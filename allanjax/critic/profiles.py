@@ -1,0 +1,313 @@
+"""Statistics in which measurement and simulation are compared, at all their places.
+
+Each has a law on records of the model, and its p-value counts all the places (cluster times, frequencies,
+lags, windows, channels) that were looked at. Laws are those of coefficients c_j ~ N(0, v_j) with the model's
+v as given; that of the Allan deviation and of the drift, where slow noise counts whose level hardly any data
+determine, knows that the levels were fitted to the same record.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import dct, rfft
+from scipy.stats import chi2, kurtosistest, norm
+
+from allanjax.critic.bank import any_of, extrapolated
+from allanjax.critic.comparison import (
+    AllanLaw,
+    Whitened,
+    allan_laws,
+    degrees_of_freedom,
+    octave_bins,
+    octave_sizes,
+)
+from allanjax.critic.result import Discrepancy
+from allanjax.record.units import unit_scale
+
+#: Smallest p-value that is reported: smaller ones are beyond floating point.
+TINY = 1e-300
+_LAGS = 200
+_WINDOWS = 64
+_SHORTEST = 16
+_DRAWS = 2000
+# Normal scores beyond this are taken from the deviance: probabilities end there.
+_FAR = 35.0
+#: What a rate adds up to, and its unit.
+ANGLE = {"gyro": "deg", "accel": "m/s"}
+
+Places = Float[np.ndarray, " places"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Profile:
+    """A statistic at all of its places.
+
+    Attributes:
+        statistic: what is compared.
+        where, where_unit: cluster times, frequencies, … or zeros where there is no place.
+        measured, simulated: the statistic, and its median in simulations, in `unit`.
+        score: how far apart the two are: standard normal under the model, or of a magnitude that grows so.
+        law: p-value of the largest magnitude among the scores.
+        channels: other axes or channels, of correlations: a place each.
+    """
+
+    statistic: str
+    where: Places
+    where_unit: str
+    measured: Places
+    simulated: Places
+    unit: str
+    score: Places
+    law: Callable[[float], float]
+    channels: tuple[str, ...] = ()
+
+    def at(self, place: int) -> Discrepancy:
+        """There; its p-value counts that all places were looked at."""
+        return Discrepancy(
+            self.statistic,
+            float(self.where[place]),
+            self.where_unit,
+            float(self.measured[place]),
+            float(self.simulated[place]),
+            self.unit,
+            float(np.clip(self.law(float(abs(self.score[place]))), TINY, 1.0)),
+            self.channels[place] if self.channels else "",
+        )
+
+    def worst(self) -> Discrepancy:
+        """Where the two are farthest apart."""
+        return self.at(int(np.argmax(abs(self.score))))
+
+
+def _independent(count: int) -> Callable[[float], float]:
+    """p-value of the largest of so many independent standard normal magnitudes."""
+    return lambda score: any_of(float(2.0 * norm.sf(score)), count)
+
+
+def _chi2_score(value: Places, dof: Places) -> Places:
+    """The standard normal variate as improbable as this χ² one."""
+    below, above = chi2.cdf(value, dof), chi2.sf(value, dof)
+    z = np.where(below < 0.5, norm.ppf(np.maximum(below, TINY)), norm.isf(np.maximum(above, TINY)))
+    ratio = np.maximum(value / dof, 1e-300)
+    deviance = np.sqrt(np.maximum(dof * (ratio - 1.0 - np.log(ratio)), _FAR**2))
+    return np.where(abs(z) < _FAR, z, np.sign(z) * deviance)
+
+
+def _one(statistic: str, measured: float, simulated: float, unit: str, p: float) -> Profile:
+    """A statistic without places."""
+    score = float(norm.isf(0.5 * max(p, TINY)))
+    first, second = np.array([measured]), np.array([simulated])
+    return Profile(statistic, np.zeros(1), "", first, second, unit, np.array([score]), lambda _: p)
+
+
+# --- Slow noise: cluster times ------------------------------------------------------------------------------
+
+
+def cluster_times(record: Whitened) -> list[Profile]:
+    """Allan deviation at octaves; and the drift of the integrated rate.
+
+    That one, less the drift at the mean rate of a stretch of equal length before, is √2·T times the Allan
+    deviation at T: the times are others, those at which people ask for it.
+    """
+    octaves = octave_sizes(record.n)
+    horizons = 2.0 ** np.arange(np.floor(np.log2(max(record.n / record.rate / 4.0, 1.0))) + 1)
+    stretches = np.unique(np.clip(np.rint(horizons * record.rate), 1, record.n // 2)).astype(int)
+    (law,) = allan_laws([record], np.concatenate([octaves, stretches]))
+    k = len(octaves)
+    allan, drift = law.at(slice(k)), law.at(slice(k, None))
+    angle = ANGLE[record.axis.sensor]
+    factors = np.sqrt(2.0) * drift.time / unit_scale(angle, record.axis.sensor)
+    return [allan_deviation(record, allan), _of_law("drift", drift, factors, angle)]
+
+
+def allan_deviation(record: Whitened, law: AllanLaw) -> Profile:
+    return _of_law("allan_deviation", law, np.full(len(law.time), 1.0 / record.scale), record.axis.unit)
+
+
+def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile:
+    dof = degrees_of_freedom(law.fitted)
+    z = _chi2_score(dof * law.measured / law.mean, dof)
+    spread = np.sqrt(np.diag(law.fitted))
+    values, vectors = np.linalg.eigh(law.fitted / np.outer(spread, spread))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = abs(root @ np.random.default_rng(0).standard_normal((len(z), _DRAWS))).max(axis=0)
+    measured, simulated = (factor * np.sqrt(v) for v in (law.measured, law.quantile(0.5)))
+    return Profile(
+        statistic, law.time, "s", measured, simulated, unit, z, lambda score: extrapolated(draws, score)
+    )
+
+
+# --- Frequencies --------------------------------------------------------------------------------------------
+
+
+def psd(record: Whitened) -> Profile:
+    """Power in logarithmic bins, one-sided."""
+    edges = octave_bins(record.n)
+    first, count = edges[:-1] - 1, np.diff(edges)
+    squares = np.add.reduceat(record.z**2, first)
+    z = _chi2_score(squares, count)
+    level = 2.0 / record.rate * np.add.reduceat(record.variance, first) / count / record.scale**2
+    middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * record.n)
+    measured, simulated = (level * x / count for x in (squares, chi2.median(count)))
+    unit = f"({record.axis.unit})²/Hz"
+    return Profile("psd", middle, "Hz", measured, simulated, unit, z, _independent(len(z)))
+
+
+def line(record: Whitened) -> Profile:
+    """Amplitude at single frequencies: those of whole periods, where white noise is independent."""
+    n = record.n
+    spectrum = rfft(record.e, workers=-1)[1 : (n + 1) // 2]
+    power = (spectrum.real**2 + spectrum.imag**2) / n
+    count = len(power)
+    noise = np.sqrt(record.variance[1 : 2 * count : 2]) / record.scale
+    # The largest of so many: half of all simulations stay below it.
+    typical = -np.log(-np.expm1(np.log(0.5) / count))
+    measured, simulated = (2.0 * np.sqrt(u / n) * noise for u in (power, typical))
+    return Profile(
+        "psd_line",
+        np.arange(1, count + 1) * record.rate / n,
+        "Hz",
+        measured,
+        simulated,
+        record.axis.unit,
+        np.sqrt(2.0 * power),
+        lambda score: any_of(float(np.exp(-0.5 * score**2)), count),
+    )
+
+
+def autocorrelation(record: Whitened) -> Profile:
+    """Of the whitened residuals: that of the record continued by its mirror image, at all lags at once.
+
+    (1/n) Σ z_j² cos(a_j k), of variance 1/n.
+    """
+    n = record.n
+    squares = np.concatenate([[1.0], record.z**2 - 1.0, [0.0]])
+    squares[0] = 0.0
+    lags = min(_LAGS, n // 10)
+    r = dct(squares, type=1, workers=-1)[1 : lags + 1] / (2.0 * n)
+    lag = np.arange(1, lags + 1) / record.rate
+    return Profile("autocorrelation", lag, "s", r, np.zeros(lags), "1", r * np.sqrt(n), _independent(lags))
+
+
+# --- Values -------------------------------------------------------------------------------------------------
+
+
+def tails(record: Whitened) -> Profile:
+    """Excess kurtosis of the whitened residuals (Anscombe & Glynn 1983)."""
+    squares = record.e**2
+    excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
+    p = max(float(kurtosistest(record.e).pvalue), TINY)
+    return _one("tails", excess, 0.0, "1", p)
+
+
+def largest_residual(record: Whitened) -> Profile:
+    """Magnitudes of the whitened residuals."""
+    n = record.n
+    typical = float(norm.isf(-0.5 * np.expm1(np.log(0.5) / n)))
+    return Profile(
+        "largest_residual",
+        np.arange(n) / record.rate,
+        "s",
+        abs(record.e),
+        np.full(n, typical),
+        "σ",
+        record.e,
+        _independent(n),
+    )
+
+
+# --- Time ---------------------------------------------------------------------------------------------------
+
+
+def windows(record: Whitened) -> list[Profile]:
+    """Mean and mean square of the whitened residuals in 2, 4, … 64 windows."""
+    n, e = record.n, record.e
+    finest = 2 ** int(np.log2(np.clip(n / _SHORTEST, 2, _WINDOWS)))
+    edges = np.rint(np.linspace(0.0, n, finest + 1)).astype(int)
+    sums, squares = (np.add.reduceat(x, edges[:-1]) for x in (e, e**2))
+    length = _merged(np.diff(edges).astype(float))
+    start = np.concatenate([edges[:-1:step] for step in _steps(finest)]).astype(float)
+    total, square = _merged(sums), _merged(squares)
+    # All residuals together have no mean.
+    means = total / np.sqrt(length * (1.0 - length / n))
+    variances = _chi2_score(square, length)
+    found = []
+    for statistic, z, value, expected in (
+        ("window_mean", means, total / length, 0.0),
+        ("window_variance", variances, square / length, 1.0),
+    ):
+        null = _window_null(finest, statistic == "window_mean")
+        middle = (start + 0.5 * length) / record.rate
+        unit = "σ" if statistic == "window_mean" else "1"
+        simulated = np.full(len(z), expected)
+        law = functools.partial(extrapolated, null)
+        found.append(Profile(statistic, middle, "s", value, simulated, unit, z, law))
+    return found
+
+
+def _steps(finest: int) -> list[int]:
+    """So many of the finest windows make one: 1, 2, 4, … half of them."""
+    return [2**k for k in range(int(np.log2(finest)))]
+
+
+def _merged(x: Float[np.ndarray, "windows ..."]) -> Float[np.ndarray, "all ..."]:
+    """Sums over the finest windows, over pairs of them, …, over halves."""
+    return np.concatenate([x.reshape(-1, step, *x.shape[1:]).sum(axis=1) for step in _steps(len(x))])
+
+
+@functools.lru_cache(maxsize=8)
+def _window_null(finest: int, without_mean: bool) -> Float[np.ndarray, " draws"]:
+    """Largest magnitude among the normal scores of all windows, in draws."""
+    z = np.random.default_rng(0).standard_normal((finest, _DRAWS))
+    if without_mean:
+        z -= z.mean(axis=0)
+    share = _merged(np.full(finest, 1.0 / finest))[:, None]
+    spread = np.sqrt(finest * share * ((1.0 - share) if without_mean else 1.0))
+    return abs(_merged(z) / spread).max(axis=0)
+
+
+# --- Other channels -----------------------------------------------------------------------------------------
+
+
+def cross_correlation(record: Whitened, others: Mapping[str, Whitened]) -> Profile:
+    """With the whitened residuals of other axes."""
+    score = np.array([_matched(record.z, other.z)[0] for other in others.values()])
+    none, r = np.zeros(len(score)), score / np.sqrt(record.n)
+    return Profile(
+        "cross_correlation", none, "", r, none, "1", score, _independent(len(score)), tuple(others)
+    )
+
+
+def auxiliary_correlation(record: Whitened, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> Profile:
+    """With other channels, given as cosine coefficients: the output of the filter matched to each.
+
+    It is an rms in the axis's unit. A slow channel has few independent samples; the noise at its frequencies
+    says how few.
+    """
+    root = np.sqrt(record.variance)
+    found = [(*_matched(record.z, h / root), float(np.linalg.norm(h))) for h in channels.values()]
+    score = np.array([z for z, _, _ in found])
+    error = np.array([rms / length for _, length, rms in found]) / np.sqrt(record.n) / record.scale
+    typical = float(norm.isf(0.25)) * error
+    return Profile(
+        "auxiliary_correlation",
+        np.zeros(len(score)),
+        "",
+        abs(score) * error,
+        typical,
+        record.axis.unit,
+        score,
+        _independent(len(score)),
+        tuple(channels),
+    )
+
+
+def _matched(z: Float[np.ndarray, " n-1"], h: Float[np.ndarray, " n-1"]) -> tuple[float, float]:
+    """Output of a matched filter, standard normal without the effect; and the filter's norm."""
+    length = float(np.linalg.norm(h))
+    return float(z @ h) / max(length, 1e-300), max(length, 1e-300)

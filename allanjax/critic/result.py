@@ -1,0 +1,283 @@
+"""What the critic found: discrepancies, findings, and the extended model of every axis."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import os
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.presented import presented
+from allanjax.critic.view import Quantity
+from allanjax.estimate.misfit import Misfit
+from allanjax.estimate.result import Fit
+from allanjax.noise.model import Model
+from allanjax.record.recording import Axis, DeadAxis
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Discrepancy(ByValue):
+    """One respect in which the measurement was compared with its simulation.
+
+    Attributes:
+        statistic: what was compared, e.g. "allan_deviation".
+        where: place of the largest difference, e.g. 0.7.
+        where_unit: its unit, "s" or "Hz", or "" where there is no place.
+        measured, simulated: the statistic there, in `unit`; simulated is the ensemble's median.
+        unit: of these two.
+        p_value: probability of a difference as large anywhere, under the model.
+        channel: the other axis or channel, of a correlation.
+    """
+
+    statistic: str
+    where: float
+    where_unit: str
+    measured: float
+    simulated: float
+    unit: str
+    p_value: float
+    channel: str = ""
+
+    @property
+    def size(self) -> float:
+        """Relative error of the simulation, simulated/measured − 1; nan where measured is zero."""
+        return self.simulated / self.measured - 1.0 if self.measured else float("nan")
+
+
+@dataclasses.dataclass(frozen=True)
+class Rival:
+    """Another cause that explains nearly as much.
+
+    Attributes:
+        cause: its name.
+        odds: of the finding's cause against it.
+    """
+
+    cause: str
+    odds: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CoefficientChange(ByValue):
+    """A basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
+
+    label: str
+    before: float
+    after: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DriftChange(ByValue):
+    """Drift over a time: its root mean square on held-out stretches, and as predicted before and after.
+
+    The drift is the integrated rate less that of the mean rate of the stretch before, of equal length.
+    """
+
+    horizon: float
+    measured: float
+    before: float
+    after: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Finding(ByValue):
+    """A cause that was found, and what is gained by taking it into the model.
+
+    Attributes:
+        cause: its name, from the vocabulary of `causes`.
+        axes: whose it is.
+        parameters: in the recording's own units, times from its start [s].
+        p_value: of its statistic on data without it, the search included.
+        evidence: log-evidence gained, all prices of the search paid [nats].
+        gain: log-likelihood gained on data that were used neither to find nor to fit it [nats].
+        rivals: causes whose odds against it are shorter than 1000.
+        span, domain: where it is, in s ("time") or Hz ("frequency").
+        coefficients: what became of the basic coefficients.
+        drift: what became of the predicted drift.
+        discrepancies: statistics before this finding and after it, each where it improved it most: pairs.
+    """
+
+    cause: str
+    axes: tuple[str, ...]
+    parameters: Mapping[str, Quantity]
+    p_value: float
+    evidence: float
+    gain: float
+    rivals: tuple[Rival, ...]
+    span: tuple[float, float]
+    domain: str
+    coefficients: tuple[CoefficientChange, ...] = ()
+    drift: DriftChange | None = None
+    discrepancies: tuple[tuple[Discrepancy, Discrepancy], ...] = ()
+
+    @presented
+    def __str__(self) -> str:
+        raise NotImplementedError
+
+    @presented
+    def __repr__(self) -> str:
+        raise NotImplementedError
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Snapshot(ByValue):
+    """An axis at one stage of the critique: for pictures, and to simulate from.
+
+    Attributes:
+        x: the samples without what was found up to here [SI].
+        variance: expected squared cosine coefficients of x [rate²].
+        terms: names of the basic terms in the noise.
+        powers: their squared coefficients (a ramp has none).
+        ramp: slope of a drift ramp [rate/s].
+    """
+
+    x: Float[np.ndarray, " n"]
+    variance: Float[np.ndarray, " n-1"]
+    terms: tuple[str, ...]
+    powers: Mapping[str, float]
+    shape: float
+    ramp: float
+
+    def __repr__(self) -> str:
+        return f"<Snapshot: {len(self.x)} samples less what was found; noise {' + '.join(self.terms)}>"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisCritique(ByValue):
+    """The critique of one axis.
+
+    Attributes:
+        axis: which.
+        findings: in the order in which they were made.
+        before, after: discrepancies of the baseline's and of the extended model's simulations.
+        tests: p-value of every cause's best candidate on the record as it came.
+        stages: the axis before the first finding and after each.
+        baseline: the model that this started from, and `misfit` how far its curve is off, if it does not
+            suffice.
+        model: the extended model: noise terms and deterministic ones, with their values.
+    """
+
+    axis: Axis
+    findings: tuple[Finding, ...]
+    before: tuple[Discrepancy, ...]
+    after: tuple[Discrepancy, ...]
+    tests: Mapping[str, float]
+    stages: tuple[Snapshot, ...]
+    baseline: Model
+    model: Model
+    misfit: Misfit | None = None
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The axis's rows of `Critique.to_dataframe`."""
+        return _table(self.findings)
+
+    def __repr__(self) -> str:
+        causes = ", ".join(f.cause for f in self.findings) or "nothing found"
+        terms = " + ".join(self.model.term_labels)
+        return f"<AxisCritique {self.axis.name}: {causes};\n extended model {terms}>"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Critique(ByValue, PerAxis[AxisCritique]):
+    """What the simulation of a recording gets wrong, why, and what mending it gains.
+
+    Attributes:
+        name: the recording's name.
+        rate: its sample rate [Hz].
+        fit: the baseline.
+        results: one critique an axis.
+        shared_findings: causes that concern several axes.
+        notes: what the user should know.
+        dead: axes of the recording that have no noise to compare, and why.
+        warnings: what was seen in the recording before anything else; see `Fit.warnings`.
+    """
+
+    CALLED: ClassVar[str] = "the critique"
+
+    name: str
+    rate: float
+    fit: Fit
+    results: tuple[AxisCritique, ...]
+    shared_findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
+    dead: tuple[DeadAxis, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All findings: of each axis, then those that several share."""
+        return (*(f for axis in self.results for f in axis.findings), *self.shared_findings)
+
+    @property
+    def models(self) -> dict[str, Model]:
+        """The extended model of each axis."""
+        return {a.axis.name: a.model for a in self.results}
+
+    @property
+    def gain(self) -> float:
+        """Held-out log-likelihood gained by all findings [nats]."""
+        return float(sum(f.gain for f in self.findings))
+
+    @presented
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; see `critique.schema.json`."""
+        raise NotImplementedError
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a finding and parameter, in its `unit`; `gain` is in nats, on held-out data.
+
+        An unexplained finding has no parameters: one row, without name and numbers.
+        """
+        return _table(self.findings)
+
+    @presented
+    def plot(
+        self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
+    ) -> tuple[Figure, ...]:
+        """A figure for every finding, or for some, and one for each axis without; saved in the folder `path`.
+
+        See `allanjax.critique.plot.plot_critique`.
+        """
+        raise NotImplementedError
+
+    @presented
+    def __str__(self) -> str:
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def _table(findings: Sequence[Finding]) -> pd.DataFrame:
+    """One row a finding and parameter."""
+    import pandas as pd
+
+    none = {"": Quantity(float("nan"), float("nan"), "")}
+    rows = [
+        {
+            "axes": ", ".join(f.axes),
+            "cause": f.cause,
+            "parameter": name,
+            "value": quantity.value,
+            "std": quantity.std,
+            "unit": quantity.unit,
+            "p_value": f.p_value,
+            "gain": f.gain,
+        }
+        for f in findings
+        for name, quantity in (f.parameters or none).items()
+    ]
+    columns = ["axes", "cause", "parameter", "value", "std", "unit", "p_value", "gain"]
+    return pd.DataFrame(rows, columns=columns)

@@ -1,0 +1,111 @@
+"""A finding as the search made it, and what it changes in a view: taken out, put back, strung together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.critic.view import Candidate, View
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Step:
+    """One finding.
+
+    Attributes:
+        candidate: what was found.
+        gain: log-likelihood gained on held-out data [nats].
+        rivals: other causes and the odds against them.
+        before: the view that it was found in.
+        beside: what it was fitted beside, see `allanjax.critique.refit`.
+    """
+
+    candidate: Candidate
+    gain: float
+    rivals: tuple[tuple[str, float], ...]
+    before: View
+    beside: Float[np.ndarray, " k"] | None = None
+
+    @classmethod
+    def of(cls, candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
+        """A step that keeps no more than is needed of it."""
+        candidate = dataclasses.replace(candidate, after=candidate.after.light(), held_out=lambda: gain)
+        return cls(candidate, gain, tuple(rivals), view.light())
+
+    @property
+    def change(self) -> Change:
+        """What it changes."""
+        return Change.of(self.before, self.candidate.after)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Change:
+    """What a finding changes in a view.
+
+    Attributes:
+        path: what it takes out of the samples.
+        factor: of the spectrum.
+        passes: the factor, if it is a filter's.
+        added, removed: basic terms of the noise.
+        restored: samples that tell nothing since.
+    """
+
+    path: Float[np.ndarray, " n"] | None
+    factor: Float[np.ndarray, " n-1"] | None
+    passes: Float[np.ndarray, " n-1"] | None
+    added: Collection[str]
+    removed: Collection[str]
+    restored: Bool[np.ndarray, " n"] | None
+
+    @classmethod
+    def of(cls, before: View, after: View) -> Change:
+        """From one view to the other."""
+        factor = None
+        if after.factor is not None and after.factor is not before.factor:
+            factor = after.factor if before.factor is None else after.factor / before.factor
+        return cls(
+            None if after.x is before.x else before.x - after.x,
+            factor,
+            None if after.passes is before.passes else after.passes,
+            [t for t in after.allowed if t not in before.allowed],
+            [t for t in before.allowed if t not in after.allowed],
+            None if after.restored is before.restored else after.restored & ~before.restored,
+        )
+
+    def taken_out(self, view: View) -> View:
+        """The view without the finding."""
+        after = view if self.path is None else view.with_x(view.x - self.path)
+        after = after if self.factor is None else after.behind(self.factor)
+        after = after if self.passes is None else dataclasses.replace(after, passes=self.passes)
+        after = _with_terms(after, self.added, self.removed)
+        if self.restored is None:
+            return after
+        return dataclasses.replace(after, restored=after.restored | self.restored)
+
+    def put_back(self, view: View) -> View:
+        """The view as it would be had the finding not been made."""
+        before = view if self.path is None else view.with_x(view.x + self.path)
+        before = before if self.factor is None else before.behind(1.0 / self.factor)
+        before = before if self.passes is None else dataclasses.replace(before, passes=None)
+        before = _with_terms(before, self.removed, self.added)
+        if self.restored is None:
+            return before
+        return dataclasses.replace(before, restored=before.restored & ~self.restored)
+
+
+def _with_terms(view: View, more: Collection[str], less: Collection[str]) -> View:
+    return view.allowing([*(t for t in view.allowed if t not in less), *more]) if more or less else view
+
+
+def strung(start: View, steps: Iterable[Step]) -> list[Step]:
+    """The steps one after the other, each in the view that the one before has left."""
+    view, found = start, []
+    for step in steps:
+        after = step.change.taken_out(view).having(*view.found, step.candidate.cause)
+        candidate = dataclasses.replace(step.candidate, after=after)
+        found.append(Step.of(candidate, step.gain, step.rivals, view))
+        view = after
+    return found

@@ -1,0 +1,250 @@
+"""Sets of noise terms weighed against each other, for any record that a hypothesis leaves.
+
+Each hypothesis is left with another record, and each record is explained best by other terms.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.critic.noise import EXPONENTS, FIXED, GRID, MARKOV, POWER_LAW, RAMP, Noise, NoiseFamily
+from allanjax.estimate.evidence import BLOCK, ROUGH, Evidence
+from allanjax.spectrum.cosine import Levels
+
+#: Sets of noise terms of which one may be the right one, and how much less likely they may be [nats].
+SETS, _LESS = 4, 3.0
+# Those that are less likely by more [nats] do not count in sums.
+_FAR_LESS = 8.0
+
+
+class _Weighed(NamedTuple):
+    """Evidence and powers of all sets, and those that were looked at closely."""
+
+    log_evidence: Float[np.ndarray, " jobs"]
+    power: Float[np.ndarray, "jobs terms"]
+    near: Int[np.ndarray, " near"]
+
+
+class Sets(NamedTuple):
+    """Sets of noise terms, one a correlation time or exponent, of which one is right.
+
+    Attributes:
+        log_evidence: of the record under each, less what the others share of the odds beforehand [nats].
+        level: expected squared coefficients in the bins.
+        ramp: whether each has a ramp.
+    """
+
+    log_evidence: Float[np.ndarray, " sets"]
+    level: Float[np.ndarray, "sets m"]
+    ramp: Bool[np.ndarray, " sets"]
+
+    @property
+    def total(self) -> float:
+        """Evidence of the record whichever of them is right [nats]."""
+        return float(np.logaddexp.reduce(self.log_evidence))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Behind:
+    """What weighing records needs that does not depend on them: a factor of the spectrum, a fold."""
+
+    family: NoiseFamily
+    weight: Float[np.ndarray, " n-1"] | None
+    ramp: Float[np.ndarray, " n-1"]
+    gram: Float[np.ndarray, " m"]
+    size: Float[np.ndarray, " m"]
+    constant: float
+
+    @classmethod
+    def of(
+        cls,
+        family: NoiseFamily,
+        factor: Float[np.ndarray, " n-1"] | None = None,
+        fold: Bool[np.ndarray, " n-1"] | None = None,
+    ) -> Behind:
+        """Of records whose spectrum is the family's times `factor`; only of coefficients in a `fold`."""
+        weight, constant, size = None if fold is None else fold.astype(float), 0.0, family.size
+        if weight is not None:
+            size = family.bins.sums(weight)[family.keep]
+        if factor is not None:
+            log = np.log(factor)
+            constant = -0.5 * float(log.sum() if fold is None else log.sum(where=fold))
+            weight = 1.0 / factor if weight is None else weight / factor
+        ramp = family.ramp if weight is None else weight * family.ramp
+        gram = family.bins.sums(ramp * family.ramp)[family.keep]
+        return cls(family, weight, ramp, gram, size, constant)
+
+    def weigh(self, c: Float[np.ndarray, " n-1"]) -> Weighing:
+        """The statistics of the record with these coefficients."""
+        squares = c * c
+        if self.weight is not None:
+            squares *= self.weight
+        found = (self.family.bins.sums(z)[self.family.keep] for z in (squares, self.ramp * c))
+        levels = Levels(*(z[None] for z in (*found, self.gram)))
+        return Weighing(self.family, levels, self.size, self.constant)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Weighing:
+    """The statistics of one hypothetical record, from which sets of noise terms are weighed."""
+
+    family: NoiseFamily
+    levels: Levels
+    size: Float[np.ndarray, " m"]
+    constant: float
+
+    @functools.cached_property
+    def _basic(self) -> Evidence:
+        return self._rough(MARKOV)
+
+    @functools.cached_property
+    def _with_power_law(self) -> Evidence:
+        return self._rough(POWER_LAW)
+
+    def _rough(self, grid: str) -> Evidence:
+        """Of all sets: with every other shape, and between these what is between."""
+        jobs = self.family.jobs
+        between = jobs.terms[:, -1] & (jobs.column % 2 == 1)
+        rows, k = np.flatnonzero(~between), np.flatnonzero(between)
+        found = self.family.run(self.levels, self.size, self._columns(grid), rows, steps=ROUGH)
+        values, powers = np.empty(len(between)), np.empty((len(between), len(FIXED) + 1))
+        values[rows], powers[rows] = found.log_evidence, found.power
+        after = np.where(jobs.column[k] < GRID - 1, k + 1, k - 1)
+        values[k], powers[k] = 0.5 * (values[k - 1] + values[after]), powers[k - 1]
+        return Evidence(values, powers)
+
+    def best(
+        self,
+        allowed: Collection[str] = (*FIXED, MARKOV, RAMP),
+        required: Sequence[str] = (),
+    ) -> Noise:
+        """The most probable set of `allowed` terms that has the `required` ones."""
+        return self.likely(allowed, required, 1)[0]
+
+    def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
+        """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
+        values, powers, _ = self._weighed(allowed, required)
+        return self._ranked(values, powers, _grid(allowed), most)
+
+    def sets(self, allowed: Collection[str], required: Sequence[str] = ()) -> Sets:
+        """The sets of `allowed` terms that may be right, those with all `required` ones.
+
+        Of the terms that are not required each is as likely to be there as not; of the values of a free
+        shape all are equally likely.
+        """
+        values, powers, near = self._weighed(allowed, required)
+        near = near[values[near] > values[near].max() - _FAR_LESS]
+        jobs, grid = self.family.jobs, self._columns(_grid(allowed))
+        names = {name for name, _ in self._members(_grid(allowed))}
+        shaped, optional = jobs.terms[near, -1], len(names & set(allowed) - set(required))
+        level = powers[near, :-1] @ self.family.columns[: len(FIXED)]
+        level += powers[near, -1:] * grid[jobs.column[near]]
+        weighed = values[near] - np.where(shaped, np.log(GRID), 0.0) - optional * np.log(2.0)
+        return Sets(weighed + self.constant, level, jobs.ramp[near])
+
+    def _weighed(self, allowed: Collection[str], required: Sequence[str]) -> _Weighed:
+        """Of all sets, −∞ if they are not possible; only those that may be best are at their maximum.
+
+        The best set, the likely ones and all of them are asked for in turn.
+        """
+        asked = frozenset(allowed), frozenset(required)
+        if asked not in self._known:
+            self._known[asked] = self._carried(allowed, required)
+        return self._known[asked]
+
+    @functools.cached_property
+    def _known(self) -> dict[tuple[frozenset[str], frozenset[str]], _Weighed]:
+        return {}
+
+    def _carried(self, allowed: Collection[str], required: Sequence[str]) -> _Weighed:
+        grid = _grid(allowed)
+        possible, rough = self._possible(allowed, required), self._of(grid)
+        values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
+        near = np.argsort(-values)[: min(BLOCK, np.sum(possible))]
+        found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
+        values[near], powers[near] = found.log_evidence, found.power
+        return _Weighed(values, powers, near)
+
+    def roughly(self, allowed: Collection[str], like: Weighing) -> Noise:
+        """About the most probable set, to go on from.
+
+        Looked at are those without a free shape and those that were best for a record like this.
+        """
+        grid = _grid(allowed)
+        possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
+        known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
+        plain = np.flatnonzero(possible & ~shaped)
+        best = np.argsort(-known)[: min(BLOCK - len(plain), np.sum(known > -np.inf))]
+        near = np.concatenate([plain, best])
+        found = self.family.run(self.levels, self.size, self._columns(grid), near)
+        values, powers = np.full(len(possible), -np.inf), np.zeros((len(possible), len(FIXED) + 1))
+        values[near], powers[near] = found.log_evidence, found.power
+        return self._ranked(values, powers, grid, 1)[0]
+
+    def _of(self, grid: str) -> Evidence:
+        return self._with_power_law if grid == POWER_LAW else self._basic
+
+    def _columns(self, grid: str) -> Float[np.ndarray, "grid m"]:
+        return self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
+
+    def _possible(self, allowed: Collection[str], required: Sequence[str] = ()) -> Bool[np.ndarray, " jobs"]:
+        """Sets of `allowed` terms that have the `required` ones."""
+        possible = np.ones(len(self.family.jobs.ramp), bool)
+        for name, has in self._members(_grid(allowed)):
+            if name not in allowed:
+                possible &= ~has
+            if name in required:
+                possible &= has
+        return possible
+
+    def _ranked(
+        self,
+        values: Float[np.ndarray, " jobs"],
+        powers: Float[np.ndarray, "jobs terms"],
+        grid: str,
+        most: int,
+    ) -> list[Noise]:
+        """The sets of largest evidence: that of one with a free shape is the mean over its grid."""
+        jobs, possible = self.family.jobs, values > -np.inf
+        in_grid, total = jobs.terms[:, -1], values.copy()
+        keys = np.column_stack([jobs.terms[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
+        for key in np.unique(keys[in_grid & possible]):
+            rows = in_grid & (keys == key)
+            mean = np.logaddexp.reduce(values[rows]) - np.log(rows.sum())
+            total[rows] = np.where(values[rows] == values[rows].max(), mean, -np.inf)
+        order = np.argsort(-total, kind="stable")[: min(most, np.sum(total > -np.inf))]
+        return [self._noise(int(k), powers[k], float(total[k]), grid) for k in order]
+
+    def _noise(self, k: int, powers: Float[np.ndarray, " terms"], log_evidence: float, grid: str) -> Noise:
+        """The set of that job."""
+        jobs, names = self.family.jobs, [*FIXED, grid]
+        power = {names[i]: float(powers[i]) for i in np.flatnonzero(jobs.terms[k]) if powers[i] > 0.0}
+        shape = float("nan")
+        if grid in power:
+            values_of = EXPONENTS if grid == POWER_LAW else self.family.times
+            shape = float(values_of[jobs.column[k]])
+        log_evidence += self.constant
+        return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
+
+    def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
+        jobs = self.family.jobs
+        members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
+        return [*members, (RAMP, jobs.ramp)]
+
+
+def _grid(allowed: Collection[str]) -> str:
+    """The term with a free shape: a power law is in the Markov process's place."""
+    return POWER_LAW if POWER_LAW in allowed else MARKOV
+
+
+def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:
+    """Probability of each of these sets of terms, the best one first; 0 if it is far less likely."""
+    less = np.array([sets[0].log_evidence - noise.log_evidence for noise in sets])
+    likely = np.where(less < _LESS, np.exp(-less), 0.0)
+    return likely / likely.sum()

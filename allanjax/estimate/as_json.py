@@ -1,0 +1,205 @@
+"""Fits as plain dictionaries, which JSON files hold; `loading` makes fits of them again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.estimate.misfit import Misfit
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.selection import AxisSelection, TermSelection
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.terms import NoiseTerm
+from allanjax.record.recording import DeadAxis
+
+SCHEMA_VERSION = 1
+
+
+#: What stands for an infinite parameter of a model, for which JSON has no number.
+INFINITY = "Infinity"
+
+
+# Sets of terms that are less probable are not written.
+_IMPROBABLE = 1e-6
+
+
+def to_dict(fit: Fit) -> dict[str, Any]:
+    """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` says what each means.
+
+    Numbers that do not exist, such as the χ² of an axis without result, are None; so are those that are not
+    finite, the upper end of an interval without one, say. `load` makes the fit of them again.
+    """
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "allanjax_version": version("allanjax"),
+        "recording": {
+            "name": fit.name,
+            "n": int(fit.curve.n),
+            "rate_hz": float(fit.curve.rate),
+            "duration_s": fit.curve.n / fit.curve.rate,
+        },
+        "objective": fit.objective,
+        "converged": fit.converged,
+        "model": [_term(term) for term in fit.template],
+        "curve": _curve(fit.curve, fit.axes),
+        "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
+        "warnings": list(fit.warnings),
+        "stretch_s": None if fit.stretch is None else list(fit.stretch),
+        "notes": list(fit.notes),
+    }
+
+
+def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
+    """As that of an axis without result."""
+    axis = dead.axis
+    return {
+        "name": axis.name,
+        "sensor": axis.sensor,
+        "unit": axis.unit,
+        "mean_si": None,
+        "rms_si": None,
+        "converged": False,
+        "dead": True,
+        "reason": dead.reason,
+        "chi2": None,
+        "dof": 0,
+        "p_value": None,
+        "discrepancy": None,
+        "measured": False,
+        "moving": False,
+        "misfit": None,
+        "coefficients": [],
+        "covariance": {"labels": [], "units": [], "values": []},
+        "selection": None,
+        "selection_discrepancy": None,
+        "regression": {},
+    }
+
+
+def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
+    coefficients = list(result.coefficients.values()) if result.converged else []
+    covariance = result.covariance if result.converged else np.zeros((0, 0))
+    return {
+        "name": result.axis.name,
+        "sensor": result.axis.sensor,
+        "unit": result.axis.unit,
+        "mean_si": _finite(result.mean),
+        "rms_si": _finite(result.rms),
+        "converged": result.converged,
+        "dead": False,
+        "reason": result.reason,
+        "chi2": _finite(result.chi2) if result.converged else None,
+        "dof": int(result.dof),
+        "p_value": _finite(result.p_value) if result.converged else None,
+        "discrepancy": _finite(result.discrepancy) if result.converged else None,
+        "measured": result.measured,
+        "moving": result.moving,
+        "misfit": None if result.misfit is None else _misfit(result.misfit),
+        "coefficients": [_coefficient(c) for c in coefficients],
+        "covariance": {
+            "labels": [c.label for c in coefficients],
+            "units": [c.si_unit for c in coefficients],
+            "values": [[_finite(x) for x in row] for row in covariance],
+        },
+        "selection": None if selection is None else _ranking(selection[result.axis.name]),
+        "selection_discrepancy": None if selection is None else selection[result.axis.name].discrepancy,
+        "regression": {
+            name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
+        },
+    }
+
+
+def _misfit(misfit: Misfit) -> dict[str, Any]:
+    return {
+        "of": misfit.curve,
+        "largest_deviation": _finite(misfit.largest),
+        "at": _finite(misfit.at),
+        "at_unit": misfit.unit,
+        "rms_deviation": _finite(misfit.rms),
+        "octave_deviation": _finite(misfit.sustained),
+        "scatter": _finite(misfit.scatter),
+    }
+
+
+def _term(term: NoiseTerm) -> dict[str, Any]:
+    values = {p.name: getattr(term, p.name) for p in term.parameters()}
+    return {
+        "term": term.name(),
+        "parameters": {name: _start(x) for name, x in values.items()},
+        "held": sorted(term.held),
+    }
+
+
+def _start(x: float | None) -> float | str | None:
+    return x if x is None else float(x) if math.isfinite(x) else INFINITY
+
+
+def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
+    def by_axis(values: Float[np.ndarray, "m axes"]) -> dict[str, list[float | None]]:
+        return {axis: [_finite(x) for x in column] for axis, column in zip(axes, values.T, strict=True)}
+
+    return {
+        "kind": curve.kind,
+        "overlapping": curve.overlapping,
+        "estimator": curve.estimator,
+        "cluster_time_s": curve.cluster_time.tolist(),
+        "cluster_size": curve.cluster_size.tolist(),
+        "count": curve.count.tolist(),
+        "deviation": by_axis(curve.deviation),
+        "degrees_of_freedom": by_axis(curve.edf),
+    }
+
+
+def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
+    # With the set of all terms, which says what there was to choose from.
+    whole = max(selection.ranking, key=lambda s: len(s.terms))
+    first = selection.ranking[:3]
+    sets = [s for s in selection.ranking if s in first or s.probability > _IMPROBABLE or s == whole]
+    return [
+        {
+            "terms": list(s.terms),
+            "parameters": s.parameters,
+            "probability": s.probability,
+            "log_evidence": _finite(s.log_evidence - selection.best.log_evidence),
+            "chosen": s == selection.chosen,
+        }
+        for s in sets
+    ]
+
+
+def _coefficient(c: Coefficient) -> dict[str, Any]:
+    shown, si = c.in_unit(), c.in_unit(c.si_unit)
+    return {
+        "label": c.label,
+        "term": c.term,
+        "symbol": c.parameter.symbol,
+        "kind": c.parameter.kind,
+        "detected": c.detected,
+        "held": c.held,
+        "measured": c.measured,
+        "unit": shown.unit,
+        **_numbers(shown),
+        "si": {"unit": si.unit, **_numbers(si)},
+    }
+
+
+def _numbers(c: Coefficient) -> dict[str, Any]:
+    return {
+        "value": _finite(c.value),
+        "std": _finite(c.std),
+        "interval_68": [_finite(x) for x in c.interval_68],
+        "interval_95": [_finite(x) for x in c.interval],
+        "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
+        "lower_limit_95": c.lower_limit,
+    }
+
+
+def _finite(x: float) -> float | None:
+    """JSON has no NaN and no infinity, and an empty cell is the CSV for neither."""
+    return float(x) if math.isfinite(x) else None

@@ -1,0 +1,268 @@
+"""Fit a noise model to a recording, by its Allan variances or by Whittle's likelihood."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.base.cache import release_programs
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.estimate.axis_fits import fit_allan, fit_whittle, with_curve
+from allanjax.estimate.result import NEXT, AxisFit, Fit
+from allanjax.estimate.selection import TermSelection, basic_terms, select_terms
+from allanjax.inspection import Inspection, inspect
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.terms import Markov, Telegraph
+from allanjax.noise.terms.transient import Transient
+from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.recording import Axis, DeadAxis, Recording
+
+# Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
+_PER_OCTAVE = 4
+
+Objective = Literal["allan", "whittle"]
+
+
+def fit(
+    recording: RecordingLike,
+    model: ModelLike | None = None,
+    objective: Objective = "allan",
+    *,
+    regressors: Sequence[str] = (),
+    as_is: bool = False,
+    vibrating: bool = False,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> Fit:
+    """Estimate the coefficients of a noise model from every axis of a recording.
+
+    First the recording is looked at (see `inspect`): where it was handled it is left out, on all axes, as the
+    fit's `warnings` and `stretch` say; if too little is left there is no result. A model with a step, a
+    warm-up or a telegraph, and regressors, say that the mean may move: that is no handling then.
+
+    `objective="allan"`: the overlapping Allan variances at four cluster times an octave are fitted by
+    generalized least squares, weighted with their full covariance at the fitted model itself (see `gls`).
+    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all that
+    the record knows of its spectrum: more efficient where terms are alike in the Allan curve, and for
+    lines by far. Ramps, lines and regressors are profiled out exactly.
+
+    Args:
+        recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
+        model: the terms, added up with `+`, or written as on the command line, `"N + B + K"`; parameters
+            with a value start there, those held stay there. The time of a step and the time constant of a
+            warm-up must have a value and are held; such terms need "whittle".
+            Without one, the terms are those that `select_terms` chooses for each axis among the five basic
+            ones and a Markov process; for the basic terms not chosen there is an upper limit.
+        objective: "allan" or "whittle".
+        regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
+            with "whittle" only.
+        as_is: whether to use all of the recording whatever it looks like; the warnings stay.
+        vibrating: whether the platform moves or vibrates, and is to: motion is no reason for a warning then.
+        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
+            and a file may state their own.
+
+    Returns:
+        The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
+
+    Raises:
+        FitError: if the record is too short for the model; a step or warm-up without a time, or with "allan".
+        AllanjaxError: an unknown objective; a regressor that is no auxiliary channel, or is constant.
+    """
+    if objective not in ("allan", "whittle"):
+        raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
+    if model in get_args(Objective):
+        raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    _regressors(recording, regressors, objective)
+    seen = inspected(recording, model, regressors, as_is, vibrating)
+    if not seen.refusal:
+        return with_what_was_seen(_fitted(seen.quiet(recording), model, objective, regressors), seen)
+    template, _ = terms_to_fit(model, None, recording.axes, objective)
+    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+    return without_coefficients(seen, curve, template, objective, recording.notes, recording.dead)
+
+
+def inspected(
+    recording: Recording,
+    model: ModelLike | None,
+    regressors: Sequence[str],
+    as_is: bool,
+    vibrating: bool,
+) -> Inspection:
+    """How the recording looks to a fit of this model, which may say that the mean moves."""
+    terms = () if model is None else as_model(model, recording.axes).terms
+    timed = any(isinstance(term, Transient) for term in terms)
+    may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
+    # The time of a step counts from the first sample.
+    return inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
+
+
+def _fitted(
+    recording: Recording,
+    model: ModelLike | None,
+    objective: Objective,
+    regressors: Sequence[str],
+) -> Fit:
+    """The fit of all of a recording."""
+    given = _regressors(recording, regressors, objective)
+    release_programs(0.75)
+    selection = select_terms(recording) if model is None else None
+    template, active = terms_to_fit(model, selection, recording.axes, objective)
+    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+    check_length(curve, template, recording.name)
+    if objective == "allan":
+        results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
+    else:
+        axes = range(len(recording.axes))
+        results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
+        results, curve = with_curve(curve, template, results)
+    notes = recording.notes + ambiguities(selection)
+    return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
+
+
+def without_coefficients(
+    seen: Inspection,
+    curve: AllanDeviation,
+    template: Model,
+    objective: Objective,
+    notes: tuple[str, ...],
+    dead: tuple[DeadAxis, ...],
+) -> Fit:
+    """The curve of a recording that no coefficients can be of, and why."""
+    nothing = np.zeros((0, 0))
+    results = tuple(
+        AxisFit(axis, False, seen.refusal, np.nan, 0, np.nan, np.nan, {}, nothing, template)
+        for axis in seen.axes
+    )
+    return with_what_was_seen(Fit(seen.name, template, curve, results, notes, objective, None, dead), seen)
+
+
+def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
+    """The fit with the warnings, the stretch, and the level of each axis; in motion, nothing is measured."""
+    levels = zip(found.results, seen.mean, seen.rms, strict=True)
+    results = tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in levels)
+    moving = [seen.axes[k].name for k in seen.moving]
+    results = tuple(
+        r.unmeasured(moving=True) if r.converged and r.axis.name in moving else r for r in results
+    )
+    return dataclasses.replace(
+        found,
+        results=results,
+        warnings=(*seen.warnings, *far_off(results)),
+        notes=found.notes + seen.notes,
+        stretch=seen.stretch,
+    )
+
+
+def far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
+    """For people: which axes have a curve that their model does not follow, and what to do."""
+    names = [result.axis.name for result in results if result.is_far_off]
+    if not names:
+        return ()
+    return (
+        f"{', '.join(names)}: not a measurement of this sensor, the model does not follow the data: {NEXT}",
+    )
+
+
+def terms_to_fit(
+    model: ModelLike | None,
+    selection: TermSelection | None,
+    axes: Sequence[Axis],
+    objective: Objective,
+) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
+    """The model to fit, given or chosen, and which of its terms each axis has.
+
+    Raises:
+        FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
+    """
+    if selection is None:
+        template = basic_terms() if model is None else as_model(model, axes)
+        template = _with_known_transients(template, objective)
+        _check_distinct(template)
+        return template, np.ones((len(axes), len(template)), bool)
+    sets = [axis.chosen.terms for axis in selection.results]
+    # A Markov process is part of the template where it is needed only: it costs time.
+    template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()
+    return template, np.array([[label in s for label in template.term_labels] for s in sets])
+
+
+def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
+    """Raise FitError if there are no more Allan variances than parameters."""
+    free_count = sum(p.free for p in template.parameters)
+    if len(curve.cluster_size) <= free_count:
+        raise FitError(
+            f"{name or 'the recording'}: {curve.n} samples give "
+            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; "
+            "record longer or use fewer terms"
+        )
+
+
+def _check_distinct(template: Model) -> None:
+    """Raise FitError for two terms that differ in nothing but their amplitudes, which are to be found."""
+    seen = set()
+    for term in template.terms:
+        shape = [getattr(term, p.name) for p in term.parameters() if not term.is_free(p)]
+        if len(term.parameters()) == len(shape) + 1:
+            if (key := (type(term), *shape)) in seen:
+                raise FitError(f"no data tell {term.name()} from {term.name()}: leave one of them out")
+            seen.add(key)
+
+
+def _with_known_transients(template: Model, objective: Objective) -> Model:
+    """The model with the shapes of its steps and warm-ups held: a record is not searched for them."""
+    terms = list(template.terms)
+    for k, term in enumerate(template.terms):
+        if not isinstance(term, Transient):
+            continue
+        if objective == "allan":
+            raise FitError(f'{term.name()} has no Allan variance of its own: give objective="whittle"')
+        shapes = [p.name for p in term.parameters()[1:]]
+        for shape in shapes:
+            if getattr(term, shape) is None:
+                raise FitError(
+                    f"a fit does not search for the {shape} of a {term.name()}: give it, e.g. "
+                    f'{type(term).__name__}({shape}=120.0).hold("{shape}"); the critique finds it'
+                )
+        terms[k] = term.hold(*shapes)
+    return Model(tuple(terms))
+
+
+def _regressors(
+    recording: Recording, names: Sequence[str], objective: Objective
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """The auxiliary channels of these names, without their means."""
+    if names and objective != "whittle":
+        raise AllanjaxError(
+            'regressors are profiled out of the spectrum only: give objective="whittle" (--objective whittle)'
+        )
+    channels = {}
+    for name in names:
+        if name not in recording.auxiliary:
+            there = ", ".join(recording.auxiliary) or "none"
+            raise AllanjaxError(
+                f"{recording.name or 'the recording'} has no auxiliary channel {name!r}; it has {there}"
+            )
+        channel = np.asarray(recording.auxiliary[name], float)
+        channels[name] = channel - channel.mean()
+        if not np.isfinite(channel).all() or not channels[name].any():
+            raise AllanjaxError(
+                f"auxiliary channel {name!r} is constant or not finite: nothing to regress on"
+            )
+    return channels
+
+
+def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
+    """For people: which terms the data could not tell apart."""
+    notes = []
+    for axis in selection.values() if selection else ():
+        if found := axis.ambiguities():
+            notes.append(f"{axis.axis.name}: the data do not tell {'; '.join(found[:3])}")
+    return tuple(notes)

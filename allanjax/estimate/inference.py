@@ -1,0 +1,215 @@
+"""What estimates of power say about each coefficient around its estimate."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln, ndtri
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from allanjax.base.linalg import inverse, non_negative_least_squares
+from allanjax.estimate.design import Design
+from allanjax.estimate.gls import Solution
+
+
+class Inference(NamedTuple):
+    """What the data say about one axis around its estimate.
+
+    `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
+    and the data's distance from each as a normal score, positive where the data want more: up to `ESTIMATE`
+    those below the estimate, from `ABOVE` on those above. `ceiling` is, per term, a power that the term
+    alone rules out, see `ceiling`.
+    """
+
+    covariance: Float[Array, "params params"]
+    estimate_variance: Float[Array, " m"]
+    power_at: Float[Array, "terms grid"]
+    pivot_at: Float[Array, "terms grid"]
+    ceiling: Float[Array, " terms"]
+
+
+class _Linearized(NamedTuple):
+    """One-step estimates at a hypothesis, linear in the relative residuals of the Allan variances.
+
+    `weights` [params, m] are those of the residuals, `weighted` their product with the residuals' covariance.
+    """
+
+    covariance: Float[Array, "params params"]
+    step: Float[Array, " params"]
+    weights: Float[Array, "params m"]
+    weighted: Float[Array, "params m"]
+    estimate_variance: Float[Array, " m"]
+
+
+def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
+    """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
+
+    Few clusters make estimates skew, so that a positive t is less surprising than a negative one. Cube roots
+    of gamma variates are nearly normal (Wilson & Hilferty 1931).
+    """
+    g = jnp.where(jnp.abs(skewness) > 1e-3, skewness, 1e-3)
+    return (jnp.cbrt(jnp.maximum(1.0 + g * t / 2.0, 0.0)) - 1.0 + g**2 / 36.0) * 6.0 / g
+
+
+# Hypothetical powers, in standard deviations from the estimate; the first is zero power.
+_BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
+# Where the scatter grows with the power, as of few long clusters, limits may be far up.
+_NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
+_ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
+#: Indices of the estimate itself, of hypotheses below and above.
+ESTIMATE = len(_BELOW) - 1
+ABOVE = len(_BELOW)
+# Beyond this score no interval's end lies.
+_FAR_ENOUGH = -2.0
+# Of a ceiling: the chance that it is too low.
+_CHANCE = 0.025
+
+
+@eqx.filter_jit
+def infer(
+    design: Design,
+    V: Float[ArrayLike, "axes m"],
+    free: Bool[ArrayLike, " terms"],
+    active: Bool[ArrayLike, "axes terms"],
+    solution: Solution,
+) -> Inference:
+    """Covariance of the parameters, and for each term the data's distance from hypothetical powers.
+
+    The first hypothesis is v = 0. Upwards, hypotheses go on until the data refuse one, and the other powers
+    are fitted to the data anew at each: far away, where they would have gone along with the term under test
+    says nothing. What is not looked at is NaN.
+
+    The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
+    powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
+    with v. It exists for inactive terms too, whose upper limits it gives.
+    """
+    shared = jnp.asarray(free)
+    return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s))(V, active, solution)
+
+
+def _infer(
+    design: Design,
+    V: Float[Array, " m"],
+    free: Bool[Array, " terms"],
+    active: Bool[Array, " terms"],
+    s: Solution,
+) -> Inference:
+    terms = len(s.power)
+    owner = jnp.asarray([p.term for p in design.shapes], int)
+    means, products = design.means(s.shape), design.products(s.shape)
+    # [terms, m, shapes]
+    moving = design.movable.any()
+    by_shape = jax.jacfwd(design.means)(s.shape) if moving else jnp.zeros((*means.shape, len(s.shape)))
+
+    def at_hypothesis(power: Array, estimated: Array) -> _Linearized:
+        mean = power @ means
+        covariance = design.covariance(power, products)
+        raw = jnp.concatenate([means.T, jnp.einsum("k,kms->ms", power, by_shape)], axis=1) / mean[:, None]
+        raw = raw * estimated
+        columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None], jnp.eye(len(V))], axis=1)
+        columns = design.whiten(covariance, mean, s.discrepancy, columns).values
+        D, residual, W = columns[:, : len(estimated)], columns[:, len(estimated)], columns[:, -len(V) :]
+        size = jnp.sqrt(jnp.sum(D**2, axis=0))
+        size = jnp.where(size > 0.0, size, 1.0)
+        # A zero column (not estimated) gets a unit on the diagonal, and no variance afterwards.
+        normal = (D / size).T @ (D / size) + jnp.diag(1.0 - estimated) + 1e-12 * jnp.eye(len(size))
+        normal_inverse = inverse(normal) / (size[:, None] * size)
+        return _Linearized(
+            covariance=normal_inverse * (estimated[:, None] * estimated),
+            step=normal_inverse @ (D.T @ residual),
+            weights=normal_inverse @ (D.T @ W),
+            weighted=normal_inverse @ raw.T,
+            estimate_variance=design.variances(covariance),
+        )
+
+    # The shape of a term without power is nowhere in the data.
+    has_shape = active[owner] & (s.power[owner] > 0.0) & design.movable
+    is_active = jnp.concatenate([active & free, has_shape]).astype(float)
+    # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
+    alone = jnp.eye(terms, dtype=bool)
+    own_shape = alone[:, owner]
+    tested = jnp.concatenate([(active & free) | alone, has_shape & ~own_shape], axis=1).astype(float)
+    every = jnp.concatenate([is_active[None], tested])
+    around = jax.vmap(lambda estimated: at_hypothesis(s.power, estimated))(every)
+    found = jax.tree.map(lambda x: x[0], around)
+
+    def score(term: Array, v: Array, at: Array, fitted: Array) -> Array:
+        """Distance of the data from these powers, of which that of the term is v."""
+        there = at_hypothesis(at, fitted)
+        variance = there.covariance[term, term]
+        # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
+        # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
+        third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
+        # An estimate that cannot be negative is no more skew than a χ² of its own mean and variance.
+        skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
+        return _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
+
+    def hypotheses(
+        term: Array, alone: Array, own_shape: Array, estimated: Array, local: Array
+    ) -> tuple[Array, Array]:
+        sd = jnp.sqrt(local[term, term])
+        # A term that is alone cannot vanish altogether.
+        least = 1e-9 * s.power[term]
+        slope = jnp.where(estimated[:terms] > 0.0, local[:terms, term] / local[term, term], 0.0)
+        down = jnp.maximum(s.power[term] + jnp.asarray(_BELOW) * sd, 0.0)
+        up = s.power[term] + jnp.asarray(_ABOVE) * sd
+
+        def below(k: Array, scores: Array) -> Array:
+            v = jnp.maximum(down[k], least)
+            others = jnp.maximum(s.power + slope * (v - s.power[term]), 0.05 * s.power)
+            at = jnp.where(alone, v, jnp.where(active, others, 0.0))
+            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape)
+            fitted = jnp.concatenate([estimated[:terms], shaped])
+            return scores.at[k].set(score(term, v, at, fitted))
+
+        def above(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            k, scores, others = state
+            v = jnp.maximum(up[k], least)
+            at = profiled(jnp.where(alone, v, others), active & free & ~alone)
+            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape & (at[owner] > 0.0))
+            fitted = jnp.concatenate([estimated[:terms], shaped])
+            return k + 1, scores.at[k].set(score(term, v, at, fitted)), at
+
+        def goes_on(state: tuple[Array, Array, Array]) -> Array:
+            k, scores, _ = state
+            reached = scores[k - 1] - jnp.minimum(scores[0], 0.0) < _FAR_ENOUGH
+            return (k == 0) | (~reached & (k < len(_ABOVE)))
+
+        nothing = jnp.full(len(_ABOVE), jnp.nan)
+        pivots = jax.lax.fori_loop(0, len(_BELOW), below, jnp.zeros_like(down))
+        _, further, _ = jax.lax.while_loop(goes_on, above, (jnp.asarray(0), nothing, s.power * active))
+        return jnp.concatenate([down, up]), jnp.concatenate([pivots, further])
+
+    def profiled(power: Array, allowed: Array) -> Array:
+        """The powers with those allowed to fitted to the data, weighted by the covariance at `power`."""
+        mean, covariance = power @ means, design.covariance(power, products)
+        W = design.whiten(covariance, mean, s.discrepancy, jnp.eye(len(V))).values
+        A = W @ (means / mean).T
+        target = W @ (V / mean) - A @ jnp.where(allowed, 0.0, power)
+        return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
+
+    power_at, pivot_at = jax.vmap(hypotheses)(
+        jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
+    )
+    highest = ceiling(design, V, means, products, s.discrepancy)
+    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
+
+
+def ceiling(
+    design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, discrepancy: Array
+) -> Float[Array, " terms"]:
+    """For each term a power beyond which one of the estimates would be too small, whatever else there is.
+
+    Other terms can only add to an estimate, so that V ≥ v·mean·e^(discrepancy·z)·χ²/ν, with a normal z. With
+    m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those
+    of the term that scatters most.
+    """
+    each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
+    relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
+    half, chance = 1.0 / jnp.maximum(relative, 1e-9), _CHANCE / (2.0 * len(V))
+    least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + discrepancy * ndtri(chance)
+    return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)

@@ -1,0 +1,201 @@
+"""Fits from the JSON files that allanjax wrote; `fit.schema.json` says what is in them."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.errors import AllanjaxError
+from allanjax.estimate.as_json import INFINITY, SCHEMA_VERSION
+from allanjax.estimate.misfit import Misfit
+from allanjax.estimate.result import AxisFit, Fit, fitted_model
+from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.model import Model
+from allanjax.noise.notation import term_classes
+from allanjax.noise.terms import NoiseTerm
+from allanjax.record.recording import Axis, DeadAxis
+
+
+def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:
+    """The fit of a JSON file, with its curve: it prints, plots and gives its numbers as the one written did.
+
+    Of Whittle's likelihood the spectrum is not in the file, so that such a fit cannot be sampled.
+
+    Args:
+        path: what `write_json` or `allanjax characterize` wrote; the output of `allanjax characterize --json`
+            or of `allanjax fleet` (`recordings/NAME.json`).
+        terms: classes of noise terms of one's own that the model has.
+
+    Returns:
+        The fit; for the output of `--json`, which may hold several, fits by their files.
+
+    Raises:
+        AllanjaxError: there is no such file, it holds no fit, is damaged, is of another version, or has a
+            term that is not allanjax's and not among `terms`.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise AllanjaxError(f"{path}: no such file; check the path") from error
+    except (OSError, ValueError) as error:
+        raise AllanjaxError(f"{path}: not a file of JSON, or damaged: {error}") from error
+    classes = term_classes() | {term.name(): term for term in terms}
+    try:
+        if "fits" in document:
+            return {entry["file"]: _fit(entry, classes) for entry in document["fits"]}
+        return _fit(document.get("fit", document), classes)
+    except AllanjaxError as error:
+        raise AllanjaxError(f"{path}: {error}") from error
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise AllanjaxError(f"{path}: not a fit that allanjax wrote, or damaged: {error!r}") from error
+
+
+def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Fit:
+    if "baseline" in document or "schema_version" not in document or "axes" not in document:
+        raise AllanjaxError("not a fit that allanjax wrote; such a file comes from allanjax characterize")
+    if document["schema_version"] != SCHEMA_VERSION:
+        raise AllanjaxError(
+            f"of schema version {document['schema_version']}, this allanjax reads {SCHEMA_VERSION}; load it "
+            f"with allanjax {document.get('allanjax_version', 'of its time')}"
+        )
+    if "curve" not in document:
+        raise AllanjaxError(
+            f"written by allanjax {document.get('allanjax_version')}, without its curve; characterize the "
+            "recording again"
+        )
+    template = Model(tuple(_term(term, classes) for term in document["model"]))
+    alive = [a for a in document["axes"] if not a["dead"]]
+    axes = tuple(map(_axis, alive))
+    name = document["recording"]["name"]
+    return Fit(
+        name=name,
+        template=template,
+        curve=_curve(document, axes),
+        results=tuple(_result(a, axis, template) for a, axis in zip(alive, axes, strict=True)),
+        notes=tuple(document["notes"]),
+        warnings=tuple(document["warnings"]),
+        stretch=None if document["stretch_s"] is None else tuple(document["stretch_s"]),
+        objective=document["objective"],
+        selection=_selection(name, alive, axes),
+        dead=tuple(DeadAxis(_axis(a), a["reason"]) for a in document["axes"] if a["dead"]),
+    )
+
+
+def _term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> NoiseTerm:
+    if term["term"] not in classes:
+        raise AllanjaxError(
+            f"its term {term['term']!r} is none of allanjax's: give its class, load(path, terms=[…])"
+        )
+    values: dict[str, Any] = {
+        name: math.inf if x == INFINITY else x for name, x in term["parameters"].items()
+    }
+    return classes[term["term"]](**values).hold(*term["held"])
+
+
+def _curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:
+    curve = document["curve"]
+    return AllanDeviation(
+        cluster_time=np.array(curve["cluster_time_s"], float),
+        cluster_size=np.array(curve["cluster_size"], int),
+        deviation=np.stack([_numbers(curve["deviation"][axis.name]) for axis in axes], axis=1),
+        count=np.array(curve["count"], int),
+        edf=np.stack([_numbers(curve["degrees_of_freedom"][axis.name]) for axis in axes], axis=1),
+        n=document["recording"]["n"],
+        rate=document["recording"]["rate_hz"],
+        kind=curve["kind"],
+        overlapping=curve["overlapping"],
+        axes=axes,
+        estimator=curve["estimator"],
+    )
+
+
+def _axis(a: Mapping[str, Any]) -> Axis:
+    return Axis(a["name"], a["sensor"], a["unit"])
+
+
+def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
+    parameters = {p.label: p for p in template.parameters}
+    coefficients = {}
+    for c in a["coefficients"]:
+        p, si = parameters[c["label"]].parameter, c["si"]
+        limited = p.kind == "amplitude" and c["measured"] and not c["held"]
+        limit = si["upper_limit_95"]
+        coefficients[c["label"]] = Coefficient(
+            label=c["label"],
+            term=c["term"],
+            parameter=p,
+            axis=axis,
+            unit=si["unit"],
+            value=_number(si["value"]),
+            std=_number(si["std"]),
+            interval=_interval(si["interval_95"]),
+            interval_68=_interval(si["interval_68"]),
+            upper_limit=math.inf if limit is None and limited else limit,
+            lower_limit=si["lower_limit_95"],
+            detected=c["detected"],
+            held=c["held"],
+            measured=c["measured"],
+        )
+    return AxisFit(
+        axis=axis,
+        converged=a["converged"],
+        reason=a["reason"],
+        chi2=_number(a["chi2"]),
+        dof=a["dof"],
+        p_value=_number(a["p_value"]),
+        discrepancy=_number(a["discrepancy"]),
+        _coefficients=coefficients,
+        _covariance=np.array([_numbers(row) for row in a["covariance"]["values"]]),
+        _model=fitted_model(template, coefficients),
+        regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
+        misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
+        mean=_number(a["mean_si"]),
+        rms=_number(a["rms_si"]),
+        moving=a["moving"],
+    )
+
+
+def _misfit(m: Mapping[str, Any]) -> Misfit:
+    largest, rms, octave = (_number(m[f"{key}_deviation"]) for key in ("largest", "rms", "octave"))
+    return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave, _number(m["scatter"]))
+
+
+def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> TermSelection | None:
+    if any(a["selection"] is None for a in documents):
+        return None
+
+    def ranking(sets: Sequence[Mapping[str, Any]]) -> tuple[TermSet, ...]:
+        evidence = [-math.inf if s["log_evidence"] is None else s["log_evidence"] for s in sets]
+        return tuple(
+            TermSet(tuple(s["terms"]), s["parameters"], e, s["probability"])
+            for s, e in zip(sets, evidence, strict=True)
+        )
+
+    pairs = zip(documents, axes, strict=True)
+    return TermSelection(
+        name, tuple(AxisSelection(x, ranking(a["selection"]), a["selection_discrepancy"]) for a, x in pairs)
+    )
+
+
+def _number(x: float | None) -> float:
+    """A number, or NaN for what JSON has null for."""
+    return math.nan if x is None else float(x)
+
+
+def _numbers(values: Sequence[float | None]) -> Float[np.ndarray, " m"]:
+    return np.array([_number(x) for x in values])
+
+
+def _interval(ends: Sequence[float | None]) -> tuple[float, float]:
+    """The ends of an interval; one that has no upper end goes on for ever."""
+    lower, upper = ends
+    return _number(lower), math.inf if upper is None and lower is not None else _number(upper)

@@ -1,0 +1,290 @@
+"""What a fit found: coefficients with their intervals, one axis at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import os
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.plain import printable
+from allanjax.base.presented import presented
+from allanjax.base.tables import WIDTH
+from allanjax.base.wording import duration, significant
+from allanjax.estimate.axis_estimates import AxisEstimates
+from allanjax.estimate.misfit import Misfit
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.model import Model
+from allanjax.record.recording import Axis, DeadAxis
+from allanjax.record.units import rate_unit_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from allanjax.estimate.deterministic import AxisSpectrum
+    from allanjax.estimate.selection import TermSelection
+
+#: What to do about a curve that is far off.
+NEXT = (
+    "look at the picture; allanjax critique FILE looks for the cause; "
+    "--start and --stop cut off what was not at rest, --terms takes other terms"
+)
+
+
+def fitted_model(
+    template: Model, coefficients: Mapping[str, Coefficient], inactive: Sequence[str] = ()
+) -> Model:
+    """The template with these values, without the terms that are inactive or whose amplitude is zero."""
+    values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
+    amplitudes = [p for p in template.parameters if p.parameter.kind == "amplitude"]
+    absent = [p.term_label for p in amplitudes if values.get(p.label, 0.0) == 0.0]
+    return template.with_values(**values).without([*absent, *inactive])
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class AxisFit(ByValue, AxisEstimates):
+    """The fit of one axis.
+
+    Attributes:
+        axis: whose it is.
+        converged: whether it may be trusted; `reason` says why not.
+        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels, to the model within
+            their own scatter.
+        discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
+            that brings χ² down to `dof`, or the rms deviation of `misfit` if that is larger; 0 if the model
+            suffices. Standard deviations and intervals include it.
+        misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
+            If it is excessive no coefficient is a measurement of the sensor (`measured`).
+        regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
+        spectrum: with Whittle's likelihood, the statistics it was fitted to.
+        mean, rms: of the samples [rad/s or m/s²], rms about the mean.
+        moving: whether the sensor was not at rest: then no coefficient is a measurement of it either.
+    """
+
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "axis",
+        "coefficient",
+        "value",
+        "std",
+        "lower_95",
+        "upper_95",
+        "unit",
+        "detected",
+        "upper_limit_95",
+        "measured",
+    )
+    ERROR: ClassVar[type[AllanjaxError]] = FitError
+
+    axis: Axis
+    converged: bool
+    reason: str
+    chi2: float
+    dof: int
+    p_value: float
+    discrepancy: float
+    _coefficients: Mapping[str, Coefficient]
+    _covariance: Float[np.ndarray, "params params"]
+    _model: Model
+    regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    misfit: Misfit | None = None
+    spectrum: AxisSpectrum | None = None
+    mean: float = np.nan
+    rms: float = np.nan
+    moving: bool = False
+
+    def _checked(self) -> None:
+        if not self.converged:
+            raise FitError(f"{self.axis.name}: no result, {self.reason}")
+
+    @property
+    def measured(self) -> bool:
+        """Whether the coefficients are a measurement of the sensor: not in motion, nor of a curve far off."""
+        return self.converged and not self.moving and not self.is_far_off
+
+    @property
+    def is_far_off(self) -> bool:
+        """Whether the fitted curve is too far from the measured one."""
+        return self.misfit is not None and self.misfit.excessive
+
+    def unmeasured(self, **why: Any) -> AxisFit:
+        """The same without standard deviations, intervals and limits; `why` are the fields that say why."""
+        coefficients = {label: c.unmeasured() for label, c in self.coefficients.items()}
+        nothing = np.full_like(self.covariance, np.nan)
+        return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
+
+    @property
+    def coefficients(self) -> Mapping[str, Coefficient]:
+        """Each coefficient by its label, detected or not. Raises FitError if the fit did not converge."""
+        self._checked()
+        return self._coefficients
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "params params"]:
+        """Covariance (SI) of the coefficients in their order; zero for what was not estimated.
+
+        Raises FitError if the fit did not converge.
+        """
+        self._checked()
+        return self._covariance
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, with the terms found. Raises FitError if the fit did not converge."""
+        self._checked()
+        return self._model
+
+    @property
+    def term_labels(self) -> tuple[str, ...]:
+        """The labels that the terms of `model` have in the template: one of two like terms keeps its number.
+
+        Raises FitError if the fit did not converge.
+        """
+        amplitudes = [c for c in self.coefficients.values() if c.parameter.kind == "amplitude"]
+        return tuple(c.term for c in amplitudes if np.isfinite(c.value) and c.value != 0.0)
+
+    def __repr__(self) -> str:
+        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict()}>"
+
+    def level(self) -> str:
+        """E.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if they are not known."""
+        if not np.isfinite(self.mean):
+            return ""
+        unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
+        return (
+            f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
+        )
+
+    def verdict(self) -> str:
+        """One line on how well the model fits."""
+        if not self.converged:
+            return f"no result: {self.reason}"
+        p = f"p = {self.p_value:.2g}" if self.p_value > 1e-300 else "p < 1e-300"
+        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom ({p})"
+        if self.is_far_off:
+            return (
+                f"not a measurement of this sensor: the model does not follow the data, {self.misfit}; {text}"
+            )
+        if self.moving:
+            return f"not a measurement of this sensor: it was not at rest; {text}"
+        return text if self.misfit is None else f"{text}; model incomplete: {self.misfit}"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Fit(ByValue, PerAxis[AxisFit]):
+    """The fit of a model to every axis of a recording.
+
+    Attributes:
+        name: the recording's name.
+        template: the model as asked for (or the five basic terms).
+        curve: the Allan deviations it was fitted to, with degrees of freedom under the fitted models.
+        results: one a recording axis.
+        notes: what the reader or the fit want the user to know.
+        objective: "allan" or "whittle".
+        selection: the ranking of terms, if the fit chose them itself.
+        dead: axes of the recording that have no noise to fit, and why.
+        warnings: what was seen in the recording before the fit, the most important first.
+        stretch: the part of the recording that was used, in s from its first sample; None: all of it.
+    """
+
+    CALLED: ClassVar[str] = "the fit"
+    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "coefficient", "estimate ± 1σ", "95 % interval")
+    ERROR: ClassVar[type[AllanjaxError]] = FitError
+
+    name: str
+    template: Model
+    curve: AllanDeviation
+    results: tuple[AxisFit, ...]
+    notes: tuple[str, ...] = ()
+    objective: str = "allan"
+    selection: TermSelection | None = None
+    dead: tuple[DeadAxis, ...] = ()
+    warnings: tuple[str, ...] = ()
+    stretch: tuple[float, float] | None = None
+
+    @property
+    def chosen(self) -> bool:
+        """Whether the fit chose the terms itself."""
+        return self.selection is not None
+
+    @property
+    def converged(self) -> bool:
+        """Whether every axis has a result."""
+        return not self.without_result
+
+    @property
+    def without_result(self) -> dict[str, str]:
+        """Why an axis has no result, by the names of those that have none."""
+        failed = {result.axis.name: result.reason for result in self.results if not result.converged}
+        return failed | {dead.axis.name: dead.reason for dead in self.dead}
+
+    def __getitem__(self, axis: str) -> AxisFit:
+        """The fit of one axis, e.g. `fit["gyro_x"]`."""
+        for dead in self.dead:
+            if axis == dead.axis.name:
+                raise FitError(f"{axis}: no result, {dead.reason}")
+        return super().__getitem__(axis)
+
+    @property
+    def coefficients(self) -> dict[str, Mapping[str, Coefficient]]:
+        """Coefficients by axis and label. Raises FitError if an axis did not converge."""
+        return {result.axis.name: result.coefficients for result in self.results}
+
+    def model_deviation(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, ...]:
+        """Allan deviation [rad/s or m/s²] of the fitted model at cluster times [s]."""
+        model = self[axis].model.sampled(self.curve.rate)
+        return np.sqrt(np.asarray(model.allan_variance(cluster_time)))
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Figure:
+        """Draw the Allan deviations, the model and its terms; see `plot_allan`."""
+        raise NotImplementedError
+
+    def _cells(self) -> list[tuple[str, str, str, str]]:
+        """Rows of the printed table: axis, coefficient, value, 95 % interval."""
+        cells = []
+        for result in self.results:
+            if not result.converged:
+                told = any(result.reason in warning for warning in self.warnings)
+                why = "no result: see the warning above" if told else result.verdict()
+                cells.append((result.axis.name, "", why, ""))
+                continue
+            for c in result.coefficients.values():
+                shown = c.in_unit()
+                known = c.detected and not c.held and np.isfinite(c.std)
+                interval = shown.describe_interval() if known else ""
+                cells.append((result.axis.name, c.title, shown.describe(), interval))
+            if level := result.level():
+                cells.append((result.axis.name, "", level, ""))
+            cells.append((result.axis.name, "", result.verdict(), ""))
+        cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
+        return cells
+
+    def _title(self) -> str:
+        length = duration(self.curve.n / self.curve.rate)
+        name = f"{self.name}: " if self.name else ""
+        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length})"
+
+    def __str__(self) -> str:
+        # Broken here, for they stand outside of the table.
+        warnings = [textwrap.fill(f"warning: {w}", WIDTH, subsequent_indent="  ") for w in self.warnings]
+        return "\n".join([*map(printable, warnings), super().__str__()])
+
+    def _repr_html_(self) -> str:
+        warnings = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
+        return warnings + super()._repr_html_()

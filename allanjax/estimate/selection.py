@@ -1,0 +1,409 @@
+"""Which noise terms do the data call for? Every set of terms, ranked by its evidence."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.per_axis import PerAxis
+from allanjax.estimate.design import unit
+from allanjax.estimate.evidence import Evidence, Job, evidences, taken_out
+from allanjax.estimate.spectral_design import bins_per_octave
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.terms import (
+    AngleRandomWalk,
+    BiasInstability,
+    DriftRamp,
+    Markov,
+    NoiseTerm,
+    Quantization,
+    RateRandomWalk,
+)
+from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.recording import Axis
+from allanjax.spectrum.cosine import (
+    Bins,
+    CosineBins,
+    Levels,
+    cosine_transform,
+    cube_root_score,
+    ramp_column,
+    term_column,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_NUMBERS = ("probability", "nats behind")
+_GRID = 16
+# Sets whose odds against the best are shorter than this cannot be told from it (Kass & Raftery 1995: "strong"
+# evidence begins at 20).
+_ODDS = 20.0
+# A fit takes the simplest of the sets that the best one beats by less than this.
+_PARSIMONY = 5.0
+# A further term that is improbable is no ambiguity worth a word: any might be there, unseen.
+_WORTH_SAYING = 0.1
+# χ² beyond all doubt, as in `gls`.
+_DOUBTLESS = 4.75
+# How often the sets are weighed anew with the discrepancy of the best one.
+_ROUNDS = 2
+
+
+def basic_terms() -> Model:
+    """The thesis's five basic terms: quantization, random walk, bias instability, rate random walk, ramp."""
+    return Quantization() + AngleRandomWalk() + BiasInstability() + RateRandomWalk() + DriftRamp()
+
+
+@dataclasses.dataclass(frozen=True)
+class TermSet:
+    """A set of noise terms.
+
+    Attributes:
+        terms: their names.
+        parameters: how many parameters they have.
+        log_evidence: logarithm of the probability of the data under it [nats], up to a constant.
+        probability: of the set, all sets being equally probable beforehand.
+    """
+
+    terms: tuple[str, ...]
+    parameters: int
+    log_evidence: float
+    probability: float
+
+    def __str__(self) -> str:
+        return " + ".join(self.terms)
+
+    def __repr__(self) -> str:
+        return f"<TermSet {self}: {100.0 * self.probability:.3g} %, {self.parameters} parameters>"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisSelection(ByValue):
+    """The ranking of one axis.
+
+    Attributes:
+        axis: whose it is.
+        ranking: all sets, the most probable first.
+        discrepancy: relative error of the best set's spectrum that its misfit calls for; 0 if it suffices.
+    """
+
+    axis: Axis
+    ranking: tuple[TermSet, ...]
+    discrepancy: float
+
+    @property
+    def best(self) -> TermSet:
+        """The most probable set."""
+        return self.ranking[0]
+
+    @property
+    def indistinguishable(self) -> tuple[TermSet, ...]:
+        """The best set, and those that the data do not tell from it: odds shorter than 20 to 1."""
+        return tuple(s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_ODDS))
+
+    @property
+    def chosen(self) -> TermSet:
+        """The set with the fewest parameters that is at most so much less probable than the best.
+
+        Of two explanations that the data hardly tell apart, the one that claims less.
+        """
+        close = [s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_PARSIMONY)]
+        return min(close, key=lambda s: (s.parameters, -s.log_evidence))
+
+    @property
+    def inclusion(self) -> dict[str, float]:
+        """Probability that each term is there: the sum over the sets that have it."""
+        names = max((s.terms for s in self.ranking), key=len)
+        return {name: sum(s.probability for s in self.ranking if name in s.terms) for name in names}
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a set; its log-evidence is that less the best's [nats]."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            {
+                "axis": self.axis.name,
+                "rank": rank,
+                "terms": str(s),
+                "probability": s.probability,
+                "log_evidence": s.log_evidence - self.best.log_evidence,
+                "indistinguishable": s in self.indistinguishable,
+            }
+            for rank, s in enumerate(self.ranking, 1)
+        )
+
+    def __repr__(self) -> str:
+        chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
+        close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets"
+        return (
+            f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n"
+            f" the data do not tell {close} apart>"
+        )
+
+    def ambiguities(self) -> tuple[str, ...]:
+        """What the data leave open next to the chosen set, a phrase each, the most probable first."""
+        found = []
+        for other in self.indistinguishable:
+            extra = tuple(t.replace("_", " ") for t in other.terms if t not in self.chosen.terms)
+            missing = tuple(t.replace("_", " ") for t in self.chosen.terms if t not in other.terms)
+            odds = f"{100.0 * self.chosen.probability:.2g} % against {100.0 * other.probability:.2g} %"
+            if len(missing) <= 1 and len(extra) <= 1 and missing and extra:
+                found.append(f"{missing[0]} from {extra[0]} ({odds})")
+            elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
+                term = (missing or extra)[0]
+                found.append(
+                    f"whether there is {term}" + (f" ({odds} with it)" if extra else f" ({odds} without it)")
+                )
+        return tuple(found[:3])
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class TermSelection(ByValue, PerAxis[AxisSelection]):
+    """The ranking of sets of noise terms, for every axis of a recording.
+
+    Attributes:
+        name: the recording's name.
+        results: one ranking an axis.
+    """
+
+    CALLED: ClassVar[str] = "the selection"
+    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "noise terms", *_NUMBERS)
+    RIGHT: ClassVar[tuple[str, ...]] = _NUMBERS
+    ERROR: ClassVar[type[AllanjaxError]] = FitError
+
+    name: str
+    results: tuple[AxisSelection, ...]
+
+    def _title(self) -> str:
+        return f"{self.name}: noise terms by evidence".lstrip(": ")
+
+    def _cells(self) -> list[tuple[str, ...]]:
+        rows: list[tuple[str, ...]] = []
+        for axis in self.results:
+            for rank, s in enumerate(axis.ranking[: max(3, len(axis.indistinguishable))]):
+                behind = axis.best.log_evidence - s.log_evidence
+                mark = "" if rank == 0 else " (not told apart)" if s in axis.indistinguishable else ""
+                words = f"{s}{mark}".replace("_", " ")
+                rows.append((axis.axis.name, words, f"{100 * s.probability:.3g} %", f"{behind:.1f}"))
+        return rows
+
+
+def select_terms(
+    recording: RecordingLike,
+    candidates: ModelLike | None = None,
+    *,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> TermSelection:
+    """Rank every set of noise terms by its evidence, for every axis of a recording.
+
+    The evidence (marginal likelihood) is that of Whittle's likelihood, integrated over the coefficients by
+    Laplace's method with the boundary at zero done by quadrature (see `evidence`): unlike BIC it needs no
+    "number of samples" to say how sharply a coefficient is known, of which a rate random walk has ten and
+    an angle random walk has all; unlike held-out likelihood it uses a drift's few low frequencies in full.
+    All sets are equally probable beforehand.
+
+    Where no set follows the spectrum within its scatter (p < 10⁻⁶), all are given a relative error that
+    makes the best one fit, and differ by less; sets with a free time are left out then: it would go wherever
+    it mends most of what has another cause.
+
+    Args:
+        recording: what `read` returns, or what else `fit` takes.
+        candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
+            Markov process.
+        rate, gyro_unit, accel_unit, names: of an array, see `fit`.
+
+    Raises:
+        AllanjaxError: a candidate that cannot be compared: lines, resonances and steps, a free shape
+            that is no time, more than one term with a free time, more than six terms.
+        FitError: a record of fewer than 64 samples.
+    """
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    model = candidates_of(candidates, recording.rate)
+    ramps = _sorted(model)[2]
+    if recording.n < 64:
+        raise FitError(
+            f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
+            "record at least 64"
+        )
+    bins = CosineBins.of(recording.n, recording.rate)
+    place = recording.n, recording.rate
+    ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
+    c = cosine_transform(recording.values - recording.values.mean(axis=0))
+    squares, cross, gram = (bins.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
+    levels = Levels(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
+    return rank_terms(model, bins, levels, recording.axes, recording.name)
+
+
+def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
+    """The terms to choose from, as sampled at `rate` [Hz]: those given, or the default ones."""
+    return (basic_terms() + Markov() if candidates is None else as_model(candidates)).sampled(rate)
+
+
+def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], name: str) -> TermSelection:
+    """As `select_terms`, from the statistics [axes, m] of a spectrum instead of a recording.
+
+    The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
+    """
+    fixed, shaped, ramps = _sorted(model)
+    columns, times = _columns(model, fixed, shaped, bins)
+    keep = bins.size > 0
+    levels = Levels(*(np.asarray(x)[:, keep] for x in levels))
+    jobs = jobs_of(len(fixed), len(times) if shaped else 0, bool(ramps))
+    size, columns = bins.size[keep].astype(float), columns[:, keep]
+    cut = len(fixed)
+    grid = columns[cut:] if shaped else np.ones((1, len(size)))
+
+    def run(share: Float[np.ndarray, "axes m"], last: int) -> Evidence:
+        """The evidence of the sets up to this one."""
+        return evidences(Job(*(x[:last] for x in jobs)), levels, columns[:cut], grid, size, share)
+
+    def off(k: int, job: int) -> float:
+        used = np.concatenate([columns[:cut], grid[jobs.column[job]][None]])
+        return _discrepancy(levels, k, power[k, job] @ used, bool(jobs.ramp[job]), size, per_octave)
+
+    every = range(len(axes))
+    per_octave = bins_per_octave(bins)[keep]
+    log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(jobs.ramp)))
+    incomplete = np.array([off(k, int(np.argmax(log_evidence[k]))) > 0.0 for k in every])
+    # The sets without a free time come first; only these are left where none suffices.
+    plain = int((~jobs.terms[:, -1]).sum())
+    log_evidence[incomplete, plain:] = -np.inf
+    discrepancy = np.zeros(len(axes))
+    for _ in range(_ROUNDS if incomplete.any() else 0):
+        for k in np.flatnonzero(incomplete):
+            discrepancy[k] = max(discrepancy[k], off(int(k), int(np.argmax(log_evidence[k]))))
+        found = run(1.0 / (1.0 + 0.5 * size * per_octave * discrepancy[:, None] ** 2), plain)
+        log_evidence[incomplete, :plain] = found.log_evidence[incomplete]
+        power[incomplete, :plain] = found.power[incomplete]
+    ranked = (
+        _ranked(axis, model, (fixed, shaped, ramps), jobs, log_evidence[k], float(discrepancy[k]) / 2.0)
+        for k, axis in enumerate(axes)
+    )
+    return TermSelection(name, tuple(ranked))
+
+
+def _discrepancy(
+    levels: Levels,
+    k: int,
+    mean: Float[np.ndarray, " m"],
+    ramp: bool,
+    size: Float[np.ndarray, " m"],
+    per_octave: Float[np.ndarray, " m"],
+) -> float:
+    """Relative error of an axis's spectrum that brings χ² down to its degrees of freedom, or 0."""
+    from scipy.optimize import brentq
+
+    rss, dof = (np.asarray(x) for x in taken_out(Levels(*(x[k] for x in levels)), size, mean, ramp))
+    known = dof > 0.05
+    dof = np.maximum(dof, 1e-3)
+    z = np.asarray(cube_root_score(rss / dof / mean, dof))[known]
+
+    def chi2(s: float) -> float:
+        return float(np.sum(z**2 / (1.0 + 0.5 * size * per_octave * s**2)[known]))
+
+    degrees = max(known.sum() - 3.0, 1.0)
+    limit = degrees * (1.0 - 2.0 / (9.0 * degrees) + _DOUBTLESS * np.sqrt(2.0 / (9.0 * degrees))) ** 3
+    return float(brentq(lambda s: chi2(s) - degrees, 0.0, 1e3)) if chi2(0.0) > limit else 0.0
+
+
+def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
+    """Indices of random terms without a free shape, of the one with a free time, and of ramps."""
+    fixed: list[int] = []
+    shaped: list[int] = []
+    ramps: list[int] = []
+    for k, term in enumerate(model.terms):
+        free = [p for p in term.parameters()[1:] if term.is_free(p)]
+        if not term.is_free(term.parameters()[0]):
+            raise AllanjaxError(f"{term.name()}: a held amplitude leaves nothing to choose")
+        if term.deterministic and len(term.parameters()) == 1:
+            ramps.append(k)
+        elif term.deterministic or term.narrow_band or len(free) > 1 or any(p.kind != "time" for p in free):
+            raise AllanjaxError(
+                f"{term.name()} cannot be compared by evidence; fit with and without it and compare"
+            )
+        else:
+            (shaped if free else fixed).append(k)
+    if len(shaped) > 1 or len(ramps) > 1 or not 1 <= len(model) <= 6:
+        raise AllanjaxError(
+            "the candidates may be at most six terms, one of them with a free time and one a ramp; "
+            "hold the others' times, e.g. Markov().hold(correlation_time=100.0)"
+        )
+    return fixed, shaped, ramps
+
+
+def _columns(
+    model: Model, fixed: list[int], shaped: list[int], bins: Bins
+) -> tuple[Float[np.ndarray, "columns m"], Float[np.ndarray, " grid"]]:
+    """Unit expectations of the fixed terms, then of the shaped one over its grid; and the grid."""
+    times = np.geomspace(4.0 / bins.rate, bins.n / bins.rate / 4.0, _GRID)
+    terms = tuple(unit(model.terms[k]) for k in fixed)
+    with_time = unit(model.terms[shaped[0]]) if shaped else None
+    return np.asarray(_expectations(terms, with_time, bins, times)), times
+
+
+@eqx.filter_jit
+def _expectations(
+    terms: tuple[NoiseTerm, ...], with_time: NoiseTerm | None, bins: Bins, times: Float[ArrayLike, " grid"]
+) -> Float[Array, "columns m"]:
+    rows = [bins.expected(term) for term in terms]
+    if with_time is not None:
+        name = next(p.name for p in with_time.parameters()[1:] if with_time.is_free(p))
+        grid = jax.lax.map(lambda t: bins.expected(with_time.replace(**{name: t})), jnp.asarray(times))
+        rows += list(grid)
+    return jnp.stack(rows)
+
+
+def jobs_of(fixed: int, grid: int, ramp: bool) -> Job:
+    """All sets: first those of fixed terms, then those with each value of the grid."""
+    subsets = [
+        (*terms, r)
+        for terms in itertools.product([False, True], repeat=fixed)
+        for r in (False, True)[: 1 + ramp]
+    ]
+    rows = [((*s[:-1], False), 0, s[-1]) for s in subsets if any(s[:-1])]
+    rows += [((*s[:-1], True), column, s[-1]) for s in subsets for column in range(grid)]
+    terms, columns, with_ramp = (np.array(values) for values in zip(*rows, strict=True))
+    return Job(terms, columns, with_ramp)
+
+
+def _ranked(
+    axis: Axis,
+    model: Model,
+    sorts: tuple[list[int], list[int], list[int]],
+    jobs: Job,
+    log_evidence: Float[np.ndarray, " jobs"],
+    discrepancy: float,
+) -> AxisSelection:
+    labels = model.term_labels
+    fixed, shaped, ramps = sorts
+    places = fixed + (shaped or [-1])
+    by_set: dict[tuple[str, ...], list[float]] = {}
+    for terms, _, ramp, value in zip(*jobs, log_evidence, strict=True):
+        if value == -np.inf:
+            continue
+        chosen = {places[i] for i in np.flatnonzero(terms)} | (set(ramps) if ramp else set())
+        by_set.setdefault(tuple(labels[k] for k in sorted(chosen)), []).append(float(value))
+    # A grid of times is one set: the mean of its evidences.
+    total = {s: float(np.logaddexp.reduce(v) - np.log(len(v))) for s, v in by_set.items()}
+    norm = float(np.logaddexp.reduce(list(total.values())))
+    ranking = sorted(total.items(), key=lambda item: -item[1])
+    free = {label: sum(p.free for p in model.parameters if p.term_label == label) for label in labels}
+    sets = tuple(
+        TermSet(s, sum(free[label] for label in s), value, float(np.exp(value - norm)))
+        for s, value in ranking
+    )
+    return AxisSelection(axis, sets, discrepancy)

@@ -1,0 +1,93 @@
+"""Which terms a stream shows, and their coefficients, from its averaged spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.estimate.axis_fits import result_of
+from allanjax.estimate.deterministic import AxisSpectrum, needs_record
+from allanjax.estimate.result import AxisFit
+from allanjax.estimate.selection import TermSelection, candidates_of, rank_terms
+from allanjax.estimate.whittle import fit_spectrum
+from allanjax.noise.model import Model
+from allanjax.noise.terms import NoiseTerm
+from allanjax.record.recording import Axis
+from allanjax.spectrum.segments import SegmentSpectra
+
+
+def check_terms(model: Model) -> None:
+    """Raise FitError if a term can be estimated from the record only."""
+    for term in model.terms:
+        if needs_record(term):
+            raise FitError(
+                f"{term.name()} can not be found in a stream's averaged spectrum, it needs the record: "
+                "leave it out, or read a stretch that fits into memory (start=, stop=) and fit that"
+            )
+
+
+def select_stream_terms(
+    spectra: SegmentSpectra,
+    axes: Sequence[Axis],
+    candidates: Model | NoiseTerm | None = None,
+    name: str = "",
+) -> TermSelection:
+    """Rank sets of noise terms by their evidence, as `select_terms` does for a recording.
+
+    Args:
+        spectra: the stream's statistics.
+        axes: its axes, in order.
+        candidates: the terms to choose from; by default the five basic ones and a Markov process.
+        name: the stream's name.
+
+    Raises:
+        AllanjaxError, FitError: as `select_terms`; a deterministic candidate other than a ramp.
+    """
+    _check_axes(spectra, axes)
+    model = candidates_of(candidates, spectra.rate)
+    check_terms(model)
+    return rank_terms(model, *spectra.levels(), tuple(axes), name)
+
+
+def fit_stream(
+    spectra: SegmentSpectra, template: Model, axes: Sequence[Axis], active: Bool[np.ndarray, "axes terms"]
+) -> tuple[AxisFit, ...]:
+    """Fit every axis by Whittle's likelihood, as `fit` with `objective="whittle"` does for a recording.
+
+    Args:
+        spectra: the stream's statistics.
+        template: the terms; random ones that are not narrow, and a ramp.
+        axes: the axes of the stream, in order.
+        active: the terms in use, for each axis; for the others there is an upper limit.
+
+    Raises:
+        FitError: a term that needs the record itself; no random term; fewer than 64 samples.
+    """
+    _check_axes(spectra, axes)
+    check_terms(template)
+    bins, levels = spectra.levels()
+    ramps = [k for k, term in enumerate(template.terms) if term.deterministic]
+    results = []
+    for k, axis in enumerate(axes):
+        squares, cross, gram = (np.asarray(x[k]) for x in levels)
+        columns = (len(squares), len(ramps))
+        spectrum = AxisSpectrum(
+            bins,
+            squares,
+            np.zeros(len(squares)),
+            np.broadcast_to(cross[:, None], columns),
+            np.broadcast_to(gram[:, None, None], (*columns, len(ramps))),
+            tuple(ramps),
+            {},
+        )
+        found = fit_spectrum(template, axis, spectrum, active[k])
+        results.append(result_of(found, template, axis, active[k]))
+    return tuple(results)
+
+
+def _check_axes(spectra: SegmentSpectra, axes: Sequence[Axis]) -> None:
+    if len(axes) != spectra.last.shape[1]:
+        raise AllanjaxError(f"{len(axes)} axes are named, but the samples have {spectra.last.shape[1]}")

@@ -1,0 +1,237 @@
+"""Whittle's likelihood: fit a noise model to the cosine spectrum of a recording, one axis at a time.
+
+The levels of the spectrum are χ² around their expectations (see `cosine`). For such a law with a mean
+linear in the powers, iterated generalized least squares *is* maximum likelihood: D'C⁻¹(V − μ) = 0 is its
+score. So the solver and the inference are those of the Allan variances, with the levels in their place;
+optimistix moves correlation times and frequencies. Lines, ramps and regressors are estimated alongside
+(`deterministic`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.errors import FitError
+from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
+from allanjax.estimate.design import Design
+from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
+from allanjax.estimate.gls import Solution, solve
+from allanjax.estimate.inference import infer
+from allanjax.estimate.misfit import Misfit, spectral_misfit, widened
+from allanjax.estimate.spectral_design import SpectralDesign
+from allanjax.estimate.starts import best_starts, find_lines, shape_candidates
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.model import Model
+from allanjax.record.recording import Axis
+from allanjax.spectrum.cosine import CosineBins, cosine_transform, term_column
+
+# The levels and the noise's fit to them settle after as many rounds.
+_ROUNDS = 3
+_FEW = 8.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WhittleFit:
+    """The fit of one axis.
+
+    Attributes:
+        coefficients: of all terms of the model.
+        solution: of its random terms.
+        estimates: degrees of freedom of χ² before the model's parameters are counted.
+        spectrum: what the model was fitted to.
+        regression: amplitude of each regressor and its standard deviation [rate per the regressor's unit].
+        misfit: how far the levels are off; None if the model suffices.
+    """
+
+    coefficients: Coefficients
+    solution: Solution
+    estimates: float
+    spectrum: AxisSpectrum
+    regression: Mapping[str, tuple[float, float]]
+    misfit: Misfit | None
+
+
+def spectrum_of(
+    template: Model,
+    x: Float[np.ndarray, " n"],
+    rate: float,
+    regressors: Mapping[str, Float[np.ndarray, " n"]],
+) -> AxisSpectrum:
+    """The statistics of one axis for a model: lines found, known shapes transformed, bins summed."""
+    n = len(x)
+    lines, wanted = lines_of(template)
+    known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
+    c, found = take_out_lines(x - x.mean(), rate, wanted)
+    around = [line.frequency for line in found]
+    narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
+    around += [p.start if p.start is not None else float(find_lines(x, rate)[0]) for p in narrow]
+    bins = CosineBins.of(n, rate, tuple(around))
+    columns: list[tuple[str | int, np.ndarray]] = []
+    for name, z in regressors.items():
+        columns.append((name, cosine_transform(z)))
+    columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
+    return AxisSpectrum.of(bins, c, columns, dict(zip(lines, found, strict=True)))
+
+
+def fit_axis(
+    template: Model,
+    axis: Axis,
+    x: Float[np.ndarray, " n"],
+    rate: float,
+    active: Bool[np.ndarray, " terms"],
+    regressors: Mapping[str, Float[np.ndarray, " n"]],
+) -> WhittleFit:
+    """Maximum likelihood for one axis.
+
+    Raises:
+        FitError: there is no random term in the model.
+    """
+    searched = any(p.parameter.kind == "line" and p.start is None for p in template.parameters)
+    peaks = find_lines(x, rate) if searched else ()
+    return fit_spectrum(template, axis, spectrum_of(template, x, rate, regressors), active, peaks)
+
+
+def fit_spectrum(
+    template: Model,
+    axis: Axis,
+    spectrum: AxisSpectrum,
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+) -> WhittleFit:
+    """Maximum likelihood for the statistics of one axis.
+
+    Args:
+        template: the terms.
+        axis: whose statistics they are.
+        spectrum: the statistics, with a column for each deterministic term.
+        active: the terms in use; for the others there is an upper limit.
+        peaks: frequencies [Hz] to try for narrow-band terms without one.
+
+    Raises:
+        FitError: there is no random term in the model.
+    """
+    random = np.array([not term.deterministic for term in template.terms])
+    if not (random & active).any():
+        raise FitError(
+            "Whittle's likelihood needs a noise term besides lines and ramps: add AngleRandomWalk()"
+        )
+    noise = Model(tuple(term for term in template.terms if not term.deterministic))
+    used = spectrum.used([k for k in range(len(template)) if not active[k]])
+    design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
+    free = _free(noise)
+    V = projection.level[None]
+    misfit = None
+    if bool(solution.converged[0]) and float(solution.discrepancy[0]) > 0.0:
+        variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
+        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof)
+        solution = widened(solution, [misfit])
+    inference = infer(design, V, free, active[random][None], solution)
+    (noise_found,) = coefficients_of(
+        noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
+    )
+    solution = jax.tree.map(lambda x: np.asarray(x)[0], solution)
+    variance = _expected(design, solution)
+    values = dict(noise_found.values)
+    for k in np.flatnonzero(~random):
+        values |= _deterministic(template, int(k), axis, spectrum, variance, bool(active[k]))
+    order = [p.label for p in reported(template)]
+    covariance = np.diag([values[label].std ** 2 for label in order])
+    places = [order.index(label) for label in noise_found.values]
+    covariance[np.ix_(places, places)] = noise_found.covariance
+    return WhittleFit(
+        Coefficients({label: values[label] for label in order}, np.nan_to_num(covariance)),
+        solution,
+        float(design.count),
+        spectrum,
+        _regression(spectrum, projection),
+        misfit,
+    )
+
+
+def _free(noise: Model) -> Bool[np.ndarray, " terms"]:
+    return np.array([term.is_free(term.parameters()[0]) for term in noise.terms])
+
+
+def _expected(design: Design, solution: Solution) -> Float[np.ndarray, " m"]:
+    return np.asarray(solution.power @ design.means(solution.shape))
+
+
+def _fit_noise(
+    noise: Model,
+    spectrum: AxisSpectrum,
+    used: Bool[np.ndarray, " columns"],
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+) -> tuple[SpectralDesign, Projection, Solution]:
+    """The random terms, in turn with the deterministic parts in use."""
+    bins, free = spectrum.bins, _free(noise)
+    solution: Solution | None = None
+    variance = _smoothed(spectrum)
+    for _ in range(_ROUNDS if used.any() else 1):
+        projection = spectrum.project(variance, used)
+        design = SpectralDesign.of(noise, bins, projection.dof)
+        V = projection.level[None]
+        if solution is None:
+            # Single coefficients scatter too much to be compared with anything.
+            rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
+            shapes = shape_candidates(design.shapes, float(bins.n / bins.rate), bins.rate, peaks)
+            starts = best_starts(design, rough[None], active[None], shapes[None])
+            # Levels are many and a correlation time has several places to settle: all starts are tried.
+            for k in range(starts.power.shape[1] if design.movable.any() else 1):
+                other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])
+                if solution is None or _better(other, solution):
+                    solution = other
+        else:
+            solution = solve(design, V, free, active[None], solution.power, solution.shape)
+        assert solution is not None
+        variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
+    assert solution is not None
+    return design, projection, solution
+
+
+def _better(new: Solution, old: Solution) -> bool:
+    if not bool(old.converged[0]):
+        return bool(new.converged[0])
+    return bool(new.converged[0]) and float(new.cost[0]) < float(old.cost[0])
+
+
+def _smoothed(spectrum: AxisSpectrum) -> Float[np.ndarray, " m"]:
+    """Levels averaged with their neighbours', a first guess of the noise."""
+    window = np.ones(7)
+    size = np.convolve(spectrum.bins.size, window, "same")
+    squares = np.convolve(spectrum.squares, window, "same")
+    return np.where(size > 0, squares / np.maximum(size, 1.0), spectrum.squares.sum() / spectrum.bins.n)
+
+
+def _regression(spectrum: AxisSpectrum, projection: Projection) -> dict[str, tuple[float, float]]:
+    places = [k for k, owner in enumerate(spectrum.owners) if isinstance(owner, str)]
+    if not places:
+        return {}
+    std = np.sqrt(np.diag(projection.covariance))
+    return {str(spectrum.owners[k]): (float(projection.amplitude[k]), float(std[k])) for k in places}
+
+
+def _deterministic(
+    template: Model,
+    k: int,
+    axis: Axis,
+    spectrum: AxisSpectrum,
+    variance: Float[np.ndarray, " m"],
+    active: bool,
+) -> dict[str, Coefficient]:
+    """Coefficients of a ramp or a line, of their components' joint estimate."""
+    own = np.array([owner == k for owner in spectrum.owners])
+    regressors = np.array([isinstance(owner, str) for owner in spectrum.owners])
+    projection = spectrum.project(variance, own | (spectrum.used() if active else regressors))
+    covariance = projection.covariance[np.ix_(own, own)]
+    components = projection.amplitude[own]
+    square = float(components @ np.linalg.solve(covariance, components))
+    unit = float(np.sqrt(np.trace(covariance) / own.sum()))
+    return deterministic_coefficients(
+        template, k, axis, square, unit, int(own.sum()), spectrum.lines.get(k), spectrum.bins.n, active
+    )

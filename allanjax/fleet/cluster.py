@@ -1,0 +1,120 @@
+"""Work on a Dask cluster: one of this machine's cores, or one that exists."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from allanjax.base.cache import enable_compilation_cache
+from allanjax.base.errors import AllanjaxError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_CONNECT_SECONDS = 10
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterator[Client]:
+    """A client of the cluster at an address, or of one made for these tasks and closed after them.
+
+    Args:
+        scheduler: address of a running scheduler, e.g. `tcp://host:8786`.
+        workers: processes of the local cluster; by default one a core, but not more than there are tasks.
+        tasks: how many tasks there will be.
+
+    Raises:
+        AllanjaxError: Dask is not installed, or the scheduler does not answer.
+    """
+    try:
+        from dask.system import CPU_COUNT
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise AllanjaxError('fleets need Dask: pip install "allanjax[fleet]"') from error
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise AllanjaxError(
+                f"no Dask scheduler answers at {scheduler!r}: check scheduler= (--scheduler), e.g. "
+                "tcp://host:8786, and that it runs"
+            ) from error
+        with client:
+            yield client
+        return
+    with (
+        LocalCluster(
+            n_workers=min(workers or CPU_COUNT, tasks),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="localhost:0",
+            # A worker that dies is reported with its recording, or does no harm.
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+Call = tuple[Callable[..., Any], Sequence[Any]]
+"""A function that the workers can import, and its positional arguments; futures among them are waited for."""
+
+
+def submitted(client: Client, call: Call) -> Future:
+    """The future of a call on the cluster."""
+    return client.submit(_call, *call, pure=False)
+
+
+def outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, Any]]:
+    """Make calls on the cluster.
+
+    Args:
+        client: of the cluster.
+        calls: by a name of each.
+
+    Yields:
+        Name and result of each call as they end, or the exception it raised; `distributed.KilledWorker` if
+        several workers died over it.
+    """
+    from distributed import KilledWorker, as_completed
+
+    names = {submitted(client, call): name for name, call in calls.items()}
+    blamed = []
+    for future in as_completed(list(names), loop=client.loop):
+        name = names.pop(future)
+        outcome = _outcome(future)
+        if isinstance(outcome, KilledWorker):
+            blamed.append(name)
+        else:
+            yield name, outcome
+    # A worker that dies takes all it had been given with it, and all of that is blamed. Alone, only the
+    # guilty fails again.
+    for name in blamed:
+        yield name, _outcome(submitted(client, calls[name]))
+
+
+def _outcome(future: Any) -> Any:
+    try:
+        return future.result()
+    except Exception as error:
+        return error
+
+
+def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+    """What a worker does."""
+    _prepare_worker()
+    return function(*arguments)
+
+
+@functools.cache
+def _prepare_worker() -> None:
+    """Compiled programs are shared by the machine's workers, and JAX leaves the other workers their cores."""
+    from distributed import get_worker
+
+    # How many threads XLA's processor client starts; read when it first computes, which is after this.
+    os.environ.setdefault("NPROC", str(get_worker().state.nthreads))
+    enable_compilation_cache()

@@ -1,0 +1,65 @@
+"""The recordings of a fleet: which files they are, and what each is called."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from allanjax.base.errors import AllanjaxError
+
+
+def matching_files(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], out: Path
+) -> tuple[Path, ...]:
+    """The files that paths and patterns stand for, each once; those below `out` are results.
+
+    Raises:
+        AllanjaxError: a pattern without a file.
+    """
+    found: dict[Path, Path] = {}
+    for pattern in [files] if isinstance(files, str | os.PathLike) else files:
+        text = os.fspath(pattern)
+        if not glob.has_magic(text) or os.path.exists(text):
+            matches = [Path(text)]
+        else:
+            names = map(Path, sorted(glob.glob(text, recursive=True)))
+            matches = [
+                path for path in names if path.is_file() and out.resolve() not in path.resolve().parents
+            ]
+        if not matches:
+            raise AllanjaxError(f"no file matches {text!r}: check the pattern, and the folder it starts from")
+        for path in matches:
+            found.setdefault(path.resolve(), path)
+    if not found:
+        raise AllanjaxError("no recordings: give files or patterns such as 'logs/*.parquet'")
+    return tuple(found.values())
+
+
+def recording_names(paths: Sequence[Path]) -> list[str]:
+    """A name for each recording: its file's without suffix, with what tells it from others of that name.
+
+    That is the suffix where there is another such file in the same folder, and as many folders as it takes,
+    e.g. `unit_07_imu`.
+    """
+    stems = [path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name for path in paths]
+    # Some file systems do not tell case apart.
+    places = [
+        str(path.absolute().with_name(stem)).casefold() for path, stem in zip(paths, stems, strict=True)
+    ]
+    shared = Counter(places)
+    tails = [
+        (*path.absolute().parts[1:-1], stem if shared[place] == 1 else path.name)
+        for path, stem, place in zip(paths, stems, places, strict=True)
+    ]
+    names = [tail[-1] for tail in tails]
+    for depth in range(2, max(map(len, tails)) + 1):
+        count = Counter(name.casefold() for name in names)
+        if len(count) == len(names):
+            break
+        for k, tail in enumerate(tails):
+            if count[names[k].casefold()] > 1:
+                names[k] = "_".join(tail[-depth:])
+    return names

@@ -1,0 +1,303 @@
+"""Many recordings at once, spread over a Dask cluster."""
+
+from __future__ import annotations
+
+import csv
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import dataclass, replace
+from functools import reduce
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.presented import presented
+from allanjax.base.tables import html_table, text_table
+from allanjax.estimate.as_json import to_dict
+from allanjax.estimate.fit import Objective
+from allanjax.estimate.result import Fit
+from allanjax.fleet.cluster import Call, connected, outcomes, submitted
+from allanjax.fleet.files import matching_files, recording_names
+from allanjax.fleet.groups import Groups, group_names
+from allanjax.fleet.options import FitOptions
+from allanjax.fleet.store import earlier, key_of, store, stored
+from allanjax.fleet.stream import AllanAccumulator, accumulate
+from allanjax.fleet.summary import cells, judged, left_out
+from allanjax.fleet.table import rows_of, table_of, write_table
+from allanjax.noise.notation import ModelLike, as_model
+from allanjax.record.io import ReadOptions, read_recording
+from allanjax.record.io.chunks import open_chunks
+from allanjax.record.recording import rows_between
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from distributed import Client
+    from matplotlib.figure import Figure
+
+Progress = Callable[[int, int, int], None]
+"""Told how many recordings are done, how many of those failed, and how many there are."""
+
+_RECORDINGS = "recordings"
+_SHORTEST_PIECE = 100_000
+# Of text, which does not say how many rows it has.
+_ROW_BYTES = 40
+
+
+@dataclass(frozen=True, eq=False)
+class FleetResult(ByValue):
+    """The coefficients of a fleet.
+
+    Attributes:
+        table: one row a recording, axis and coefficient, in the usual units; see `fleet_table.table_schema`.
+        errors: what has no result and why: `file`, and a `message` that names the axis unless it is all.
+        files: the recordings; `resumed` of them have results from an earlier run.
+        notes: what to know before reading the table: recordings of an earlier run that are left out,
+            recordings with warnings, what is no measurement, groups that the units fall into or that are too
+            small for a judgement.
+    """
+
+    table: pd.DataFrame
+    errors: tuple[dict[str, str], ...]
+    files: tuple[Path, ...]
+    resumed: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def outlying(self) -> pd.DataFrame:
+        """The rows of values that are unlike those of the other units of the group."""
+        return self.table[self.table["outlying"]]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table, as the other results give theirs."""
+        return self.table
+
+    @presented
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        failed = len({error["file"] for error in self.errors})
+        return (
+            f"{len(self.files)} recordings: {len(self.files) - failed} without an error, {failed} with; "
+            f"{self.resumed} taken from an earlier run"
+        )
+
+    def __str__(self) -> str:
+        # As the table's title the lines would be broken at its width.
+        return "\n".join([self._title(), *self.notes, text_table("", *cells(self.table))])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html_table(" ".join([self._title(), *self.notes]), *cells(self.table))
+
+
+def characterize_fleet(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    model: ModelLike | None = None,
+    objective: Objective = "allan",
+    *,
+    regressors: Sequence[str] = (),
+    as_is: bool = False,
+    vibrating: bool = False,
+    group: Groups | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    piece: int = 20_000_000,
+    progress: Progress | None = None,
+    **reading: Any,
+) -> FleetResult:
+    """Estimate the noise coefficients of many recordings on a Dask cluster, one task a recording.
+
+    A recording that is longer than `piece` is read in pieces of that many samples, side by side, and never
+    in memory as a whole: its coefficients are those of an `AllanAccumulator`.
+
+    Writes `fleet.parquet` (the table), `fleet.png` (each coefficient's distribution over the fleet),
+    `errors.csv` (file, message) and `notes.txt` (what to know before reading the table, a line each) to
+    `out`, and each recording's fit to `out/recordings` as soon as it is done. A recording that fails does not
+    stop the others; neither does a worker that dies, whose recording another one takes.
+
+    A later run with the same `out` computes only what is not there yet: recordings whose file (path, size,
+    time of its last change), options or version of allanjax are others, and those that failed. The table is
+    always of the files that are given: a note tells which recordings of an earlier run are not among them;
+    what was computed of them stays in `out/recordings`.
+
+    Units are compared with the others of their group (see `mark_outlying`). Where a coefficient shows that
+    the units of a group are of several grades, a note says so, and they are compared within these.
+
+    The local cluster's workers are processes that import the calling script: in a script, call this below
+    `if __name__ == "__main__":`.
+
+    Args:
+        files: paths and patterns such as `logs/**/*.parquet`; on a cluster of several machines, in a place
+            that all see under the same path. Files below `out` are left out.
+        out: folder for the results.
+        model, objective, regressors, as_is, vibrating: as for `fit`.
+        group: which units are alike: a regular expression whose parentheses match the group in a file's path
+            or recording's name, e.g. `logs/(\\w+)/`; a CSV file with the columns file and group; a mapping
+            from file to group; or a function of the path. See `fleet_groups.group_names`.
+        workers: processes of a local cluster that lives as long as this call; one a core by default.
+        scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
+        piece: samples; longer recordings are divided.
+        progress: called with the numbers of recordings done, failed, and in all.
+        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop.
+
+    Returns:
+        The table, with outlying units marked, and the errors.
+
+    Raises:
+        AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
+            scheduler does not answer; `workers` is less than one or given with `scheduler`; a `piece` of less
+            than 10⁵ samples.
+    """
+    _check_workers(workers, scheduler)
+    if piece < _SHORTEST_PIECE:
+        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
+    out = Path(out)
+    paths = matching_files(files, out)
+    added = None if model is None else as_model(model)
+    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors), as_is, vibrating)
+    recordings = dict(zip(recording_names(paths), paths, strict=True))
+    groups = group_names(group, recordings)
+    folder = out / _RECORDINGS
+    folder.mkdir(parents=True, exist_ok=True)
+    keys = {name: key_of(path, options) for name, path in recordings.items()}
+    before = earlier(folder, recordings, keys)
+    todo = {name: path.absolute() for name, path in recordings.items() if name not in before.done}
+    rows: dict[str, list[dict[str, Any]]] = {}
+    errors: dict[str, list[str]] = {}
+
+    def take(name: str, fit: Mapping[str, Any]) -> None:
+        rows[name] = rows_of(fit, name, str(recordings[name]), groups[name])
+        errors[name] = _axes_without_result(fit)
+
+    for name in before.done:
+        take(name, stored(folder, name))
+    tell = progress or (lambda done, failed, total: None)
+    tell(len(rows), sum(map(bool, errors.values())), len(paths))
+    if todo:
+        with connected(scheduler, workers, len(todo)) as client:
+            calls = {name: _call_for(client, path, options, piece) for name, path in todo.items()}
+            for name, outcome in outcomes(client, calls):
+                if isinstance(outcome, Exception):
+                    errors[name] = [_reason(recordings[name], outcome)]
+                else:
+                    store(folder, name, {"key": keys[name], "fit": outcome})
+                    take(name, outcome)
+                tell(len(errors), sum(map(bool, errors.values())), len(paths))
+    # In the order of the recordings, whatever the order they ended in.
+    table, notes = judged(table_of([row for name in recordings for row in rows.get(name, ())]))
+    failures = tuple(
+        {"file": str(path), "message": message}
+        for name, path in recordings.items()
+        for message in errors.get(name, ())
+    )
+    if before.left_out:
+        notes = (left_out(before.left_out, folder), *notes)
+    result = FleetResult(table, failures, paths, len(before.done), notes)
+    _write(result, out)
+    return result
+
+
+def characterize_recording(path: str | os.PathLike[str], options: FitOptions) -> Fit:
+    """Read and fit one recording of a fleet.
+
+    Raises:
+        AllanjaxError: as `read` and `fit` do.
+    """
+    return options.fit(read_recording(path, options.reading))
+
+
+def _check_workers(workers: int | None, scheduler: str | None) -> None:
+    if workers is not None and workers < 1:
+        raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
+    if workers is not None and scheduler is not None:
+        raise AllanjaxError(
+            "workers= (--workers) are those of a local cluster, and the one at scheduler= (--scheduler) "
+            "has its own: leave out one of the two"
+        )
+
+
+def _characterize(path: Path, options: FitOptions) -> dict[str, Any]:
+    """What a worker does with a recording."""
+    return to_dict(characterize_recording(path, options))
+
+
+def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
+    """What to call for a recording: one function, or that which puts the pieces of a long one together."""
+    stretches = _pieces(path, options, piece)
+    if not stretches:
+        return _characterize, (path, options)
+    pieces = [submitted(client, (_accumulate, (path, reading, first))) for first, reading in stretches]
+    return _characterize_pieces, (pieces, options)
+
+
+def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, ReadOptions]]:
+    """First sample, and how to read it, of each piece of a long recording; none of another."""
+    try:
+        size = path.stat().st_size
+        # A sample takes a byte at least.
+        if size < piece or options.regressors:
+            return []
+        recording = open_chunks(path, options.reading)
+    except (AllanjaxError, OSError):
+        # The worker that reads it as a whole will say what is wrong.
+        return []
+    # Time stamps would give each piece a rate of its own.
+    reading = replace(options.reading, rate=recording.rate)
+    if recording.n is None:
+        return [(0, reading)] if size > _ROW_BYTES * piece else []
+    if recording.n <= piece:
+        return []
+    begin, end = reading.start, reading.stop
+    firsts = range(0, recording.n, piece)
+    origin = rows_between(sys.maxsize, recording.rate, begin, None).start
+    # Half-way between two samples: time stamps need not be exact.
+    times = [(origin + first - 0.5) / recording.rate for first in firsts[1:]]
+    stretches = zip(firsts, [begin, *times], [*times, end], strict=True)
+    return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in stretches]
+
+
+def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulator:
+    """What a worker does with a piece of a recording."""
+    return accumulate(open_chunks(path, reading), start=first)
+
+
+def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> dict[str, Any]:
+    """What a worker does with all pieces of a recording."""
+    return to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))
+
+
+def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
+    return [f"{axis['name']}: no result, {axis['reason']}" for axis in fit["axes"] if not axis["converged"]]
+
+
+def _reason(path: Path, error: Exception) -> str:
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return (
+            "each worker that took it died, most likely for want of memory; use fewer workers= (--workers), "
+            "or a stretch of the recording by start= and stop= (--start, --stop)"
+        )
+    if isinstance(error, CancelledError):
+        return "the scheduler was lost before it was done; start it, and run again: what is done is kept"
+    # What a reader or a fit says begins with the file that the worker was given.
+    text = str(error).removeprefix(f"{path.absolute()}: ")
+    return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
+
+
+def _write(result: FleetResult, out: Path) -> None:
+    """The table, the errors and the picture."""
+    write_table(result.table, out / "fleet.parquet")
+    with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, ["file", "message"])
+        writer.writeheader()
+        writer.writerows(result.errors)
+    (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
+    result.plot(out / "fleet.png")

@@ -1,0 +1,95 @@
+"""How a recording is read and fitted: one object that commands and fleets hand on as a whole."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from allanjax.estimate.fit import Objective, far_off, fit, inspected
+from allanjax.estimate.result import Fit
+from allanjax.fleet.stream import AllanAccumulator
+from allanjax.inspection import Inspection
+from allanjax.noise.model import Model
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.recording import Recording
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How recordings are read and fitted.
+
+    Attributes:
+        reading: how they are read.
+        model, objective, regressors, as_is, vibrating: as `fit` takes them.
+    """
+
+    reading: ReadOptions = ReadOptions()
+    model: Model | None = None
+    objective: Objective = "allan"
+    regressors: tuple[str, ...] = ()
+    as_is: bool = False
+    vibrating: bool = False
+
+    def arguments(self) -> dict[str, Any]:
+        """All options by name, as `characterize_fleet` takes them."""
+        own = {option.name: getattr(self, option.name) for option in fields(self) if option.name != "reading"}
+        return own | self.reading.given()
+
+    def fit(self, recording: Recording) -> Fit:
+        """The fit of a recording.
+
+        Raises:
+            AllanjaxError: as `fit`.
+        """
+        return fit(
+            recording,
+            self.model,
+            self.objective,
+            regressors=self.regressors,
+            as_is=self.as_is,
+            vibrating=self.vibrating,
+        )
+
+    def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
+        """The fit of what was accumulated, which has no channels to regress on.
+
+        Args:
+            accumulator: of a recording, or of the stretch of it that `seen` says.
+            seen: how the whole of it looked, if that is another.
+
+        Raises:
+            AllanjaxError: as `AllanAccumulator.fit`.
+        """
+        if seen is None or seen.stretch is None:
+            return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
+        found = accumulator.fit(self.model, self.objective, as_is=True, vibrating=self.vibrating)
+        warnings = (*seen.warnings, *far_off(found.results))
+        return replace(found, warnings=warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
+
+    def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
+        """What a recording, or what was accumulated of one, looks like, as its fit will see it."""
+        if isinstance(of, AllanAccumulator):
+            return of.inspect(as_is=self.as_is, vibrating=self.vibrating)
+        return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The options in JSON's types, all that there are; equal if, and only if, the options are."""
+        return {option.name: _plain(getattr(self, option.name)) for option in fields(self)}
+
+
+def _plain(value: Any) -> Any:
+    """A value in JSON's types: of an object, its type and all its fields; numbers as text, for infinity."""
+    if value is None or isinstance(value, bool | str):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        kind = f"{type(value).__module__}.{type(value).__qualname__}"
+        return {"type": kind} | {part.name: _plain(getattr(value, part.name)) for part in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): _plain(part) for name, part in value.items()}
+    if isinstance(value, set | frozenset):
+        return sorted(map(_plain, value))
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    number = np.asarray(value)
+    return repr(float(number)) if number.ndim == 0 else _plain(number.tolist())

@@ -1,0 +1,261 @@
+"""Which units of a fleet are unlike the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.estimate.coefficients import TWO_SIDED_95
+
+FALSE_ALARMS = 0.01
+"""Probability that anything at all is marked in a fleet whose units are alike."""
+
+FEWEST_UNITS = 3
+"""Units that it takes to say that one is unlike the others."""
+
+# How much alike units scatter [ln]: a Student's t folded at zero, of this scale and these degrees of freedom.
+# White noise comes from the electronics and is much the same in units of one make; what drifts is not.
+_SCATTER = {"angle_random_walk": 0.12, "quantization": 0.12}
+_SCATTER_OF_OTHERS = 0.4
+_DEGREES = 8.0
+WIDTHS = np.concatenate([[0.0], np.geomspace(0.005, 5.0, 48)])
+"""Scatters [ln] of alike units that are summed over."""
+
+# Median of the distance from the centre, in standard deviations of a normal law.
+_MEDIAN_DISTANCE = 0.6745
+# Robust standard deviations beyond which a unit is suspected, and tested.
+_SUSPECT = 2.5
+# Of the axes of a unit that is found, those are marked that would be so far out by chance as rarely as this.
+_ALSO = 0.02
+# Of the probability of a false mark: several suspects are tested, each as if it were the only one, and units
+# may scatter more than the prior expects (benchmarks/fleet_outliers.py).
+_SHARE = 0.5
+# Logarithms agree no better than rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """ln of one coefficient of many units, on one axis or pooled over several.
+
+    Attributes:
+        x: ln of the estimates; of the limits, where there is no estimate.
+        below, above: standard deviations of x, from the interval's lower and upper end.
+        known: whether there is an estimate with an interval.
+        limited: whether there is an upper limit instead.
+    """
+
+    x: Float[np.ndarray, " units"]
+    below: Float[np.ndarray, " units"]
+    above: Float[np.ndarray, " units"]
+    known: Bool[np.ndarray, " units"]
+    limited: Bool[np.ndarray, " units"]
+
+    @property
+    def comparable(self) -> Bool[np.ndarray, " units"]:
+        """Units with an estimate or a limit."""
+        return self.known | self.limited
+
+    def towards(self, centre: float) -> Float[np.ndarray, " units"]:
+        """Standard deviations of x on the side that faces the centre; of a limit, none."""
+        s = np.where(self.x > centre, self.below, self.above)
+        return np.where(self.known, np.maximum(s, _ROUNDING), _ROUNDING)
+
+
+def log_values(
+    value: Float[np.ndarray, " units"],
+    lower: Float[np.ndarray, " units"],
+    upper: Float[np.ndarray, " units"],
+    upper_limit: Float[np.ndarray, " units"],
+    detected: Bool[np.ndarray, " units"],
+) -> Values:
+    """Logarithms of estimates with 95 % intervals, and of 95 % limits of what was not detected.
+
+    What has neither (NaN, an interval without width as of a value that was held) is not compared at all.
+    """
+    has_interval = (lower > 0.0) & (value >= lower) & (upper >= value) & (upper > lower)
+    known: Bool[np.ndarray, " units"] = detected & has_interval & np.isfinite(upper)
+    limited: Bool[np.ndarray, " units"] = ~detected & (upper_limit > 0.0) & np.isfinite(upper_limit)
+
+    def log(numbers: Float[np.ndarray, " units"], of: Bool[np.ndarray, " units"]) -> Float[np.ndarray, ...]:
+        return np.log(np.where(of, numbers, 1.0))
+
+    x = log(value, known) + log(upper_limit, limited)
+    below = np.where(known, x - log(lower, known), 0.0) / TWO_SIDED_95
+    above = np.where(known, log(upper, known) - x, 0.0) / TWO_SIDED_95
+    return Values(x, below, above, known, limited)
+
+
+def pooled(axes: list[Values]) -> Values:
+    """One value a unit from all its axes: the mean of its distances from the axes' medians.
+
+    Axes weigh by the inverse of the variance that their own interval and the usual scatter give them. A unit
+    with an estimate on one axis at least is known by its estimates, one without by its limits.
+    """
+    known = np.stack([axis.known for axis in axes], axis=1)
+    limited = np.stack([axis.limited for axis in axes], axis=1)
+    is_known = np.logical_or.reduce(known, axis=1)
+    is_limited = np.logical_or.reduce(limited, axis=1) & ~is_known
+    counted = np.where(is_known[:, None], known, limited)
+    deviation = np.stack([axis.x - _median(axis) for axis in axes], axis=1)
+    below = np.stack([axis.below for axis in axes], axis=1)
+    above = np.stack([axis.above for axis in axes], axis=1)
+    weight = counted / (_SCATTER["angle_random_walk"] ** 2 + ((below + above) / 2.0) ** 2)
+    total = np.maximum(weight.sum(axis=1), _ROUNDING)
+    below, above = (np.sqrt(np.sum((weight * s) ** 2, axis=1)) / total for s in (below, above))
+    mean = np.sum(weight * deviation, axis=1) / total
+    return Values(mean, below, above, is_known, is_limited)
+
+
+def outlying(axes: list[Values], probability: float, coefficient: str = "") -> Bool[np.ndarray, "units axes"]:
+    """Mark the units whose coefficient is unlike that of the others, on the axes where it is.
+
+    Units are taken to scatter about a common centre, of each axis its own, by a log-normal law of unknown
+    width τ, and each estimate about its own unit's coefficient as its interval says: the variance of
+    ln(value) is τ² + s², with s from the end of the interval that faces the centre. A suspect is compared
+    with the other units: the probability of a value so far out is integrated over what they leave open, their
+    centre (flat prior) and τ. Its prior is a folded Student's t with 8 degrees of freedom and a scale of 12 %
+    (of angle random walk and quantization) or 40 % (of the others): of many units the data overrule it; of
+    three to ten it is what allows a judgement at all. Three units alone leave open that they agree by chance
+    and that a fourth at four times their median is no rarer than they are.
+
+    Each axis is tested by itself, and all axes of a unit together by their mean, so that a unit that is high
+    on every axis is found where no single axis would do, and one bad axis where the mean would not. Suspects
+    are the units beyond 2.5 robust standard deviations of the median (by the median absolute deviation), a
+    third of the units at most. They are tested as in Rosner's generalized extreme Studentized deviate test
+    (Technometrics 25, 1983): from the least extreme on, a suspect is compared with the units that are no more
+    extreme; once one is unlike them, it is marked together with all more extreme ones, so that several odd
+    units do not hide each other.
+
+    In a unit that is found, each axis is marked that would be so far out by chance in 2 % of all units.
+
+    Units without a detected coefficient are never marked. High values are compared with the limits of such
+    units too, as if the coefficient were at its limit: it is lower, which makes a high value more unusual
+    still. For low values such units are left out.
+
+    Args:
+        axes: the values on like axes, the same units on each.
+        probability: that any unit is marked if all are alike.
+        coefficient: its label, for the prior of τ.
+
+    Returns:
+        Whether each unit is marked on each axis; none of fewer than three.
+    """
+    log_prior = log_prior_of(coefficient)
+    probability *= _SHARE
+    columns = [*axes, pooled(axes)] if len(axes) > 1 else axes
+    found = [_unlike(column, probability / len(columns), log_prior) for column in columns]
+    marked = np.stack(found[: len(axes)], axis=1)
+    for unit in map(int, np.flatnonzero(np.any(found, axis=0))):
+        chances = np.array([_chance(axis, unit, ~np.any(found, axis=0), log_prior) for axis in axes])
+        marked[unit] |= (chances < _ALSO) | (~marked[unit].any() & (chances == chances.min()))
+        marked[unit] &= [axis.known[unit] for axis in axes]
+    return marked
+
+
+def testable(axes: list[Values]) -> bool:
+    """Whether there are units enough, on one axis at least, for `outlying` to mark one."""
+    return any(axis.known.any() and axis.comparable.sum() >= FEWEST_UNITS for axis in axes)
+
+
+def _unlike(
+    values: Values, probability: float, log_prior: Float[np.ndarray, " widths"]
+) -> Bool[np.ndarray, " units"]:
+    """The units that are unlike the others in one column."""
+    marked = np.zeros(len(values.x), bool)
+    comparable = values.comparable
+    if not values.known.any() or comparable.sum() < FEWEST_UNITS:
+        return marked
+    suspects, is_high = _suspects(values)
+    # A limit far above says nothing of its unit.
+    comparable = comparable & (values.known | ~is_high)
+    for k in range(len(suspects), 0, -1):
+        suspect = suspects[k - 1]
+        others = comparable if is_high[suspect] else values.known
+        rest = np.setdiff1d(np.flatnonzero(others), suspects[:k])
+        if len(rest) + 1 < FEWEST_UNITS:
+            continue
+        # Either side, and the most extreme of all.
+        if _tail(values, suspect, rest, log_prior) < probability / (2.0 * (len(rest) + 1)):
+            marked[suspects[:k]] = True
+            break
+    return marked
+
+
+def _suspects(values: Values) -> tuple[Int[np.ndarray, " suspects"], Bool[np.ndarray, " units"]]:
+    """The units to test, the most extreme first, and which units are high rather than low."""
+    high, low = _distance(values, values.comparable), _distance(values, values.known)
+    is_high = high > _SUSPECT
+    distance = np.where(values.known, np.where(is_high, high, -low), 0.0)
+    order = np.argsort(-distance)
+    return order[distance[order] > _SUSPECT][: values.comparable.sum() // 3], is_high
+
+
+def _distance(values: Values, units: Bool[np.ndarray, " units"]) -> Float[np.ndarray, " units"]:
+    """Distance of each value from the median of these units in robust standard deviations."""
+    centre = float(np.median(values.x[units]))
+    s = values.towards(centre)
+    width = median_width(abs(values.x - centre)[units], s[units])
+    return (values.x - centre) / np.hypot(width, s)
+
+
+def _chance(
+    values: Values, unit: int, alike: Bool[np.ndarray, " units"], log_prior: Float[np.ndarray, " widths"]
+) -> float:
+    """Probability that a value is so far out on its side if the unit is like the others; 1 if unknown."""
+    rest = np.flatnonzero((values.known if (values.known & alike).sum() > 1 else values.comparable) & alike)
+    if not values.known[unit] or len(rest) + 1 < FEWEST_UNITS:
+        return 1.0
+    return _tail(values, unit, rest, log_prior)
+
+
+def _tail(
+    values: Values, unit: int, rest: Int[np.ndarray, " rest"], log_prior: Float[np.ndarray, " widths"]
+) -> float:
+    """Probability of a value at least as far from the others on its side, integrated over centre and τ."""
+    from scipy.special import ndtr
+
+    x = values.x[rest]
+    centre = float(np.median(x))
+    s = values.towards(centre)
+    precision = 1.0 / (WIDTHS[:, None] ** 2 + s[rest] ** 2)
+    total = precision.sum(axis=1)
+    mean = np.sum(precision * x, axis=1) / total
+    log_posterior = log_prior + log_evidence(precision, x, mean)
+    posterior = np.exp(log_posterior - log_posterior.max())
+    deviation = abs(values.x[unit] - centre) + np.sign(centre - values.x[unit]) * (mean - centre)
+    tails = ndtr(-deviation / np.sqrt(WIDTHS**2 + s[unit] ** 2 + 1.0 / total))
+    return float(np.sum(posterior * tails) / np.sum(posterior))
+
+
+def log_evidence(
+    precision: Float[np.ndarray, "widths units"],
+    x: Float[np.ndarray, " units"],
+    mean: Float[np.ndarray, " widths"],
+) -> Float[np.ndarray, " widths"]:
+    """ln of the likelihood of normal values, integrated over a centre of flat prior density 1."""
+    total = precision.sum(axis=1)
+    misfit = np.sum(precision * (x - mean[:, None]) ** 2, axis=1)
+    parts = np.sum(np.log(precision), axis=1) - np.log(total) - misfit
+    return 0.5 * (parts - (len(x) - 1) * np.log(2.0 * np.pi))
+
+
+def log_prior_of(coefficient: str) -> Float[np.ndarray, " widths"]:
+    """ln of the probability of each width before any unit is seen; they add up to 1."""
+    scale = _SCATTER.get(coefficient, _SCATTER_OF_OTHERS)
+    weight = (1.0 + (WIDTHS / scale) ** 2 / _DEGREES) ** (-0.5 * (_DEGREES + 1.0)) * np.gradient(WIDTHS)
+    return np.log(weight / weight.sum())
+
+
+def _median(values: Values) -> float:
+    """Of the estimates; of the limits where there are none."""
+    units = values.known if values.known.any() else values.limited
+    return float(np.median(values.x[units])) if units.any() else 0.0
+
+
+def median_width(distance: Float[np.ndarray, " units"], s: Float[np.ndarray, " units"]) -> float:
+    """Scatter τ of units, from half of them, beside their own standard deviations."""
+    width = float(np.median(distance)) / _MEDIAN_DISTANCE
+    return float(np.sqrt(max(width**2 - float(np.median(s)) ** 2, 0.0)))

@@ -1,0 +1,95 @@
+"""What a fleet's earlier runs left: each recording's fit, under a key of all that it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from allanjax.fleet.options import FitOptions
+
+Key = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What is there before a run.
+
+    Attributes:
+        done: names of this run's recordings that have been computed before; `stored` gives their fits.
+        left_out: the files of other recordings that have a fit there, which this run does not name.
+    """
+
+    done: Sequence[str]
+    left_out: Sequence[Path]
+
+
+def key_of(path: Path, options: FitOptions) -> Key | None:
+    """What a result depends on; None if there is no such file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return {
+        "path": str(path.resolve()),
+        "size": status.st_size,
+        "modified_ns": status.st_mtime_ns,
+        "options": options.to_dict(),
+        "allanjax_version": version("allanjax"),
+    }
+
+
+def earlier(folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key | None]) -> Earlier:
+    """What the folder has of these recordings, by their names, and of others.
+
+    A recording's name is made to tell it from the others of its run. One that had another name in an earlier
+    run gets its new one; one that is left out and in the way of another's name gives that up.
+    """
+    paths = {name: str(path.resolve()) for name, path in recordings.items()}
+    found = {path.stem: document["key"] for path in folder.glob("*.json") if (document := _document(path))}
+    names = {}
+    for name, key in found.items():
+        at = name
+        if paths.get(name, key["path"]) != key["path"]:
+            at = f"{name}-{hashlib.sha256(key['path'].encode()).hexdigest()[:8]}"
+            _file(folder, name).replace(_file(folder, at))
+        names[_text(key)] = at
+    done = [name for name, key in keys.items() if key is not None and _text(key) in names]
+    for name in done:
+        _file(folder, names[_text(keys[name])]).replace(_file(folder, name))
+    left_out = {key["path"] for key in found.values()} - set(paths.values())
+    return Earlier(done, [Path(path) for path in sorted(left_out)])
+
+
+def stored(folder: Path, name: str) -> dict[str, Any]:
+    """The fit that is there for a recording of this name."""
+    return json.loads(_file(folder, name).read_text(encoding="utf-8"))["fit"]
+
+
+def store(folder: Path, name: str, document: Mapping[str, Any]) -> None:
+    """Written beside and renamed: whatever happens, a result is there as a whole or not at all."""
+    path, draft = _file(folder, name), folder / f".{name}.{os.getpid()}"
+    draft.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    draft.replace(path)
+
+
+def _document(path: Path) -> dict[str, Any] | None:
+    """A recording's key and fit; None if the file holds something else."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return document if isinstance(document["key"]["path"], str) and document["fit"]["axes"] else None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _file(folder: Path, name: str) -> Path:
+    return folder / f"{name}.json"
+
+
+def _text(key: Key | None) -> str:
+    return json.dumps(key, sort_keys=True)

@@ -1,0 +1,389 @@
+"""Characterize a recording while it is being made, or one that no memory holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.allan.pyramid import Pyramid
+from allanjax.base.equality import equal
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.estimate.axis_fits import fit_allan, with_curve
+from allanjax.estimate.fit import (
+    Objective,
+    ambiguities,
+    check_length,
+    terms_to_fit,
+    with_what_was_seen,
+    without_coefficients,
+)
+from allanjax.estimate.result import Fit
+from allanjax.estimate.stream_fits import check_terms, fit_stream, select_stream_terms
+from allanjax.inspection import Inspection, Windows, look
+from allanjax.noise.notation import ModelLike
+from allanjax.record.axes import Axis, DeadAxis, axes_of, scales_of
+from allanjax.record.columns import recognise
+from allanjax.record.validation import Source
+from allanjax.spectrum.segments import SegmentedLevel, SegmentSpectra
+
+if TYPE_CHECKING:
+    from allanjax.record.io.chunks import ChunkedRecording
+
+# Samples that are gathered before they are looked at: a call of a compiled program costs as much as many.
+_GATHERED = 1 << 17
+_FORMAT = 2
+_TOO_FINE = "the Allan variances did not determine the fit; it is that of the averaged spectra (whittle)"
+
+_T = TypeVar("_T")
+
+
+class AllanAccumulator:
+    """Allan deviation and spectrum of samples that come piece by piece, in memory that does not grow.
+
+    `update` takes samples in chunks of any sizes, `merge` joins the accumulators of adjacent pieces, and
+    `result` and `fit` say what all of them show: the same, to rounding, however the samples were divided.
+    `snapshot` and `restore` carry an accumulator over a restart.
+
+        accumulator = AllanAccumulator(1000.0, ["gyro_x", "gyro_y", "gyro_z"])
+        for samples in rig:                      # [n, 3], rad/s
+            accumulator.update(samples)
+        accumulator.result().plot()
+        print(accumulator.fit())
+    """
+
+    def __init__(
+        self, rate: float, axes: Sequence[Axis | str] = ("gyro",), *, start: int = 0, name: str = ""
+    ) -> None:
+        """An accumulator of no samples.
+
+        Args:
+            rate: sample rate [Hz].
+            axes: of the samples, in order: names such as `gyro_x` or `accel`, or those of a recording.
+            start: number of the first sample, for a piece that is merged later: how many there are before it.
+            name: for display.
+
+        Raises:
+            AllanjaxError: a rate that is not positive, a negative start.
+            RecordingError: no axes, or a name of no axis.
+        """
+        if not 0.0 < rate < np.inf:
+            raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
+        if start < 0:
+            raise AllanjaxError(f"the number of the first sample must not be negative: start is {start}")
+        self.rate, self.start, self.name = float(rate), start, name
+        self.axes = _axes(axes)
+        empty = np.zeros((0, len(self.axes)))
+        self._pyramid = Pyramid.of(empty, start)
+        self._spectra = SegmentSpectra.of(empty, self.rate, start)
+        self._windows = Windows.of(empty)
+        # Axes that have not had a number so far; there are zeros for them in what follows.
+        self._silent = np.ones(len(self.axes), bool)
+        self._gathered: list[Float[np.ndarray, "n axes"]] = []
+
+    @property
+    def n(self) -> int:
+        """Number of samples so far."""
+        return self._pyramid.n + sum(map(len, self._gathered))
+
+    def update(self, samples: Float[np.ndarray, "n axes"] | Float[np.ndarray, " n"]) -> None:
+        """Add the samples that follow those so far, rates in SI: rad/s or m/s².
+
+        An axis that has never had a number may go on without, as nan: it is dead, and has no result.
+
+        Raises:
+            AllanjaxError: another number of axes, or other values that are not finite; none is added then.
+        """
+        # A copy: a rig fills the same buffer again.
+        values = np.array(samples, float)
+        values = values[:, None] if values.ndim == 1 else values
+        if values.ndim != 2 or values.shape[1] != len(self.axes):
+            raise AllanjaxError(
+                f"samples of {len(self.axes)} axes have the shape [n, {len(self.axes)}], not {values.shape}"
+            )
+        silent = self._silent & np.isnan(values).all(axis=0)
+        bad = ~np.isfinite(values)
+        if not silent.all():
+            bad[:, silent] = False
+        if self.n:
+            # What has a number now had none before.
+            bad[:1] |= self._silent & ~silent
+        if bad.any():
+            row, axis = np.argwhere(bad)[0]
+            raise AllanjaxError(
+                f"sample {self.start + self.n + row} of {self.axes[axis].name} is not finite, or those "
+                "before it are not: every sample is needed; end the piece before it and begin another"
+            )
+        if len(values):
+            self._silent = silent
+            values[:, silent] = 0.0
+        self._gathered.append(values)
+        if sum(map(len, self._gathered)) >= _GATHERED:
+            self._look()
+
+    def merge(self, right: AllanAccumulator) -> AllanAccumulator:
+        """An accumulator of this one's samples and those of the piece after it; both stay as they are.
+
+        Raises:
+            AllanjaxError: `right` does not begin where this one ends, or has another rate or other axes.
+        """
+        if (self.rate, self.axes) != (right.rate, right.axes):
+            raise AllanjaxError(
+                f"{_described(self)} and {_described(right)} are not of one recording: they cannot be merged"
+            )
+        if self.n and right.n and (self._silent != right._silent).any():
+            name = self.axes[int(np.argmax(self._silent != right._silent))].name
+            raise AllanjaxError(
+                f"{name} has no number in one of the pieces and has in the other: they cannot be merged; "
+                "leave the axis out, or take a stretch in which it has numbers"
+            )
+        for piece in (self, right):
+            piece._look()
+        merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name)
+        merged._pyramid = self._pyramid.merge(right._pyramid)
+        merged._spectra = self._spectra.merge(right._spectra)
+        merged._windows = self._windows.merge(right._windows)
+        merged._silent = self._silent & right._silent
+        return merged
+
+    @property
+    def dead(self) -> tuple[DeadAxis, ...]:
+        """The axes that have no result: constant so far, or without a single number."""
+        self._look()
+        if self.n < 2:
+            return ()
+        still = np.flatnonzero(self._pyramid.variance()[0] == 0.0)
+        values = self._pyramid.tail[0, :, -1] / scales_of(self.axes, self.rate)
+        return tuple(
+            DeadAxis.of(self.axes[k], np.nan if self._silent[k] else float(values[k])) for k in still
+        )
+
+    def _living(self) -> AllanAccumulator:
+        """The accumulator of the axes that are not dead.
+
+        Raises:
+            FitError: all are.
+        """
+        dead = self.dead
+        if not dead:
+            return self
+        axes = {d.axis for d in dead}
+        keep = np.array([axis not in axes for axis in self.axes])
+        if not keep.any():
+            raise FitError(f"{self.name or 'the stream'}: {dead[0].axis.name} is {dead[0].reason}")
+        living = AllanAccumulator(
+            self.rate, list(itertools.compress(self.axes, keep)), start=self.start, name=self.name
+        )
+        living._pyramid, living._spectra = self._pyramid.of_axes(keep), self._spectra.of_axes(keep)
+        living._windows = self._windows.of_axes(keep)
+        return living
+
+    def result(self) -> AllanDeviation:
+        """The Allan deviations of all samples so far, at octaves: those of `estimator="pyramid"`.
+
+        Raises:
+            AllanjaxError: fewer than two samples, or no axis that is not dead.
+        """
+        living = self._living()
+        return AllanDeviation.of_pyramid(living._pyramid, self.rate, living.axes)
+
+    def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
+        """What the samples so far look like, as `allanjax.inspect` says it of a recording.
+
+        Its `stretch` is what an accumulator of better samples would begin and end with.
+        """
+        living = self._living()
+        return look(living._windows, living.axes, self.rate, name=self.name, as_is=as_is, vibrating=vibrating)
+
+    def fit(
+        self,
+        model: ModelLike | None = None,
+        objective: Objective = "allan",
+        *,
+        as_is: bool = False,
+        vibrating: bool = False,
+    ) -> Fit:
+        """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
+
+        Without a model its terms are chosen by their evidence in the averaged spectra. "allan" fits the
+        pyramid's Allan variances with their own covariance, or the spectra where that does not converge (of
+        10⁹ samples with a strong random walk the covariance of 28 octaves loses its digits; a note says so);
+        "whittle" the averaged spectra.
+
+        What was handled cannot be taken out again: there is no result then, unless `as_is`, and the reason
+        names the stretch to read (`start=`, `stop=` of `read_chunks`). `vibrating` as in `fit`.
+
+        Raises:
+            FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
+                need the record itself.
+        """
+        living, dead = self._living(), self.dead
+        curve, axes, spectra = living.result(), living.axes, living._spectra
+        selection = select_stream_terms(spectra, axes, name=self.name) if model is None else None
+        template, active = terms_to_fit(model, selection, axes, objective)
+        check_terms(template)
+        check_length(curve, template, self.name)
+        notes = ambiguities(selection)
+        seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()
+        if seen.refusal:
+            return without_coefficients(seen, curve, template, objective, notes, dead)
+        if objective == "allan":
+            results, fitted = fit_allan(curve, axes, template, active)
+            if all(result.converged for result in results):
+                found = Fit(self.name, template, fitted, results, notes, objective, selection, dead)
+                return with_what_was_seen(found, seen)
+            notes += (_TOO_FINE,)
+        results = fit_stream(spectra, template, axes, active)
+        results, curve = with_curve(curve, template, results)
+        found = Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
+        return with_what_was_seen(found, seen)
+
+    def snapshot(self, path: str | os.PathLike[str]) -> None:
+        """Write the state to a file, whole or not at all; `restore` goes on from there.
+
+        Raises:
+            OSError: the file can not be written.
+        """
+        self._look()
+        header = {
+            "format": _FORMAT,
+            "rate": self.rate,
+            "start": self.start,
+            "name": self.name,
+            "axes": [dataclasses.asdict(axis) for axis in self.axes],
+            "silent": self._silent.tolist(),
+        }
+        arrays = {"header": np.array(json.dumps(header))}
+        arrays |= _packed(self._pyramid, "pyramid") | _packed(self._spectra, "spectra")
+        arrays |= _packed(self._windows, "windows")
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            with temporary.open("wb") as stream:
+                np.savez(stream, **arrays)  # type: ignore[arg-type]
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @classmethod
+    def restore(cls, path: str | os.PathLike[str]) -> AllanAccumulator:
+        """The accumulator of a snapshot.
+
+        Raises:
+            RecordingError: the file is no snapshot, is damaged, or is of a later version.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                header = json.loads(str(arrays["header"]))
+                if header["format"] != _FORMAT:
+                    raise RecordingError(
+                        f"{path}: a snapshot of format {header['format']}, this version reads {_FORMAT}; "
+                        "restore it with the allanjax that wrote it"
+                    )
+                axes = [Axis(**axis) for axis in header["axes"]]
+                found = cls(header["rate"], axes, start=header["start"], name=header["name"])
+                found._silent = np.array(header.get("silent", [False] * len(axes)), bool)
+                found._pyramid = _unpacked(Pyramid, arrays, "pyramid")
+                found._spectra = _unpacked(SegmentSpectra, arrays, "spectra")
+                found._windows = _unpacked(Windows, arrays, "windows")
+        except FileNotFoundError as error:
+            raise RecordingError(f"{path}: no such file; check the path") from error
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+            raise RecordingError(f"{path}: not a snapshot of an accumulator, or damaged: {error}") from error
+        return found
+
+    def _look(self) -> None:
+        """Take in what has been gathered."""
+        if not self._gathered:
+            return
+        values, start = np.concatenate(self._gathered), self.start + self._pyramid.n
+        self._pyramid = self._pyramid.merge(Pyramid.of(values, start))
+        self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
+        self._windows = self._windows.updated(values)
+        self._gathered = []
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, AllanAccumulator):
+            return NotImplemented
+        for each in (self, other):
+            each._look()
+        return equal(vars(self), vars(other))
+
+    __hash__ = None  # type: ignore[assignment]  # It grows.
+
+    def __repr__(self) -> str:
+        title = f" {self.name!r}" if self.name else ""
+        start = f" from sample {self.start} on" if self.start else ""
+        return f"<AllanAccumulator{title}: {_described(self)}; {self.n} samples{start}>"
+
+
+def _described(accumulator: AllanAccumulator) -> str:
+    names = ", ".join(axis.name for axis in accumulator.axes)
+    return f"{names} at {accumulator.rate:.9g} Hz"
+
+
+def accumulate(
+    recording: ChunkedRecording, *, start: int = 0, progress: Callable[[int, int | None], None] | None = None
+) -> AllanAccumulator:
+    """Read a recording chunk by chunk into an accumulator.
+
+    Args:
+        recording: what `read_chunks` returns.
+        start: number of its first sample, for a piece that is merged later.
+        progress: is told the samples done and, if that is known, the samples in all.
+
+    Raises:
+        RecordingError: the file has bad values, gaps or damaged rows; the message says where.
+    """
+    accumulator = AllanAccumulator(recording.rate, recording.axes, start=start, name=recording.name)
+    for samples in recording:
+        accumulator.update(samples)
+        if progress is not None:
+            progress(accumulator.n, recording.n)
+    return accumulator
+
+
+def _axes(given: Sequence[Axis | str]) -> tuple[Axis, ...]:
+    """The axes of these names, in SI."""
+    if isinstance(given, str):
+        raise AllanjaxError(f"axes= takes a list of names: [{given!r}]")
+    columns = [recognise(axis if isinstance(axis, str) else axis.name) for axis in given]
+    named, _ = axes_of(columns, "rad/s", "m/s^2", Source("axes="))
+    return tuple(a if isinstance(a, Axis) else b for a, b in zip(given, named, strict=True))
+
+
+def _packed(part: Any, name: str) -> dict[str, np.ndarray]:
+    """The fields of a statistic as arrays; of those that are several of a kind, one after the other."""
+    arrays = {}
+    for field in dataclasses.fields(part):
+        key, value = f"{name}.{field.name}", getattr(part, field.name)
+        arrays[key] = np.asarray(len(value) if isinstance(value, tuple) else value)
+        for k, level in enumerate(value if isinstance(value, tuple) else ()):
+            arrays |= _packed(level, f"{key}.{k}")
+    return arrays
+
+
+def _unpacked(kind: type[_T], arrays: Mapping[str, np.ndarray], name: str) -> _T:
+    """The statistic of arrays made by `_packed`."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        key = f"{name}.{field.name}"
+        value = arrays[key]
+        if kind is SegmentSpectra and field.name == "segmented":
+            values[field.name] = tuple(
+                _unpacked(SegmentedLevel, arrays, f"{key}.{k}") for k in range(int(value))
+            )
+        else:
+            values[field.name] = value if value.ndim else value.item()
+    return kind(**values)

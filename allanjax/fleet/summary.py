@@ -1,0 +1,196 @@
+"""What is said of a fleet: its groups, its units, and a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from allanjax.base.wording import format_interval, format_with_error, significant
+from allanjax.fleet.grades import Split, found_split, pooled_values
+from allanjax.fleet.outlying_units import FEWEST_UNITS
+from allanjax.fleet.table import families, mark_outlying
+from allanjax.noise.estimate import title_of
+from allanjax.record.recording import Axis
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_NAMED = 5
+_COUNTS = ("no", "one", "two", "three", "four", "five", "six")
+
+
+def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The table with the groups that units fall into and outlying units marked, and what to say of it."""
+    parted, notes = [], []
+    for _, of in table.groupby("group", sort=False):
+        for part, words in _parted(of):
+            parted.append(part)
+            notes += words
+    if parted:
+        import pandas as pd
+
+        table = pd.concat(parted).sort_index()
+    table = mark_outlying(table)
+    return table, (*_warned(table), *_unmeasured(table), *notes, *_alike(table), *_too_few(table))
+
+
+def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
+    """The table of a group, or those of the groups that it falls into, and what is said of them."""
+    names = list(table["recording"].unique())
+    found = []
+    for family in families(table):
+        values = pooled_values(family.sensor, family.coefficient, family.axes)
+        found.append(values.of_units(np.array([names.index(name) for name in family.recordings]), len(names)))
+    split = found_split(found)
+    if split is None:
+        yield table, []
+        return
+    group = table["group"].iloc[0]
+    of_rows = split.labels[[names.index(name) for name in table["recording"]]]
+    words = [_told(split, names, group)]
+    for g in range(split.groups):
+        name = f"{group}/{g + 1}" if group else str(g + 1)
+        for part, more in _parted(table[of_rows == g].assign(group=name)):
+            yield part, words + more
+            words = []
+
+
+def _told(split: Split, names: Sequence[str], group: str) -> str:
+    title = title_of(split.pooled.coefficient, Axis("", split.pooled.sensor, ""))
+    parts = []
+    for g in range(split.groups):
+        units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
+        parts.append(f"{f'{group}/' if group else ''}{g + 1} ({len(units)} units: {listed(units)})")
+    apart = " and ".join(significant(ratio, 2) for ratio in split.ratios)
+    count = _COUNTS[split.groups] if split.groups < len(_COUNTS) else str(split.groups)
+    return (
+        f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''} falls into {count} groups, "
+        f"{apart} times apart: {', '.join(parts)}. Units are compared within these; say which belong "
+        "together by group= (--group)"
+    )
+
+
+def _warned(table: pd.DataFrame) -> list[str]:
+    """Each warning with the recordings that have it, the most frequent first."""
+    of = table.drop_duplicates("recording")
+    found: dict[str, list[str]] = {}
+    for name, text in zip(of["recording"], of["warnings"], strict=True):
+        for warning in text.splitlines():
+            found.setdefault(warning, []).append(name)
+    if not found:
+        return []
+    count = int((of["warnings"] != "").sum())
+    more = f"; {len(found) - _NAMED} more of them are in the column warnings" if len(found) > _NAMED else ""
+    heading = f"{count} recording{'s' * (count > 1)} with warnings{more}"
+    most = sorted(found.items(), key=lambda pair: -len(pair[1]))[:_NAMED]
+    return [heading, *(f"  {listed(names)}: {warning}" for warning, names in most)]
+
+
+def _unmeasured(table: pd.DataFrame) -> list[str]:
+    """What has been fitted and is no measurement of a sensor."""
+    of = table.loc[~table["measured"], ["recording", "axis"]].drop_duplicates()
+    if of.empty:
+        return []
+    axes = [f"{name} {', '.join(part['axis'])}" for name, part in of.groupby("recording", sort=False)]
+    return [
+        "the fitted curve is far off, and the coefficients are not a measurement of the sensor: "
+        f"{listed(axes)}. They are not compared; see what allanjax critique finds"
+    ]
+
+
+def _alike(table: pd.DataFrame) -> list[str]:
+    """Where so many units are outlying that they could be a grade of their own."""
+    notes = []
+    for family in families(table):
+        odd = table["outlying"].to_numpy()[family.rows] & (family.rows >= 0)
+        units = [name for name, is_odd in zip(family.recordings, odd.any(axis=1), strict=True) if is_odd]
+        if len(units) >= max(FEWEST_UNITS, len(family.recordings) / 8):
+            title = title_of(family.coefficient, Axis("", family.sensor, ""))
+            notes.append(
+                f"{len(units)} of {len(family.recordings)} units are outlying in {family.sensor} {title}: if "
+                "they are of another grade than the others, say so by group= (--group)"
+            )
+    return notes
+
+
+def _too_few(table: pd.DataFrame) -> list[str]:
+    """Which groups are too small for a judgement."""
+    counts = table.groupby("group", sort=False)["recording"].nunique()
+    small = counts[counts < FEWEST_UNITS]
+    if small.empty:
+        return []
+    if list(small.index) == [""]:
+        count = int(small.iloc[0])
+        whose = f"{count} unit{'s' * (count > 1)}"
+    else:
+        whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()])}"
+    return [f"{whose}: too few to say whether one is unlike the others, which takes {FEWEST_UNITS}"]
+
+
+def left_out(files: Sequence[Path], folder: Path) -> str:
+    """What is said of recordings that an earlier run had, and this one was not given."""
+    count = f"{len(files)} recording{'s' * (len(files) > 1)}"
+    be = "are" if len(files) > 1 else "is"
+    return (
+        f"{count} of an earlier run {be} not among these files and {be} left out of fleet.parquet: "
+        f"{listed([str(path) for path in files])}. What was computed stays in {folder}: name the files too, "
+        "and they are in the table again"
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names, the first five of many."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows of the printed table, one a group, axis and coefficient.
+
+    Median, scatter and quantiles are those of estimates with an interval, without outlying units.
+    """
+    grouped = bool((table["group"] != "").any())
+    headings = ("axis", "coefficient", *(["group"] if grouped else []))
+    rows = []
+    # Axes and coefficients in the order in which they first occur.
+    order = [table[name].factorize(sort=name == "group")[0] for name in ("axis", "coefficient", "group")]
+    for _, of in table.groupby(order, sort=True):
+        axis, sensor, coefficient, unit, group = of[["axis", "sensor", "coefficient", "unit", "group"]].iloc[
+            0
+        ]
+        found = of[of["detected"] & of["measured"] & np.isfinite(of["value"])]
+        usual = found.loc[~found["outlying"], "value"]
+        middle, span = _spread(usual.to_numpy(), found["std"].to_numpy(), unit)
+        odd = of[of["outlying"]]
+        ratios = odd["value"] / usual.median()
+        units = [
+            f"{name} ({significant(ratio, 2)})" for name, ratio in zip(odd["recording"], ratios, strict=True)
+        ]
+        title = title_of(coefficient, Axis(axis, sensor, unit))
+        rows.append(
+            (
+                axis,
+                title,
+                *([group] if grouped else []),
+                f"{len(found)} of {len(of)}",
+                middle,
+                span,
+                listed(units),
+            )
+        )
+    return (*headings, "detected", "median ± scatter", "5 … 95 %", "outlying (× median)"), rows
+
+
+def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
+    """Median with the scatter among units, of a single one its own error; and 5 and 95 % quantiles."""
+    if not len(values):
+        return "", ""
+    named = "" if unit == "1" else f" {unit}"
+    if len(values) == 1:
+        return f"{format_with_error(values[0], stds[0])}{named}", ""
+    low, median, high = map(float, np.quantile(values, (0.05, 0.5, 0.95)))
+    scatter = float(np.std(values, ddof=1))
+    return f"{format_with_error(median, scatter)}{named}", format_interval(low, high, median, scatter)

@@ -1,0 +1,160 @@
+"""The table of a fleet: one row a recording, axis and coefficient."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Int
+
+from allanjax.fleet.outlying_units import FALSE_ALARMS, Values, log_values, outlying, testable
+from allanjax.record.units import Sensor
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+_NUMBERS = ("value", "lower_95", "upper_95", "upper_limit_95")
+
+
+@functools.cache
+def table_schema() -> pa.Schema:
+    """Columns and types of the Parquet file, the same whatever is in it."""
+    import pyarrow as pa
+
+    text, number, flag = pa.string(), pa.float64(), pa.bool_()
+    return pa.schema(
+        {
+            "recording": text,
+            "file": text,
+            "group": text,
+            "axis": text,
+            "sensor": text,
+            "coefficient": text,
+            "value": number,
+            "std": number,
+            "lower_95": number,
+            "upper_95": number,
+            "unit": text,
+            "detected": flag,
+            "upper_limit_95": number,
+            "measured": flag,
+            "p_value": number,
+            "terms": text,
+            "outlying": flag,
+            "start_s": number,
+            "stop_s": number,
+            "warnings": text,
+        }
+    )
+
+
+def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
+    """The rows of one recording, from its fit as `export.to_dict` gives it; outlying units are marked later.
+
+    Axes without result have no rows.
+    """
+    rows = []
+    start, stop = fit["stretch_s"] or (None, None)
+    for axis in fit["axes"]:
+        for c in axis["coefficients"]:
+            rows.append(
+                {
+                    "recording": recording,
+                    "file": file,
+                    "group": group,
+                    "axis": axis["name"],
+                    "sensor": axis["sensor"],
+                    "coefficient": c["label"],
+                    "value": c["value"],
+                    "std": c["std"],
+                    "lower_95": c["interval_95"][0],
+                    "upper_95": c["interval_95"][1],
+                    "unit": c["unit"],
+                    "detected": c["detected"],
+                    "upper_limit_95": c["upper_limit_95"],
+                    "measured": c["measured"],
+                    "p_value": axis["p_value"],
+                    "terms": " + ".join(_terms(axis)),
+                    "outlying": False,
+                    "start_s": start,
+                    "stop_s": stop,
+                    "warnings": "\n".join(fit["warnings"]),
+                }
+            )
+    return rows
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """The rows as a table with the columns and types of `table_schema`."""
+    import pyarrow as pa
+
+    return pa.Table.from_pylist(list(rows), table_schema()).to_pandas()
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """One coefficient of the units of a group, on all axes of a sensor.
+
+    Attributes:
+        sensor, coefficient, group: what it is.
+        recordings: the units' names.
+        rows: their rows in the table, −1 where there is none.
+        axes: ln of the coefficient on each axis.
+    """
+
+    sensor: Sensor
+    coefficient: str
+    group: str
+    recordings: Sequence[str]
+    rows: Int[np.ndarray, "units axes"]
+    axes: list[Values]
+
+
+def families(table: pd.DataFrame) -> Iterator[Family]:
+    """Every coefficient of every sensor and group."""
+    value, lower, upper, limit = (np.append(table[name].to_numpy(), np.nan) for name in _NUMBERS)
+    is_detected = np.append(table["detected"].to_numpy(), False)
+    parts: Mapping[Any, Any] = table.groupby(["group", "sensor", "coefficient"], sort=False).indices
+    for (group, sensor, coefficient), places in parts.items():
+        of = table.iloc[places]
+        units, names = of["recording"].factorize()
+        columns, axes = of["axis"].factorize()
+        rows = np.full((len(names), len(axes)), -1)
+        rows[units, columns] = places
+        values = [log_values(value[r], lower[r], upper[r], limit[r], is_detected[r]) for r in rows.T]
+        yield Family(sensor, coefficient, group, list(names), rows, values)
+
+
+def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
+    """A copy whose column `outlying` says which values are unlike those of the other units of the group.
+
+    `outliers.outlying` judges a coefficient by all axes of a sensor. The probability that anything is marked
+    in a fleet of like units is 1 % for the whole table (Bonferroni: every coefficient has its share).
+    """
+    judged = [family for family in families(table) if testable(family.axes)]
+    marked = np.zeros(len(table) + 1, bool)
+    for family in judged:
+        found = outlying(family.axes, FALSE_ALARMS / len(judged), family.coefficient)
+        marked[family.rows[found]] = True
+    return table.assign(outlying=marked[:-1])
+
+
+def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
+    """Write the table to a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pandas(table, table_schema(), preserve_index=False), path)
+
+
+def _terms(axis: Mapping[str, Any]) -> list[str]:
+    """The terms that the fit chose for the axis, or was given."""
+    for s in axis["selection"] or ():
+        if s["chosen"]:
+            return list(s["terms"])
+    return list(dict.fromkeys(c["term"] for c in axis["coefficients"]))

@@ -1,0 +1,172 @@
+"""Models written as text, e.g. on the command line: `N=0.1 deg/√h + markov(correlation_time=100 s held)`."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, TypeAlias
+
+from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.noise import terms as all_terms
+from allanjax.noise.model import Model
+from allanjax.noise.terms import NoiseTerm, Parameter
+from allanjax.record.units import SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
+
+if TYPE_CHECKING:
+    from allanjax.record.columns import Column
+    from allanjax.record.recording import Axis
+
+#: What functions of a model take: a model, a term, or a text for `parse_model`.
+ModelLike: TypeAlias = Model | NoiseTerm | str
+
+_TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
+_ARGUMENT = re.compile(r"(?P<name>\w+)\s*=\s*(?P<value>.+)", re.DOTALL)
+_VALUE = re.compile(
+    r"(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*(?P<held>\bheld)?"
+)
+_KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
+
+
+@functools.cache
+def term_classes() -> dict[str, type[NoiseTerm]]:
+    """allanjax's terms by name, e.g. `angle_random_walk`."""
+    found = (getattr(all_terms, name) for name in all_terms.__all__)
+    classes = (c for c in found if isinstance(c, type) and issubclass(c, NoiseTerm) and c is not NoiseTerm)
+    return {c.name(): c for c in classes}
+
+
+def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
+    """The model that is meant, written with `+` or as a text such as `"N + B + K"`.
+
+    Args:
+        model: the terms.
+        axes: those whose model it is, whose sensors' units amplitudes in a text must have.
+
+    Raises:
+        AllanjaxError: what is given is no model; amplitudes with values, which have the unit of one sensor,
+            for axes of both.
+        UnitError: as `parse_model`.
+    """
+    if not isinstance(model, str):
+        return Model(()) + model
+    sensors = {axis.sensor for axis in axes}
+    parsed = parse_model(model, next(iter(sensors)) if len(sensors) == 1 else None)
+    if len(sensors) > 1:
+        for p in parsed.parameters:
+            if p.parameter.kind == "amplitude" and p.start is not None:
+                raise AllanjaxError(
+                    f"{p.label} in {model!r} has a value in the unit of one sensor, and there are axes of "
+                    'both: leave out the value, or take those of one, recording["gyro"]'
+                )
+    return parsed
+
+
+def parse_model(text: str, sensor: Sensor | None = None) -> Model:
+    """The model that `text` writes down.
+
+    Terms stand side by side with `+` or `,`. Each is a name or the symbol of its amplitude (`N` for
+    `angle_random_walk`), alone, with the amplitude (`N=0.1 deg/√h`), or with parameters in brackets
+    (`markov(amplitude=3 deg/h/√h, correlation_time=100 s)`). `held` after a value keeps it fixed in a fit.
+
+    Args:
+        text: e.g. `"N + B + K"` or `"quantization, angle_random_walk, markov"`.
+        sensor: whose units the amplitudes must have; either sensor's without it.
+
+    Raises:
+        AllanjaxError: unknown terms or parameters, or values that are none.
+        UnitError: a unit that is unknown or does not fit the parameter.
+    """
+    return Model(tuple(_term(part, sensor) for part in _split(text, "+,")))
+
+
+def _split(text: str, separators: str) -> list[str]:
+    """Parts of `text` between separators outside brackets; the + of a number such as 1e+3 is none."""
+    parts, depth = [""], 0
+    for i, char in enumerate(text):
+        depth += (char == "(") - (char == ")")
+        exponent = char == "+" and re.search(r"[\d.][eE]$", text[:i]) is not None
+        if char in separators and depth == 0 and not exponent:
+            parts.append("")
+        else:
+            parts[-1] += char
+    parts = [part.strip() for part in parts]
+    if depth != 0 or not all(parts):
+        raise AllanjaxError(
+            f"cannot read {text!r}: write terms such as 'N + B + markov(correlation_time=100 s)'"
+        )
+    return parts
+
+
+def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
+    match = _TERM.fullmatch(text)
+    if match is None:
+        raise AllanjaxError(
+            f"cannot read the term {text!r}; write a name such as angle_random_walk or N=0.1 deg/√h"
+        )
+    cls = _class(match["name"])
+    amplitude = cls.parameters()[0]
+    arguments = [(amplitude.name, match["value"])] if match["value"] else []
+    for argument in _split(match["arguments"], ",") if match["arguments"] else []:
+        pair = _ARGUMENT.fullmatch(argument)
+        if pair is None:
+            raise AllanjaxError(f"cannot read {argument!r} in {text!r}; write e.g. correlation_time=100 s")
+        arguments.append((pair["name"], pair["value"]))
+    values, held = {}, []
+    for name, value in arguments:
+        p = _parameter(cls, name)
+        values[p.name], is_held = _value(value, p, sensor)
+        held += [p.name] if is_held else []
+    term = cls().replace(**values)
+    return term.hold(*held) if held else term
+
+
+def _class(name: str) -> type[NoiseTerm]:
+    classes = term_classes()
+    by_symbol = {c.parameters()[0].symbol: c for c in classes.values()}
+    if name.lower() not in classes and name not in by_symbol:
+        known = ", ".join(f"{label} ({c.parameters()[0].symbol})" for label, c in classes.items())
+        raise AllanjaxError(f"there is no term {name!r}; there are {known}")
+    return classes.get(name.lower()) or by_symbol[name]
+
+
+def _parameter(cls: type[NoiseTerm], name: str) -> Parameter:
+    for p in cls.parameters():
+        if name in (p.name, p.symbol):
+            return p
+    raise AllanjaxError(
+        f"{cls.name()} has no parameter {name!r}; it has {', '.join(p.name for p in cls.parameters())}"
+    )
+
+
+def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]:
+    """The value in SI, and whether it is held."""
+    match = _VALUE.fullmatch(text.strip())
+    if match is None:
+        raise AllanjaxError(f"{p.name}: cannot read the value {text!r}; write a number and a unit")
+    number, unit, held = float(match["number"]), match["unit"], match["held"] is not None
+    if p.kind == "amplitude":
+        return number * _amplitude_scale(unit, p, sensor), held
+    si_unit = _KIND_UNIT.get(p.kind)
+    if si_unit is None:
+        if unit:
+            raise UnitError(f"{p.name} is a plain number; leave out {unit!r}")
+        return number, held
+    return (convert(number, unit, si_unit) if unit else number), held
+
+
+def _amplitude_scale(unit: str, p: Parameter, sensor: Sensor | None) -> float:
+    """Factor to SI, once the unit's dimension has been found to be the amplitude's."""
+    sensors = SENSORS if sensor is None else (sensor,)
+    usual = {s: default_coefficient_unit(s, p.time_exponent) for s in sensors}
+    if not unit:
+        raise UnitError(f"{p.name} ({p.symbol}) needs a unit, e.g. {' or '.join(usual.values())}")
+    problem = None
+    for s, expected in usual.items():
+        try:
+            convert(1.0, unit, expected, s)
+        except UnitError as error:
+            problem = error
+        else:
+            return unit_scale(unit, s)
+    raise UnitError(f"{p.name} ({p.symbol}): {problem}")

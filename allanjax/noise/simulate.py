@@ -1,0 +1,114 @@
+"""Simulated recordings: exact samples of a noise model."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike, as_model
+from allanjax.record.columns import recognise
+from allanjax.record.recording import Recording
+from allanjax.record.units import parse_sample_unit
+
+
+def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
+    """n samples of a model's rate [rad/s or m/s²], exact in law for a sensor that samples at `rate` [Hz].
+
+    Compiled once for each combination of terms, n and rate; other coefficients reuse what was compiled. Terms
+    that are not stationary (bias instability, rate random walk) start near zero.
+
+    Args:
+        model: the terms, every parameter with a value; or their text, `"N=0.1 deg/√h + B=2 deg/h"`.
+        n: number of samples.
+        rate: sample rate [Hz].
+        key: a JAX random key, or an integer to make one of.
+
+    Raises:
+        AllanjaxError: a parameter without a value, fewer than one sample, a rate that is not positive.
+    """
+    if n != int(n) or n < 1:
+        raise AllanjaxError(f"the number of samples must be a positive integer, not {n}")
+    if not 0.0 < rate < math.inf:
+        raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
+    model = as_model(model)
+    model.check_complete()
+    return _draw(_with_traced_values(model.sampled(float(rate))), as_key(key), int(n), float(rate))
+
+
+def simulate_recording(
+    models: Mapping[str, ModelLike],
+    n: int,
+    rate: float,
+    key: PRNGKeyArray | int,
+    *,
+    bias: Mapping[str, float] | None = None,
+    gyro_unit: str = "deg/s",
+    accel_unit: str = "m/s²",
+    name: str = "",
+) -> Recording:
+    """A recording of n samples, one column per model, the axes independent of each other.
+
+    Args:
+        models: axis name (`gyro_x`, `accel_z`, …) to model, every parameter with a value.
+        n: number of samples.
+        rate: sample rate [Hz].
+        key: a JAX random key, or an integer to make one of.
+        bias: constant rate [rad/s or m/s²] to add to an axis, e.g. `{"accel_z": 9.81}`.
+        gyro_unit, accel_unit: the recording's own units, for display.
+        name: its name.
+
+    Raises:
+        AllanjaxError: as `simulate`; a bias for an axis that is not simulated.
+        RecordingError: a name that is no axis, or fewer than 16 samples.
+        UnitError: a unit that does not fit the sensor.
+    """
+    if not models:
+        raise AllanjaxError('no axis to simulate; give models, e.g. {"gyro_x": AngleRandomWalk(1e-4)}')
+    bias = bias or {}
+    for axis in bias:
+        if axis not in models:
+            raise AllanjaxError(
+                f"a bias is given for {axis!r}, which has no model; there are {', '.join(models)}"
+            )
+    keys = jax.random.split(as_key(key), len(models))
+    columns = [
+        np.asarray(simulate(as_model(model, [recognise(axis)]), n, rate, k)) + bias.get(axis, 0.0)
+        for (axis, model), k in zip(models.items(), keys, strict=True)
+    ]
+    recording = Recording.from_array(
+        np.stack(columns, axis=1), rate, gyro_unit="rad/s", accel_unit="m/s²", names=list(models), name=name
+    )
+    own = {"gyro": gyro_unit, "accel": accel_unit}
+    axes = (
+        dataclasses.replace(axis, unit=parse_sample_unit(own[axis.sensor], axis.sensor).name)
+        for axis in recording.axes
+    )
+    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated",))
+
+
+@eqx.filter_jit
+def _draw(model: Model, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    return model.simulate(key, n, rate)
+
+
+def _with_traced_values(model: Model) -> Model:
+    """The model with arrays for values: Python numbers would be constants of the compiled program.
+
+    Infinite values stay Python numbers, since terms decide by them which formula holds.
+    """
+    finite = {k: jnp.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
+    return model.with_values(**finite)
+
+
+def as_key(key: PRNGKeyArray | int) -> PRNGKeyArray:
+    """A JAX random key: the one given, or that of a seed."""
+    return jax.random.key(key) if isinstance(key, int | np.integer) else key

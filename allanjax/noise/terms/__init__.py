@@ -1,0 +1,35 @@
+"""Noise terms: one class a term, in one file each; nothing outside this package knows which there are."""
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.parameter import Parameter, parameter
+from allanjax.noise.terms.bias_instability import BiasInstability
+from allanjax.noise.terms.bias_step import BiasStep
+from allanjax.noise.terms.drift_ramp import DriftRamp
+from allanjax.noise.terms.low_pass import LowPass
+from allanjax.noise.terms.markov import Markov
+from allanjax.noise.terms.power_law import PowerLaw
+from allanjax.noise.terms.quantization import Quantization
+from allanjax.noise.terms.random_walk import AngleRandomWalk, RateRandomWalk
+from allanjax.noise.terms.resonance import Resonance
+from allanjax.noise.terms.sinusoid import Sinusoid
+from allanjax.noise.terms.telegraph import Telegraph
+from allanjax.noise.terms.warm_up import WarmUp
+
+__all__ = [
+    "AngleRandomWalk",
+    "BiasInstability",
+    "BiasStep",
+    "DriftRamp",
+    "LowPass",
+    "Markov",
+    "NoiseTerm",
+    "Parameter",
+    "PowerLaw",
+    "Quantization",
+    "RateRandomWalk",
+    "Resonance",
+    "Sinusoid",
+    "Telegraph",
+    "WarmUp",
+    "parameter",
+]

@@ -1,0 +1,67 @@
+"""Autocovariances that decay exponentially, R(t) = Re[c·e^{λ|t|}]: their G, and the spectrum of samples."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, Num
+
+from allanjax.noise.numerics import in_gauge
+
+
+def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
+    """e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
+
+    def series(z: Num[Array, ...]) -> Num[Array, ...]:
+        total = jnp.zeros_like(z)
+        for k in range(19, 2, -1):
+            total = total * z + 1.0 / math.factorial(k)
+        return total * z**3
+
+    return in_gauge(series, lambda z: jnp.expm1(z) - z, z)
+
+
+def exponential_covariance(
+    pole: Num[Array, ""], weight: Num[ArrayLike, ""], lag: Float[Array, ...], sample_interval: float
+) -> Float[Array, ...]:
+    """Phase covariance G at lags [s] of R(t) = Re[weight·e^{pole·t}], pole in 1/s with a negative real part.
+
+    G is −R integrated twice, or, with a sample interval [s], summed twice: its second difference at multiples
+    of that is −sample_interval²·R exactly.
+    """
+    remainder = exponential_remainder(pole * lag)
+    t0 = sample_interval
+    if t0 == 0.0:
+        return -jnp.real(weight / pole**2 * remainder)
+    kappa = weight * t0**2 / (4.0 * jnp.sinh(pole * t0 / 2.0) ** 2)
+    slope = jnp.real(kappa * (jnp.expm1(pole * t0) - pole * t0)) / t0 - t0 * jnp.real(weight) / 2.0
+    return slope * lag - jnp.real(kappa * remainder)
+
+
+def exponential_density(
+    pole: Num[Array, ""],
+    weight: Num[ArrayLike, ""],
+    frequency: Float[ArrayLike, ...],
+    rate: float,
+    sample_interval: float,
+) -> Float[Array, ...]:
+    """Two-sided PSD at frequencies [Hz] of R(t) = Re[weight·e^{pole·t}] read at the sample instants.
+
+    Samples at `rate` that are means of M readings, a sample interval [s] apart, have the autocovariance
+    Re[weight·r_d], r_0 = [M(1 + q)/(1 − q) − 2q(1 − q^M)/(1 − q)²]/M² and, from d = 1 on,
+    r_d = q^{M(d−1)}·q(1 − q^M)²/(M(1 − q))², q = e^{pole·interval}: a geometric series. M is 1 at the
+    readings' own rate, and for a sample interval of 0.
+    """
+    M = 1.0 if sample_interval == 0.0 else 1.0 / (rate * sample_interval)
+    x = pole / rate / M
+    q, y, z = jnp.exp(x), -jnp.expm1(x), -jnp.expm1(M * x)
+    # Its series where the terms of r_0 would cancel.
+    series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
+    r_0 = jnp.where(jnp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
+    r_1 = q * (z / (M * y)) ** 2
+    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, by what is small near Q = 1.
+    s = jnp.sin(jnp.pi * jnp.asarray(frequency) / rate) ** 2
+    below = z**2 + 4.0 * (1.0 - z) * s
+    both = 2.0 * (z - 2.0 * s) * jnp.conj(below) / (jnp.real(below) ** 2 + jnp.imag(below) ** 2)
+    return jnp.real(weight * (r_0 + r_1 * both)) / rate

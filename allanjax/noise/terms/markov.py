@@ -1,0 +1,62 @@
+"""Exponentially correlated (first-order Gauss–Markov) noise (thesis 4.3.6)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.recursion import linear_recurrence
+from allanjax.noise.terms.exponential import exponential_remainder
+
+
+class Markov(NoiseTerm):
+    """First-order Gauss–Markov noise of the rate (4.59, 4.60), standard deviation q_c·√(T_c/2).
+
+    `amplitude` q_c in rad/s/√s or m/s²/√s; `correlation_time` T_c in s.
+    """
+
+    amplitude: Value = parameter("q_c", time_exponent=-0.5)
+    correlation_time: Value = parameter("T_c", "time")
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        T_c = self.correlation_time
+        return -(self.amplitude**2) * T_c**3 / 2.0 * exponential_remainder(-lag / T_c)
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        w = 2.0 * jnp.pi * jnp.asarray(frequency) * self.correlation_time
+        return (self.amplitude * self.correlation_time) ** 2 / (1.0 + w**2)
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Of means over the sample interval: their autocovariance is geometric from the first lag on."""
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        x = 1.0 / (rate * self.correlation_time)
+        # (e^{-x} − 1 + x)/x² and ((1 − e^{-x})/x)²; their series where the first would cancel.
+        at_zero = jnp.where(
+            x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + jnp.expm1(-x)) / jnp.maximum(x, 1e-3) ** 2
+        )
+        at_one = (jnp.expm1(-x) / x) ** 2
+        # cos a − e^{-x} and 1 − 2e^{-x} cos a + e^{-2x}, without cancellation where both are small.
+        s = 2.0 * jnp.sin(a / 2.0) ** 2
+        numerator = -s - jnp.expm1(-x)
+        denominator = jnp.expm1(-x) ** 2 + 2.0 * jnp.exp(-x) * s
+        variance = self.amplitude**2 * self.correlation_time / 2.0
+        return variance / rate * (at_zero + 2.0 * at_one * numerator / denominator)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Exact: the state at the sample instants recurs; its mean between two of them is Gaussian."""
+        x = 1.0 / (rate * self.correlation_time)
+        sigma = self.amplitude * jnp.sqrt(self.correlation_time / 2.0)
+        state_key, mean_key = jax.random.split(key)
+        drive = jax.random.normal(state_key, (n + 1,)) * sigma
+        innovation = jnp.sqrt(-jnp.expm1(-2.0 * x))
+        state = linear_recurrence(jnp.exp(-x), drive * jnp.where(jnp.arange(n + 1) == 0, 1.0, innovation))
+        slope = jnp.tanh(x / 2.0) / x
+        # Var(mean | both ends)/σ² = 2/x − 4 tanh(x/2)/x² → x/6 as x → 0.
+        conditional = jnp.where(
+            x < 0.01, x / 6.0 * (1.0 - x**2 / 10.0), 2.0 / x - 4.0 * jnp.tanh(x / 2.0) / x**2
+        )
+        between = sigma * jnp.sqrt(conditional) * jax.random.normal(mean_key, (n,))
+        return slope * (state[1:] + state[:-1]) + between

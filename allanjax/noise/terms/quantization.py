@@ -1,0 +1,43 @@
+"""Quantization noise (thesis 4.3.1)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.parameter import Value, parameter
+
+
+class Quantization(NoiseTerm):
+    """White error of the angle (velocity) at each reading: σ²(T) = 3Q²/T² (4.29).
+
+    `coefficient` Q in rad or m/s. A rounding of the angle to steps S has Q = S/√12.
+    """
+
+    coefficient: Value = parameter("Q", time_exponent=1.0)
+    #: Sample interval [s]; only the PSD needs it (4.28).
+    sample_interval: float = 0.0
+
+    def sampled(self, rate: float) -> Quantization:
+        return self.replace(sample_interval=1.0 / rate)
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        return jnp.where(lag == 0.0, self.coefficient**2, 0.0)
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """(2πf)² T_z Q² (4.28, left of its ≈ for sampled data: 4Q² sin²(πfT_z)/T_z)."""
+        T_z = self.sample_interval
+        return 4.0 * self.coefficient**2 / T_z * jnp.sin(jnp.pi * jnp.asarray(frequency) * T_z) ** 2
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return self.sampled(rate).psd(frequency)
+
+    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """The first and the last reading have no neighbour that takes their error back."""
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        return 2.0 * (self.coefficient * rate) ** 2 * (1.0 + jnp.cos(a))
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        return self.coefficient * rate * jnp.diff(jax.random.normal(key, (n + 1,)))

@@ -1,0 +1,59 @@
+"""Angle (velocity) random walk (thesis 4.3.2) and rate random walk (4.3.4)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.recursion import linear_recurrence
+
+
+class AngleRandomWalk(NoiseTerm):
+    """White noise of the rate: σ²(T) = N²/T (4.36). For an accelerometer, velocity random walk.
+
+    `coefficient` N in rad/√s or m/s/√s (two-sided PSD N²; the thesis calls it Q).
+    """
+
+    coefficient: Value = parameter("N", time_exponent=0.5)
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        return -(self.coefficient**2) * lag / 2.0
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        return jnp.full(np.shape(frequency), self.coefficient**2)
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return self.psd(frequency)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        return self.coefficient * jnp.sqrt(rate) * jax.random.normal(key, (n,))
+
+
+class RateRandomWalk(NoiseTerm):
+    """The rate is the integral of white noise: σ²(T) = K²T/3 (4.53).
+
+    `coefficient` K in rad/s/√s or m/s²/√s.
+    """
+
+    coefficient: Value = parameter("K", time_exponent=-0.5)
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        return self.coefficient**2 * lag**3 / 12.0
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        return (self.coefficient / (2.0 * jnp.pi * jnp.asarray(frequency))) ** 2
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """(K/rate)²·(2 + cos a)/(12 sin²(a/2)), a = 2πf/rate: increments of means correlate to one lag."""
+        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        return (self.coefficient / rate) ** 2 * (2.0 + jnp.cos(a)) / (12.0 * jnp.sin(a / 2.0) ** 2)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Means of a Brownian path over sample intervals: its end points, and the bridge between them."""
+        steps, bridge = jax.random.normal(key, (2, n)) / jnp.sqrt(rate)
+        path_end = linear_recurrence(1.0, steps)
+        return self.coefficient * (path_end - steps / 2.0 + bridge / jnp.sqrt(12.0))

@@ -1,0 +1,67 @@
+"""Sinusoidal noise (thesis 4.3.7)."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.numerics import in_gauge
+from allanjax.noise.parameter import Value, parameter
+
+
+class Sinusoid(NoiseTerm):
+    """A line of the rate, Ω0·cos(2πf0·t + φ): σ²(T) = Ω0² [sin²(πf0T)/(πf0T)]² (4.64).
+
+    `amplitude` Ω0 in rad/s or m/s²; `frequency` f0 in Hz. (4.64) is for a sensor that averages over its
+    sample interval, as (4.1) says, which damps a line by sin(πf0t0)/(πf0t0). In fits and simulations at a
+    known rate (`sampled`) Ω0 is the amplitude that the samples show.
+
+    The thesis's (4.63) in (4.25) gives twice (4.64). A line of amplitude Ω0 has the PSD
+    (Ω0²/4)[δ(f−f0) + δ(f+f0)], and (4.64) is right.
+    """
+
+    amplitude: Value = parameter("Ω0", time_exponent=0.0)
+    frequency: Value = parameter("f0", "line")
+    #: Sample interval [s]; 0 for the continuous rate.
+    sample_interval: float = 0.0
+    deterministic: ClassVar[bool] = True
+
+    @property
+    def oscillates(self) -> bool:
+        return True
+
+    def sampled(self, rate: float) -> Sinusoid:
+        return self.replace(sample_interval=1.0 / rate)
+
+    def _damping(self) -> Float[Array, ""]:
+        """Amplitude of the samples over that of the continuous line they are means of."""
+        y = jnp.pi * self.frequency * self.sample_interval
+        return jnp.sinc(y / jnp.pi)
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        w = 2.0 * jnp.pi * self.frequency
+
+        def series(x: Float[Array, ...]) -> Float[Array, ...]:
+            total = jnp.zeros_like(x)
+            for k in range(10, 1, -1):
+                total = total * x**2 + (-1) ** k / math.factorial(2 * k)
+            return total * x**4
+
+        wave = in_gauge(series, lambda x: -2.0 * jnp.sin(x / 2.0) ** 2, w * lag)
+        return self.amplitude**2 / (2.0 * w**2) * wave / self._damping() ** 2
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """Zero: a line has power, Ω0²/2, but no density at any frequency but its own."""
+        return jnp.zeros(np.shape(frequency))
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """A line with random phase."""
+        amplitude = self.amplitude * (jnp.sinc(self.frequency / rate) if self.sample_interval == 0.0 else 1.0)
+        cycles = self.frequency / rate * jnp.arange(n) % 1.0
+        return amplitude * jnp.cos(2.0 * jnp.pi * (cycles + jax.random.uniform(key)))

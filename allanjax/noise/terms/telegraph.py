@@ -1,0 +1,52 @@
+"""Random telegraph noise: a bias that jumps between two levels (burst or popcorn noise)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.noise.model import NoiseTerm
+from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.terms.exponential import exponential_covariance, exponential_density
+
+
+class Telegraph(NoiseTerm):
+    """A bias that jumps between two levels, as often down as up (Machlup 1954, J. Appl. Phys. 25:341).
+
+    `amplitude` is the difference of the levels [rad/s or m/s²], `dwell_time` T_d the mean time in each [s].
+    R(t) = (amplitude²/4)·e^{−2|t|/T_d}: to second order it is a Markov process of correlation time T_d/2,
+    from which no spectrum tells it; its simulated paths do jump. Samples are read at their instants.
+    """
+
+    amplitude: Value = parameter("J", time_exponent=0.0)
+    dwell_time: Value = parameter("T_d", "time")
+    #: Sample interval [s]; 0 for the continuous rate.
+    sample_interval: float = 0.0
+
+    def sampled(self, rate: float) -> Telegraph:
+        return self.replace(sample_interval=1.0 / rate)
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        pole = jnp.asarray(-2.0 / self.dwell_time)
+        return self.amplitude**2 / 4.0 * exponential_covariance(pole, 1.0, lag, self.sample_interval)
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """(amplitude²/4)·T_d/(1 + (πf·T_d)²)."""
+        x = jnp.pi * jnp.asarray(frequency) * self.dwell_time
+        return self.amplitude**2 / 4.0 * self.dwell_time / (1.0 + x**2)
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        pole = jnp.asarray(-2.0 / self.dwell_time)
+        return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate, self.sample_interval)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Exponential dwell times: the jumps in a sample interval are Poisson, and odd ones change the level.
+
+        Half the path's record starts on either level, the mean of which is zero.
+        """
+        first_key, jump_key = jax.random.split(key)
+        odd = -jnp.expm1(-2.0 / (rate * self.dwell_time)) / 2.0
+        changes = jnp.cumsum(jax.random.bernoulli(jump_key, odd, (n,)))
+        level = (changes + jax.random.bernoulli(first_key)) % 2
+        return self.amplitude * (level - 0.5)

@@ -1,0 +1,202 @@
+"""From a fit to the posteriors of its axes: what is sampled, by whom, and what becomes of the draws."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.estimate.result import Fit
+from allanjax.posterior.likelihood import Likelihood, likelihood_of
+from allanjax.posterior.marginals import (
+    Marginal,
+    absent_marginal,
+    held_marginal,
+    sampled_marginals,
+    undetermined,
+)
+from allanjax.posterior.priors import Prior, default_priors
+from allanjax.posterior.result import AxisPosterior, PosteriorWarning
+from allanjax.posterior.sampling import Chains, LogPosterior, Options, Target, first_walkers, run
+from allanjax.posterior.unsampled_limits import absent_amplitude
+
+_WALKERS = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class AxisSampler:
+    """The arguments of `sample`, checked."""
+
+    fit: Fit
+    priors: Mapping[str, Prior]
+    seed: int
+    walkers: int | None
+    max_steps: int
+    min_length: float
+    max_change: float
+    max_r_hat: float
+    absent_draws: int
+
+    def __post_init__(self) -> None:
+        for name, least in (("max_steps", 10), ("absent_draws", 2)):
+            if not getattr(self, name) >= least:
+                raise AllanjaxError(f"{name} must be at least {least}, got {getattr(self, name)!r}")
+        for name, bound in (("min_length", 0.0), ("max_change", 0.0), ("max_r_hat", 1.0)):
+            if not getattr(self, name) > bound:
+                raise AllanjaxError(f"{name} must be above {bound:g}, got {getattr(self, name)!r}")
+        if not (isinstance(self.seed, int | np.integer) and self.seed >= 0):
+            raise AllanjaxError(f"seed must be an integer of at least 0, got {self.seed!r}")
+
+    def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
+        """The posteriors of the named axes, with a progress bar if wanted."""
+        results = []
+        with _progress_bar(progress) as bar:
+            for name in names:
+                task = None if bar is None else bar.add_task(name, total=None)
+
+                def report(steps: int, expected: int, task: Any = task) -> None:
+                    if bar is not None:
+                        bar.update(task, completed=steps, total=expected)
+
+                results.append(self.one_axis(name, report))
+        return tuple(results)
+
+    def one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
+        """The posterior of one axis."""
+        likelihood = likelihood_of(self.fit, name)
+        posterior = LogPosterior.of(likelihood, self._all_priors(likelihood))
+        sampled = self._sampled(likelihood, name)
+        options = Options(
+            self._walkers(len(sampled)), self.max_steps, self.min_length, self.max_change, self.max_r_hat
+        )
+        target = Target.of(posterior, sampled, options.walkers // 2)
+        # Every axis has a stream of its own, whichever others are sampled.
+        streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
+        random = np.random.RandomState(streams)
+        try:
+            start = first_walkers(target, options.walkers, random)
+        except FitError as error:
+            raise FitError(f"{name}: {error}") from None
+        chains = run(target, start, random, options, report)
+        if not chains.converged:
+            warnings.warn(self._complaint(name, likelihood, sampled, chains), PosteriorWarning, stacklevel=4)
+        return self._result(name, target, chains, random)
+
+    def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
+        priors = default_priors(likelihood)
+        for label, prior in self.priors.items():
+            if label not in priors:
+                raise AllanjaxError(
+                    f"a prior for {label!r}, but there is no such parameter; there are {', '.join(priors)}"
+                )
+            if not isinstance(prior, Prior):
+                raise AllanjaxError(
+                    f"the prior of {label} must be a Prior, e.g. LogUniform(1e-6, 1e-4); got {prior!r}"
+                )
+        return priors | dict(self.priors)
+
+    def _sampled(self, likelihood: Likelihood, name: str) -> Int[np.ndarray, " sampled"]:
+        """Indices of the parameters to sample."""
+        everything = not getattr(self.fit, "chosen", False)
+        sampled = np.flatnonzero(np.asarray(likelihood.found) | everything)
+        if not sampled.size:
+            raise FitError(f"{name}: no posterior, the fit found no term and no free parameter")
+        return sampled
+
+    def _walkers(self, count: int) -> int:
+        if self.walkers is None:
+            return max(_WALKERS, 4 * count)
+        if self.walkers % 2 or self.walkers < 2 * max(count, 2):
+            raise AllanjaxError(
+                f"walkers must be an even number of at least {2 * max(count, 2)} for {count} parameters, "
+                f"got {self.walkers!r}"
+            )
+        return self.walkers
+
+    def _complaint(
+        self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
+    ) -> str:
+        """Which parameter is worst, and what to do."""
+        length = len(chains.y) / (self.min_length * chains.tau)
+        excess = (chains.r_hat - 1.0) / (self.max_r_hat - 1.0)
+        lack = np.nan_to_num(
+            np.maximum(1.0 / length, np.maximum(excess, chains.change / self.max_change)), nan=np.inf
+        )
+        worst = int(np.argmax(lack))
+        label = likelihood.parameters[sampled[worst]].label
+        return (
+            f"{name}: the posterior has not converged in {chains.steps} steps; worst is {label} with τ = "
+            f"{chains.tau[worst]:.3g} steps ({len(chains.y)} after the burn-in, "
+            f"{self.min_length * chains.tau[worst]:.0f} wanted; τ last changed by "
+            f"{100.0 * chains.change[worst]:.2g} %) and R̂ = {chains.r_hat[worst]:.4f}; "
+            f"allow more steps, e.g. max_steps={4 * self.max_steps}, or give narrower priors"
+        )
+
+    def _result(
+        self, name: str, target: Target, chains: Chains, random: np.random.RandomState
+    ) -> AxisPosterior:
+        posterior, sampled = target.posterior, target.sampled
+        fit, parameters = self.fit[name], posterior.likelihood.parameters
+        full = target.embedded(chains.y)
+        chain = posterior.values(full)[..., sampled]
+        # Per SI unit instead of per unit of the coordinates.
+        jacobian = posterior.log_jacobian(full)[..., sampled].sum(axis=-1)
+        thin = max(1, int(np.nan_to_num(chains.tau).max() / 2.0))
+        y = chains.y[::thin].reshape(-1, len(sampled))
+        draws = chain[::thin].reshape(-1, len(sampled))
+
+        known = sampled_marginals(posterior, fit.axis, sampled.tolist(), draws)
+        for i, p in enumerate(parameters):
+            if i in known:
+                continue
+            if posterior.amplitude[i]:
+                grid = absent_amplitude(target, i, y, self.absent_draws, random)
+                known[i] = absent_marginal(p, fit.axis, grid)
+            else:
+                known[i] = undetermined(p, fit.axis)
+        marginals = {parameters[i].label: m for i, m in known.items()}
+        held = {c.label: held_marginal(c) for c in fit.coefficients.values() if c.held}
+        in_order = [p.label for p in self.fit.template.parameters]
+        every: dict[str, Marginal] = {x: (marginals | held)[x] for x in in_order if x in marginals | held}
+        curve = self.fit.curve
+        return AxisPosterior(
+            axis=fit.axis,
+            labels=tuple(parameters[i].label for i in sampled),
+            draws=draws,
+            chain=chain,
+            log_probability=chains.log_density - jacobian,
+            coefficients=every,
+            priors=dict(zip((p.label for p in parameters), posterior.priors, strict=True)),
+            converged=chains.converged,
+            tau=chains.tau,
+            r_hat=chains.r_hat,
+            acceptance=chains.acceptance,
+            steps=chains.steps,
+            rate=curve.rate,
+            duration=curve.n / curve.rate,
+            _template=self.fit.template,
+        )
+
+
+def _progress_bar(wanted: bool | None) -> AbstractContextManager[Any]:
+    """Rich's progress bar on stderr, or a context of None."""
+    if not (sys.stderr.isatty() if wanted is None else wanted):
+        return nullcontext()
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("steps"),
+        TimeElapsedColumn(),
+    )
+    return Progress(*columns, console=Console(stderr=True))

@@ -1,0 +1,377 @@
+"""The likelihood of a fit's data as a function of its parameters: what a sampler sees.
+
+Either that of the cosine spectrum (Whittle's; see `cosine`) or that of the Allan variances. The latter has
+for each variance the χ² law of its degrees of freedom under the model, by its normal score (Wilson &
+Hilferty 1931), and for all of them together the normal law with the correlations of their covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import i0e
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from allanjax.base.errors import FitError
+from allanjax.base.linalg import whiten
+from allanjax.estimate.design import AllanDesign, Design
+from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_columns
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.spectral_design import SpectralDesign
+from allanjax.noise.model import Model, ModelParameter
+
+# The Allan variances' likelihood looks at every so-manieth cluster time of the fit's four an octave.
+_THINNED = 2
+# Priors of amplitudes end at the larger of these: multiples of the knee, and of what fits under the data.
+_KNEES, _CEILING = 1e4, 1e2
+# How far a resonance may move from its fit, in ln.
+_LINE_RANGE = 0.3
+
+
+class Likelihood(eqx.Module):
+    """Log-likelihood of the free parameters of a model, in SI and in the model's order.
+
+    Attributes:
+        parameters: what they are.
+        start, scatter: the fit's estimate (zero for amplitudes of absent terms) and its rough 1-σ.
+        lower, upper: a range that holds all reasonable values.
+        knee: of an amplitude, that at which its power would be one standard deviation in these data; NaN
+        for others. found: which belong to terms that the fit found.
+    """
+
+    parameters: eqx.AbstractVar[tuple[ModelParameter, ...]]
+    start: eqx.AbstractVar[Float[np.ndarray, " params"]]
+    scatter: eqx.AbstractVar[Float[np.ndarray, " params"]]
+    lower: eqx.AbstractVar[Float[np.ndarray, " params"]]
+    upper: eqx.AbstractVar[Float[np.ndarray, " params"]]
+    knee: eqx.AbstractVar[Float[np.ndarray, " params"]]
+    found: eqx.AbstractVar[Bool[np.ndarray, " params"]]
+
+    def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
+        """The log-likelihood [nats] up to a constant; NaN or −inf where no noise is left."""
+        raise NotImplementedError
+
+
+def likelihood_of(fit: Fit, axis: str) -> Likelihood:
+    """The likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else of its Allan variances.
+
+    Raises:
+        FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum.
+    """
+    result = fit[axis]
+    parameters = tuple(p for p in fit.template.parameters if p.free)
+    if not result.converged:
+        raise FitError(f"{axis}: no result to sample around, {result.reason}")
+    if result.spectrum is not None:
+        return _whittle(fit, result, parameters)
+    if fit.objective == "whittle":
+        raise FitError(
+            f"{axis}: the spectrum that was fitted is not in the file that the fit was loaded from; "
+            "fit the recording again to sample"
+        )
+    # The frequency of a line is none of the Allan variances' business.
+    lines = [k for k, term in enumerate(fit.template.terms) if term.deterministic]
+    parameters = tuple(p for p in parameters if p.term not in lines or p.parameter.kind == "amplitude")
+    return _allan(fit, result, parameters, fit.axes.index(axis))
+
+
+class _Placed(eqx.Module):
+    """How a vector of free parameters becomes powers and shapes of a design's terms."""
+
+    amplitude: Int[np.ndarray, " terms"]
+    held: Float[np.ndarray, " terms"]
+    shape: Int[np.ndarray, " shapes"]
+    bound: Float[np.ndarray, " shapes"]
+    held_shape: Float[np.ndarray, " shapes"]
+
+    @classmethod
+    def of(cls, design: Design, parameters: Sequence[ModelParameter], result: AxisFit) -> _Placed:
+        labels = [p.label for p in parameters]
+        amplitudes = [p for p in design.model.parameters if p.parameter.kind == "amplitude"]
+        return cls(
+            np.array([labels.index(p.label) if p.free else -1 for p in amplitudes], int),
+            np.array([0.0 if p.free else float(p.start or 0.0) for p in amplitudes]),
+            np.array([labels.index(p.label) if p.label in labels else -1 for p in design.shapes], int),
+            np.array([p.parameter.lower for p in design.shapes]),
+            np.array([0.0 if p.label in labels else result[p.label].value for p in design.shapes]),
+        )
+
+    def power(self, values: Float[Array, " params"]) -> Float[Array, " terms"]:
+        amplitude = jnp.where(self.amplitude >= 0, values[self.amplitude], self.held)
+        return amplitude**2
+
+    def shapes(self, values: Float[Array, " params"]) -> Float[Array, " shapes"]:
+        return jnp.log(jnp.where(self.shape >= 0, values[self.shape], self.held_shape) - self.bound)
+
+
+class _Lines(eqx.Module):
+    """Coefficients around each line, the bin each is in, and where its amplitude and its frequency are."""
+
+    index: Int[np.ndarray, "lines k"]
+    coefficients: Float[np.ndarray, "lines k"]
+    bin: Int[np.ndarray, "lines k"]
+    known: Bool[np.ndarray, "lines k"]
+    amplitude: Int[np.ndarray, " lines"]
+    frequency: Int[np.ndarray, " lines"]
+    held: Float[np.ndarray, "lines 2"]
+
+
+class WhittleLikelihood(Likelihood):
+    """Independent χ² levels; ramps of unknown sign, lines of unknown phase, regressors of any amplitude."""
+
+    parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
+    start: Float[np.ndarray, " params"]
+    scatter: Float[np.ndarray, " params"]
+    lower: Float[np.ndarray, " params"]
+    upper: Float[np.ndarray, " params"]
+    knee: Float[np.ndarray, " params"]
+    found: Bool[np.ndarray, " params"]
+    design: SpectralDesign
+    placed: _Placed
+    squares: Float[np.ndarray, " m"]
+    cross: Float[np.ndarray, "m columns"]
+    gram: Float[np.ndarray, "m columns columns"]
+    share: Float[np.ndarray, " m"]
+    ramps: Int[np.ndarray, " ramps"]
+    lines: _Lines
+
+    def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
+        bins = self.design.bins
+        mean = self.placed.power(values) @ self.design.means(self.placed.shapes(values))
+        weight = jnp.asarray(self.share) / mean
+        total = -0.5 * jnp.sum(self.share * bins.size * jnp.log(mean) + self.squares * weight)
+        p, U = weight @ self.cross, jnp.einsum("m,mab->ab", weight, self.gram)
+        q = len(p) - len(self.ramps)
+        if q:
+            # A flat prior for the regressors' amplitudes, integrated.
+            half = whiten(U[:q, :q], jnp.concatenate([p[:q, None], U[:q, q:]], axis=1))
+            total += 0.5 * jnp.sum(half.values[:, 0] ** 2) - half.log_det
+            p = p[q:] - half.values[:, 1:].T @ half.values[:, 0]
+            U = U[q:, q:] - half.values[:, 1:].T @ half.values[:, 1:]
+        for k in range(len(self.ramps)):
+            R = jnp.where(self.ramps[k] >= 0, values[self.ramps[k]], 0.0)
+            x = jnp.abs(R * p[k])
+            total += x + jnp.log1p(jnp.exp(-2.0 * x)) - jnp.log(2.0) - 0.5 * R**2 * U[k, k]
+        for k in range(len(self.lines.amplitude)):
+            total += self._line(k, values, weight)
+        return total
+
+    def _line(self, k: int, values: Float[Array, " params"], weight: Float[Array, " m"]) -> Float[Array, ""]:
+        """ln of the mean over all phases of a line's likelihood ratio (Rice's law)."""
+        lines, bins = self.lines, self.design.bins
+        A = jnp.where(lines.amplitude[k] >= 0, values[lines.amplitude[k]], lines.held[k, 0])
+        f = jnp.where(lines.frequency[k] >= 0, values[lines.frequency[k]], lines.held[k, 1])
+        columns = line_columns(f, lines.index[k], bins.n, bins.rate, jnp).T
+        weighted = columns * jnp.where(lines.known[k], weight[lines.bin[k]], 0.0)
+        p = weighted @ lines.coefficients[k]
+        u = jnp.sum(weighted * columns) / 2.0
+        x = A * jnp.sqrt(jnp.sum(p**2))
+        return jnp.log(i0e(x)) + x - 0.5 * A**2 * u
+
+
+class AllanLikelihood(Likelihood):
+    """χ² laws of the Allan variances, correlated. Their covariance follows the powers, not the shapes."""
+
+    parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
+    start: Float[np.ndarray, " params"]
+    scatter: Float[np.ndarray, " params"]
+    lower: Float[np.ndarray, " params"]
+    upper: Float[np.ndarray, " params"]
+    knee: Float[np.ndarray, " params"]
+    found: Bool[np.ndarray, " params"]
+    design: AllanDesign
+    placed: _Placed
+    variance: Float[np.ndarray, " m"]
+    products: Float[np.ndarray, "pairs terms terms"]
+    discrepancy: Float[np.ndarray, ""]
+
+    def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
+        power = self.placed.power(values)
+        mean = power @ self.design.means(self.placed.shapes(values))
+        covariance = self.design.covariance(power, jnp.asarray(self.products))
+        own = self.design.variances(covariance) / mean**2 + self.discrepancy**2
+        ratio = self.variance / mean
+        g = own / 9.0
+        score = (jnp.cbrt(ratio) - 1.0 + g) / jnp.sqrt(g)
+        whitened = self.design.whiten(
+            covariance, mean, jnp.asarray(self.discrepancy), (score * jnp.sqrt(own))[:, None]
+        )
+        # The density of V: that of the scores, times their slopes.
+        slope = -2.0 / 3.0 * jnp.log(ratio) - 0.5 * jnp.log(own) - jnp.log(mean)
+        normal = -0.5 * jnp.sum(whitened.values**2) - whitened.log_det + 0.5 * jnp.sum(jnp.log(own))
+        return normal + jnp.sum(slope)
+
+
+def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) -> WhittleLikelihood:
+    spectrum = result.spectrum
+    assert spectrum is not None
+    noise = Model(tuple(term for term in fit.template.terms if not term.deterministic))
+    design = SpectralDesign.of(noise, spectrum.bins, spectrum.bins.size.astype(float))
+    placed = _Placed.of(design, parameters, result)
+    labels = [p.label for p in parameters]
+    share = 1.0 / (1.0 + 2.0 * spectrum.bins.size * design.per_octave * result.discrepancy**2)
+    columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
+    ramps = [owner for owner in spectrum.owners if isinstance(owner, int) and owner not in spectrum.lines]
+    own = {p.term: [labels.index(q.label) for q in parameters if q.term == p.term] for p in parameters}
+    start, scatter = _estimates(result, parameters)
+    mean = np.asarray(placed.power(jnp.asarray(start)) @ design.means(placed.shapes(jnp.asarray(start))))
+    known = spectrum.bins.size > 0
+    level = np.where(known, spectrum.squares / np.maximum(spectrum.bins.size, 1), np.inf)
+    knee, ceiling = _amplitude_scales(
+        design,
+        placed,
+        start,
+        mean,
+        2.0 * mean**2 / np.maximum(share * spectrum.bins.size, 1e-9),
+        level,
+        0.0,
+        len(parameters),
+    )
+    for k, owner in enumerate(spectrum.owners):
+        if isinstance(owner, int) and fit.template.terms[owner].is_free(
+            fit.template.terms[owner].parameters()[0]
+        ):
+            place = own[owner][0]
+            u = float(np.sum(share * spectrum.gram[:, k, k] / mean))
+            knee[place] = 1.0 / np.sqrt(u)
+            ceiling[place] = max(_KNEES * knee[place], _CEILING * start[place])
+    lower, upper = _ranges(parameters, result, fit, ceiling)
+    return WhittleLikelihood(
+        parameters,
+        start,
+        np.where(scatter > 0.0, scatter, np.where(np.isnan(knee), 0.1 * start, 0.5 * knee)),
+        lower,
+        upper,
+        knee,
+        _found(result, parameters),
+        design,
+        placed,
+        # Each line's own likelihood ratio knows nothing of the others.
+        spectrum.squares - spectrum.overlap,
+        spectrum.cross[:, columns],
+        spectrum.gram[:, columns][:, :, columns],
+        share,
+        np.array([own[k][0] if k in own else -1 for k in ramps], int),
+        _lines(fit, spectrum, labels),
+    )
+
+
+def _lines(fit: Fit, spectrum: AxisSpectrum, labels: list[str]) -> _Lines:
+    bins, lines = spectrum.bins, spectrum.lines
+    width = 2 * LINE_REACH + 1
+    index = np.ones((len(lines), width), int)
+    coefficients, known = np.zeros((len(lines), width)), np.zeros((len(lines), width), bool)
+    amplitude, frequency = np.full(len(lines), -1), np.full(len(lines), -1)
+    held = np.zeros((len(lines), 2))
+    for row, (term, line) in enumerate(lines.items()):
+        k = len(line.coefficients)
+        index[row, :k], coefficients[row, :k], known[row, :k] = line.indices, line.coefficients, True
+        own = [p for p in fit.template.parameters if p.term == term]
+        held[row] = own[0].start or 0.0, own[1].start or 0.0
+        amplitude[row] = labels.index(own[0].label) if own[0].free else -1
+        frequency[row] = labels.index(own[1].label) if own[1].free else -1
+    own_bin = np.searchsorted(np.cumsum(bins.size), index - 1, side="right")
+    return _Lines(index, coefficients, own_bin, known, amplitude, frequency, held)
+
+
+def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k: int) -> AllanLikelihood:
+    curve = fit.curve
+    chosen = slice(0, None, _THINNED)
+    sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
+    design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
+    placed = _Placed.of(design, parameters, result)
+    start, scatter = _estimates(result, parameters)
+    values = jnp.asarray(start)
+    products = design.products(placed.shapes(values))
+    power = placed.power(values)
+    mean = np.asarray(power @ design.means(placed.shapes(values)))
+    covariance = design.covariance(power, products)
+    V = curve.variance[chosen, k]
+    discrepancy = 2.0 * result.discrepancy
+    knee, ceiling = _amplitude_scales(
+        design, placed, start, mean, covariance, V, discrepancy, len(parameters)
+    )
+    lower, upper = _ranges(parameters, result, fit, ceiling)
+    return AllanLikelihood(
+        parameters,
+        start,
+        np.where(scatter > 0.0, scatter, np.where(np.isnan(knee), 0.1 * start, 0.5 * knee)),
+        lower,
+        upper,
+        knee,
+        _found(result, parameters),
+        design,
+        placed,
+        V,
+        np.asarray(products),
+        np.asarray(discrepancy),
+    )
+
+
+def _estimates(
+    result: AxisFit, parameters: tuple[ModelParameter, ...]
+) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
+    """The fit's values and standard deviations; shapes of absent terms somewhere."""
+    values = np.array([result[p.label].value for p in parameters])
+    std = np.array([result[p.label].std for p in parameters])
+    somewhere = np.array([p.parameter.lower + 1.0 for p in parameters])
+    return np.where(np.isfinite(values), values, somewhere), np.nan_to_num(std)
+
+
+def _found(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Bool[np.ndarray, " params"]:
+    return np.array([p.term_label in result.term_labels for p in parameters], bool)
+
+
+def _amplitude_scales(
+    design: Design,
+    placed: _Placed,
+    start: Float[np.ndarray, " params"],
+    mean: Float[np.ndarray, " m"],
+    covariance: ArrayLike,
+    estimates: Float[np.ndarray, " m"],
+    discrepancy: float,
+    count: int,
+) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
+    """Knee and ceiling of the amplitudes of a design's terms; NaN elsewhere."""
+    knee, ceiling = np.full(count, np.nan), np.full(count, np.nan)
+    means = np.asarray(design.means(placed.shapes(jnp.asarray(start))))
+    relative = jnp.asarray((means / mean).T)
+    whitened = design.whiten(
+        jnp.asarray(covariance), jnp.asarray(mean), jnp.asarray(discrepancy), relative
+    ).values
+    own = np.sum(np.asarray(whitened) ** 2, axis=0) ** -0.25
+    # At most as much of a term as fits under the data everywhere.
+    fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
+    for term, place in enumerate(placed.amplitude):
+        if place >= 0:
+            knee[place] = own[term]
+            ceiling[place] = max(_KNEES * own[term], _CEILING * fits[term])
+    return knee, ceiling
+
+
+def _ranges(
+    parameters: tuple[ModelParameter, ...], result: AxisFit, fit: Fit, ceiling: Float[np.ndarray, " params"]
+) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
+    n, rate = fit.curve.n, fit.curve.rate
+    lower, upper = np.zeros(len(parameters)), ceiling.copy()
+    for k, p in enumerate(parameters):
+        if p.parameter.kind == "time":
+            lower[k], upper[k] = 2.0 / rate, n / rate
+        elif p.parameter.kind == "frequency":
+            lower[k], upper[k] = rate / n, rate / 2.0
+        elif p.parameter.kind == "number":
+            lower[k], upper[k] = (
+                p.parameter.lower + 1e-2,
+                min(p.parameter.lower + 1e4, p.parameter.upper - 1e-2),
+            )
+        elif p.parameter.kind == "line":
+            f = result[p.label].value
+            if fit.template.terms[p.term].deterministic:
+                reach = LINE_REACH / 2.0 * rate / (2.0 * n)
+                lower[k], upper[k] = max(f - reach, 0.1 * rate / n), min(f + reach, rate / 2.0)
+            else:
+                lower[k], upper[k] = f * np.exp(-_LINE_RANGE), min(f * np.exp(_LINE_RANGE), rate / 2.0)
+    return lower, upper

@@ -1,0 +1,169 @@
+"""Priors of single parameters: proper, in SI, and replaceable by the user."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from allanjax.base.errors import AllanjaxError
+
+if TYPE_CHECKING:
+    from allanjax.posterior.likelihood import Likelihood
+
+
+class Prior(eqx.Module):
+    """The prior of one parameter, in SI. A subclass has fields, the two methods, and `lower` and `upper`.
+
+    Attributes:
+        lower, upper: its support.
+    """
+
+    if (
+        TYPE_CHECKING
+    ):  # Fields of some subclasses, which a property here would hide, and properties of others.
+
+        @property
+        def lower(self) -> float: ...
+
+        @property
+        def upper(self) -> float: ...
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """Natural logarithm of the density [1/SI unit] at x, traceable by JAX; −inf outside the support."""
+        raise NotImplementedError(f"{type(self).__name__} defines no log_density(x)")
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        """The value below which the share u of the prior lies; of uniform u, a draw of the prior."""
+        raise NotImplementedError(f"{type(self).__name__} defines no quantile(u)")
+
+    def _inside(self, x: Array, log_density: Array) -> Array:
+        """This log density inside the support."""
+        return jnp.where((x >= self.lower) & (x <= self.upper), log_density, -jnp.inf)
+
+    def _require(self, condition: bool, wanted: str) -> None:
+        if not condition:
+            raise AllanjaxError(f"{self}: {wanted}")
+
+
+class Uniform(Prior):
+    """Uniform between `lower` and `upper`."""
+
+    lower: float
+    upper: float
+
+    def __check_init__(self) -> None:
+        finite = math.isfinite(self.lower) and math.isfinite(self.upper)
+        self._require(finite and self.lower < self.upper, "give finite lower < upper")
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        x = jnp.asarray(x, float)
+        return self._inside(x, jnp.full(x.shape, -jnp.log(self.upper - self.lower)))
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return self.lower + np.asarray(u) * (self.upper - self.lower)
+
+
+class LogUniform(Prior):
+    """Uniform in ln(x − origin) between `lower` and `upper`: every factor as likely as another."""
+
+    lower: float
+    upper: float
+    origin: float = 0.0
+
+    def __check_init__(self) -> None:
+        ordered = self.origin < self.lower < self.upper < math.inf
+        self._require(ordered, f"give finite {self.origin:g} < lower < upper")
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        x = jnp.asarray(x, float)
+        # Outside the support only the logarithm's argument must be harmless.
+        distance = jnp.maximum(x, self.lower) - self.origin
+        ratio = (self.upper - self.origin) / (self.lower - self.origin)
+        return self._inside(x, -jnp.log(distance) - jnp.log(jnp.log(ratio)))
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        nearest, farthest = self.lower - self.origin, self.upper - self.origin
+        return self.origin + nearest * (farthest / nearest) ** np.asarray(u)
+
+
+class LogNormal(Prior):
+    """ln x is Gaussian: 68 % of the prior lie between `median`/`factor` and `median`·`factor`."""
+
+    median: float
+    factor: float
+
+    def __check_init__(self) -> None:
+        self._require(0.0 < self.median < math.inf, "give a finite median above 0")
+        self._require(1.0 < self.factor < math.inf, "give a finite factor above 1")
+
+    @property
+    def lower(self) -> float:
+        return 0.0
+
+    @property
+    def upper(self) -> float:
+        return math.inf
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        x = jnp.asarray(x, float)
+        width = jnp.log(self.factor)
+        positive = jnp.where(x > 0.0, x, 1.0)
+        z = jnp.log(positive / self.median) / width
+        density = -0.5 * z**2 - jnp.log(positive * width) - 0.5 * math.log(2.0 * math.pi)
+        return jnp.where(x > 0.0, density, -jnp.inf)
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        from scipy.special import ndtri
+
+        return self.median * self.factor ** ndtri(np.asarray(u, float))
+
+
+class ModifiedLogUniform(Prior):
+    """Uniform in ln(x + knee) on [0, upper]: p(x) = 1/[(x + knee)·ln(1 + upper/knee)].
+
+    The modified Jeffreys prior of Gregory (2005, ApJ 631:1198): uniform below the knee, where an amplitude
+    cannot be told from zero, and uniform in ln x far above it. Unlike 1/x it is proper, and zero is allowed.
+    """
+
+    knee: float
+    upper: float
+
+    def __check_init__(self) -> None:
+        self._require(0.0 < self.knee < math.inf, "give a finite knee above 0")
+        self._require(0.0 < self.upper < math.inf, "give a finite upper above 0")
+
+    @property
+    def lower(self) -> float:
+        return 0.0
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        x = jnp.asarray(x, float)
+        density = -jnp.log(jnp.maximum(x, 0.0) + self.knee) - jnp.log(jnp.log1p(self.upper / self.knee))
+        return self._inside(x, density)
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return self.knee * np.expm1(np.asarray(u) * np.log1p(self.upper / self.knee))
+
+
+def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
+    """The priors of `sample`, by label, in SI.
+
+    Amplitudes: `ModifiedLogUniform`, its knee the amplitude that these data could just tell from zero. Times,
+    frequencies and numbers: `LogUniform` (of the distance from the parameter's own lower bound). Frequencies
+    of lines: `Uniform`. The supports are those of the likelihood, far wider than what data can say.
+    """
+    priors: dict[str, Prior] = {}
+    for i, p in enumerate(likelihood.parameters):
+        lower, upper = float(likelihood.lower[i]), float(likelihood.upper[i])
+        if p.parameter.kind == "amplitude":
+            priors[p.label] = ModifiedLogUniform(float(likelihood.knee[i]), upper)
+        elif p.parameter.kind == "line":
+            priors[p.label] = Uniform(lower, upper)
+        else:
+            priors[p.label] = LogUniform(lower, upper, p.parameter.lower)
+    return priors

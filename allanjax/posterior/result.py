@@ -1,0 +1,277 @@
+"""The posterior of a fit's coefficients: credible intervals, upper limits, and what follows from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.presented import presented
+from allanjax.base.wording import duration
+from allanjax.estimate.axis_estimates import AxisEstimates
+from allanjax.estimate.result import Fit
+from allanjax.noise.model import Model
+from allanjax.posterior.derived_quantities import BiasMinimum, Derived, curves, lowest_point, with_draw
+from allanjax.posterior.marginals import Marginal
+from allanjax.posterior.priors import Prior
+from allanjax.record.recording import Axis
+from allanjax.record.units import default_coefficient_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from allanjax.allan.deviation import AllanDeviation
+
+# Draws from which curves and derived quantities are computed.
+_DERIVED_DRAWS = 1000
+# Cluster times at which the minimum of a curve is sought.
+_MINIMUM_POINTS = 200
+_INTEGRAL_UNIT = {"gyro": "deg", "accel": "m/s"}
+
+
+class PosteriorWarning(UserWarning):
+    """A posterior whose chain has not converged."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class AxisPosterior(ByValue, AxisEstimates):
+    """The posterior of one axis.
+
+    Attributes:
+        axis: whose it is.
+        labels: the parameters sampled.
+        draws: nearly independent draws of them [draws, params], SI.
+        chain: all steps after the burn-in [steps, walkers, params], SI.
+        log_probability: ln of the posterior density (per SI unit of every parameter, not normalized) along
+            the chain [steps, walkers].
+        coefficients: the marginal posterior of every free parameter of the model, sampled or not, and the
+            held ones, by label.
+        priors: the prior of every free parameter, by label.
+        converged: whether the chain is as long as asked, τ has settled and R̂ is near one.
+        tau: integrated autocorrelation time of each parameter [steps].
+        r_hat: rank-normalized split R̂ over the walkers, of each parameter.
+        acceptance: share of the proposals accepted.
+        steps: steps of every walker, burn-in included.
+        rate: sampling rate of the recording [Hz].
+        duration: of the recording [s].
+    """
+
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "axis",
+        "coefficient",
+        "median",
+        "std",
+        "lower_68",
+        "upper_68",
+        "lower_95",
+        "upper_95",
+        "unit",
+        "detected",
+        "upper_limit_95",
+    )
+
+    axis: Axis
+    labels: tuple[str, ...]
+    draws: Float[np.ndarray, "draws params"]
+    chain: Float[np.ndarray, "steps walkers params"]
+    log_probability: Float[np.ndarray, "steps walkers"]
+    coefficients: Mapping[str, Marginal]
+    priors: Mapping[str, Prior]
+    converged: bool
+    tau: Float[np.ndarray, " params"]
+    r_hat: Float[np.ndarray, " params"]
+    acceptance: float
+    steps: int
+    rate: float
+    duration: float
+    _template: Model
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Correlations of the parameters sampled, by label."""
+        import pandas as pd
+
+        matrix = np.corrcoef(self.draws.T).reshape(2 * (len(self.labels),))
+        return pd.DataFrame(matrix, index=self.labels, columns=self.labels)
+
+    def verdict(self) -> str:
+        """One line on how the chain ended."""
+        state = "converged" if self.converged else "NOT CONVERGED"
+        text = (
+            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
+            f"R̂ ≤ {self.r_hat.max():.4f}"
+        )
+        # Curves and drift are those of the sampled terms, which may not be all.
+        wanted = [c.title for c in self.coefficients.values() if c.detected and not c.sampled and not c.held]
+        if wanted:
+            text += (
+                f"; the data also call for {' and '.join(wanted)}, which was not sampled: add it to the model"
+            )
+        return text
+
+    # ------------------------------------------------------------------ models and curves
+    @property
+    def _absent(self) -> tuple[str, ...]:
+        """Names of the terms that were not sampled; held ones stay in the model."""
+        return tuple(
+            p.term_label
+            for p in self._template.parameters
+            if p.parameter.kind == "amplitude" and p.free and p.label not in self.labels
+        )
+
+    def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
+        """So many draws, evenly spaced; some of them repeatedly if there are fewer."""
+        return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
+
+    def models(self, count: int = 100) -> list[Model]:
+        """So many draws as models, without the terms not sampled."""
+        draws = self._some_draws(count).tolist()
+        return [with_draw(self._template, self.labels, self._absent, x) for x in draws]
+
+    def deviation_curves(
+        self, cluster_time: ArrayLike, count: int = 300
+    ) -> Float[np.ndarray, "count points"]:
+        """Allan deviation [rad/s or m/s²] at cluster times [s] of the models of so many draws."""
+        return self._curves(cluster_time, count, "deviation")
+
+    def density_curves(self, frequency: ArrayLike, count: int = 300) -> Float[np.ndarray, "count points"]:
+        """One-sided PSD of the samples, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz], aliases included."""
+        return self._curves(frequency, count, "density")
+
+    def _curves(self, at: ArrayLike, count: int, kind: Any) -> Float[np.ndarray, "count points"]:
+        points = np.atleast_1d(np.asarray(at, float))
+        draws = self._some_draws(count)
+        return np.asarray(curves(self._template, self.labels, self._absent, draws, points, self.rate, kind))
+
+    # ------------------------------------------------------------------ derived quantities
+    def bias_instability_minimum(self) -> BiasMinimum:
+        """Minimum of the model's Allan deviation from one sample to half the record, and where it lies.
+
+        Where the curve still falls at half the record in most draws, it is an upper bound, and says so.
+        """
+        largest = max(self.duration * self.rate / 2.0, 3.0)
+        sizes = np.unique(np.rint(np.geomspace(1.0, np.floor(largest), _MINIMUM_POINTS)))
+        time = sizes / self.rate
+        unit = default_coefficient_unit(self.axis.sensor, 0.0)
+        return lowest_point(self.axis, time, self.deviation_curves(time, _DERIVED_DRAWS), unit)
+
+    def predicted_drift(self, times: Sequence[float] = (60.0, 600.0, 3600.0)) -> dict[float, Derived]:
+        """1-σ error of the integrated rate (angle or velocity) after each time t [s].
+
+        The bias is the mean rate over as long a time just before. The error is then the second difference of
+        the integrated rate, of standard deviation √2·t·σ_A(t) exactly. Beyond half the record it rests on
+        the model, and says so.
+
+        Raises:
+            AllanjaxError: a time is not positive and finite.
+        """
+        t = np.atleast_1d(np.asarray(times, float))
+        if not (np.all(np.isfinite(t)) and np.all(t > 0.0)):
+            raise AllanjaxError(f"times of drift must be positive and finite, got {times!r}")
+        errors = np.sqrt(2.0) * t * self.deviation_curves(t, _DERIVED_DRAWS)
+        unit = _INTEGRAL_UNIT[self.axis.sensor]
+        word = "angle" if self.axis.sensor == "gyro" else "velocity"
+        return {
+            float(time): Derived.of(
+                f"{word} error after {duration(float(time))}",
+                self.axis,
+                unit,
+                error,
+                "extrapolated beyond the record" if 2.0 * time > self.duration else "",
+            )
+            for time, error in zip(t, errors.T, strict=True)
+        }
+
+    # ------------------------------------------------------------------ other programs and pictures
+    def to_arviz(self) -> Any:
+        """The chain as ArviZ's InferenceData (a DataTree from ArviZ 1.0 on), walkers as chains, in SI.
+
+        `sample_stats` holds `lp`, the log-posterior density, and `log_likelihood_total`.
+
+        Raises:
+            AllanjaxError: ArviZ is not installed.
+        """
+        try:
+            import arviz
+        except ImportError as error:
+            raise AllanjaxError('ArviZ is not installed; pip install "allanjax[arviz]"') from error
+        prior = sum(
+            np.asarray(self.priors[label].log_density(self.chain[:, :, i]))
+            for i, label in enumerate(self.labels)
+        )
+        groups = {
+            "posterior": {label: self.chain[:, :, i].T for i, label in enumerate(self.labels)},
+            "sample_stats": {
+                "lp": self.log_probability.T,
+                "log_likelihood_total": (self.log_probability - prior).T,
+            },
+        }
+        if int(arviz.__version__.split(".")[0]) >= 1:
+            return arviz.from_dict(groups)
+        return arviz.from_dict(**groups)
+
+    @presented
+    def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the marginal and joint posteriors; see `allanjax.plot_posterior.plot_corner`."""
+        raise NotImplementedError
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Posterior(ByValue, PerAxis[AxisPosterior]):
+    """The posteriors of a fit's axes; a mapping from axis names to `AxisPosterior`.
+
+    Attributes:
+        fit: what was sampled.
+        results: one an axis.
+    """
+
+    CALLED: ClassVar[str] = "the posterior"
+    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "coefficient", "median ± 1σ", "95 % interval")
+
+    fit: Fit
+    results: tuple[AxisPosterior, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether every axis has."""
+        return all(result.converged for result in self.results)
+
+    def to_arviz(self) -> dict[str, Any]:
+        """`AxisPosterior.to_arviz` of every axis, by its name. Raises AllanjaxError if ArviZ is missing."""
+        return {axis: result.to_arviz() for axis, result in self.items()}
+
+    @presented
+    def plot(
+        self,
+        curve: AllanDeviation | Fit | None = None,
+        axes: Sequence[str] | None = None,
+        path: str | os.PathLike[str] | None = None,
+        spectrum: Any = None,
+    ) -> Figure:
+        """Draw Allan deviation and PSD with the posterior's bands; see `allanjax.plot_posterior`."""
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        name = f"{self.fit.name}: " if self.fit.name else ""
+        curve = self.fit.curve
+        length = duration(curve.n / curve.rate)
+        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({length})"
+
+    def _cells(self) -> list[tuple[str, str, str, str]]:
+        rows = []
+        for result in self.results:
+            for m in result.coefficients.values():
+                shown = m.in_unit()
+                known = m.detected and not m.held
+                interval = shown.describe_interval() if known else ""
+                rows.append((result.axis.name, m.title, shown.describe(), interval))
+            rows.append((result.axis.name, "", result.verdict(), ""))
+        return rows

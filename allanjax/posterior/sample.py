@@ -1,0 +1,87 @@
+"""Sampling the posterior of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.estimate.result import Fit
+from allanjax.posterior.axis_sampler import AxisSampler
+from allanjax.posterior.priors import Prior
+from allanjax.posterior.result import Posterior
+
+if TYPE_CHECKING:
+    pass
+
+
+def sample(
+    fit: Fit,
+    axes: Sequence[str] | str | None = None,
+    *,
+    priors: Mapping[str, Prior] | None = None,
+    seed: int = 0,
+    walkers: int | None = None,
+    max_steps: int = 20_000,
+    min_length: float = 50.0,
+    max_change: float = 0.05,
+    max_r_hat: float = 1.01,
+    absent_draws: int = 256,
+    progress: bool | None = None,
+) -> Posterior:
+    """Sample the posterior of a fit's coefficients with emcee's ensemble of walkers.
+
+    The likelihood is the one the fit was made with. Where the fit chose its terms, those it found are
+    sampled, and the amplitude of each of the others, one at a time, gets its marginal posterior by
+    reweighting; of a model that the user gave all free parameters are sampled. Chains run until they are
+    longer than `min_length` integrated autocorrelation times τ of every parameter (Goodman & Weare 2010,
+    Comm. App. Math. Comp. Sci. 5:65; five τ of burn-in not counted), no τ has changed by more than
+    `max_change` since the last look, and the rank-normalized split R̂ over the walkers (Vehtari et al. 2021,
+    Bayesian Analysis 16:667) is below `max_r_hat`.
+
+    Args:
+        fit: what `allanjax.fit` returns.
+        axes: names of the axes to sample; all by default.
+        priors: priors by label, in SI, that replace those of `default_priors`, e.g.
+            `{"rate_random_walk": LogUniform(1e-6, 1e-4)}`; for every axis.
+        seed: the same seed yields the same draws of an axis, whichever others are sampled.
+        walkers: an even number, at least twice as many as parameters sampled; by default 32, or four a
+            parameter if that is more.
+        max_steps: steps of every walker at most, burn-in included.
+        min_length: length of the chain in τ.
+        max_change: relative change of τ.
+        max_r_hat: R̂ at most.
+        absent_draws: draws of the others from which a term that was not sampled gets its posterior; 256
+            yield its upper limit to about 1 %.
+        progress: whether to show a progress bar on stderr; by default if that is a terminal.
+
+    Returns:
+        The posterior. Chains that have not converged by `max_steps` say so and raise a `PosteriorWarning`.
+
+    Raises:
+        AllanjaxError: an unknown axis or label, a bad number.
+        FitError: an axis of which there is no fit, or a posterior without density anywhere.
+    """
+    names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
+    if not names:
+        raise AllanjaxError(f"name at least one axis to sample of {', '.join(fit.axes)}")
+    for name in names:
+        if not fit[name].converged:
+            raise FitError(f"{name}: no posterior, {fit[name].reason}; name the other axes in axes=[…]")
+        if not fit[name].measured:
+            raise FitError(
+                f"{name}: no posterior, {fit[name].verdict()}; allanjax.critique looks for the cause; "
+                "name the other axes in axes=[…]"
+            )
+    sampler = AxisSampler(
+        fit=fit,
+        priors=dict(priors or {}),
+        seed=seed,
+        walkers=walkers,
+        max_steps=max_steps,
+        min_length=min_length,
+        max_change=max_change,
+        max_r_hat=max_r_hat,
+        absent_draws=absent_draws,
+    )
+    return Posterior(fit, sampler.all_axes(names, progress))

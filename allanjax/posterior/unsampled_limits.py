@@ -1,0 +1,194 @@
+"""The posterior of an amplitude that was not sampled, by reweighting the draws of the others."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from allanjax.posterior.sampling import LogPosterior, Target
+
+# Where the density is below e^-12 of its maximum nobody looks.
+_NEGLIGIBLE = 12.0
+_COARSE, _FINE = 25, 33
+_FEW_DRAWS = 64
+_MAX_ROUNDS = 8
+# Attempts to bring the weights of the draws at one point to this evenness (effective draws over draws).
+_CORRECTIONS = 6
+_EVEN = 0.3
+# Points between which the density is integrated.
+_DENSE = 4001
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GridPosterior:
+    """The posterior of one amplitude on a grid.
+
+    Attributes:
+        value: amplitudes [SI], ascending.
+        probability: of a smaller amplitude than each.
+        bayes_factor: posterior over prior probability of what cannot be told from zero.
+        effective_draws: how many equally weighted draws of the others the density at the 95 % quantile is
+            worth.
+    """
+
+    value: Float[np.ndarray, " grid"]
+    probability: Float[np.ndarray, " grid"]
+    bayes_factor: float
+    effective_draws: float
+
+    def quantile(self, u: float) -> float:
+        """The amplitude [SI] below which this share of the posterior lies."""
+        return float(np.interp(u, self.probability, self.value))
+
+    @property
+    def std(self) -> float:
+        """Standard deviation [SI]."""
+        middle = (self.value[1:] + self.value[:-1]) / 2.0
+        weight = np.diff(self.probability)
+        return float(np.sqrt(max(weight @ middle**2 - (weight @ middle) ** 2, 0.0)))
+
+
+def absent_amplitude(
+    target: Target,
+    index: int,
+    y: Float[np.ndarray, "draws sampled"],
+    draws: int,
+    random: np.random.RandomState,
+) -> GridPosterior:
+    """The marginal posterior of the amplitude with this index, of which the draws y know nothing.
+
+    p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at
+    c = 0; a shape of the term itself is drawn from its prior. The larger c, the farther are the others from
+    where they were drawn. Any translation of the draws, with the prior density before and after in the
+    ratio, leaves the mean the same, and that to their weighted mean at c keeps the weights even.
+    """
+    posterior = target.posterior
+    prior = posterior.priors[index]
+    ends = np.tile(target.base, (2, 1))
+    values = posterior.values(ends)
+    values[:, index] = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
+    lower, upper = posterior.coordinates(values)[:, index]
+    chosen = y[np.linspace(0, len(y) - 1, draws).round().astype(int)]
+    full = _with_shapes(target, index, chosen, random)
+
+    few = full[:: max(1, draws // _FEW_DRAWS)]
+    for _ in range(_MAX_ROUNDS):
+        grid = np.linspace(lower, upper, _COARSE)
+        density, displaced = _followed(target, index, few, grid)
+        seen = np.flatnonzero(density > density.max() - _NEGLIGIBLE)
+        narrowed = grid[max(seen[0] - 1, 0)], grid[min(seen[-1] + 1, _COARSE - 1)]
+        settled = narrowed[1] - narrowed[0] > 0.4 * (upper - lower)
+        lower, upper = narrowed
+        if settled:
+            break
+
+    fine = np.linspace(lower, upper, _FINE)
+    translation = np.stack([np.interp(fine, grid, d) for d in displaced.T], axis=1)
+    log_weight = _log_weights(target, index, full, fine, translation)
+    log_ratio = logsumexp(log_weight, axis=1) - np.log(draws)
+    effective = np.exp(2.0 * logsumexp(log_weight, axis=1) - logsumexp(2.0 * log_weight, axis=1))
+    return _integrated(posterior, index, fine, log_ratio, effective)
+
+
+def _followed(
+    target: Target,
+    index: int,
+    few: Float[np.ndarray, "few params"],
+    grid: Float[np.ndarray, " grid"],
+) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, "grid sampled"]]:
+    """Log density of this coordinate on a grid, and how far the others have moved, from few draws.
+
+    The others are followed from each point to the next, where weights stay even, as far as the density is not
+    negligible.
+    """
+    log_prior = _log_prior(target.posterior, index, grid)
+    density = np.full(len(grid), -np.inf)
+    displaced = np.zeros((len(grid), len(target.sampled)))
+    for g in range(len(grid)):
+        # Where they were heading.
+        moved = 2.0 * displaced[g - 1] - displaced[g - 2] if g > 1 else displaced[0]
+        for _ in range(_CORRECTIONS):
+            log_weight = _log_weights(target, index, few, grid[g : g + 1], moved[None])[0]
+            total = logsumexp(log_weight)
+            density[g] = total - np.log(len(few)) + log_prior[g]
+            if not np.isfinite(total):
+                moved = displaced[g - 1]
+                continue
+            share = np.exp(log_weight - total)
+            moved = moved + share @ few[:, target.sampled] - few[:, target.sampled].mean(axis=0)
+            if 1.0 / np.sum(share**2) > _EVEN * len(few):
+                break
+        displaced[g] = moved
+        if density[g] < density.max() - _NEGLIGIBLE:
+            displaced[g:] = moved
+            break
+    return density, displaced
+
+
+def _with_shapes(
+    target: Target, index: int, y: Float[np.ndarray, "draws sampled"], random: np.random.RandomState
+) -> Float[np.ndarray, "draws params"]:
+    """All coordinates of these draws; shapes of the absent term are draws from their priors."""
+    posterior = target.posterior
+    full = target.embedded(y)
+    values = posterior.values(full)
+    parameters = posterior.likelihood.parameters
+    for k, p in enumerate(parameters):
+        if k != index and k not in target.sampled and p.term == parameters[index].term:
+            values[:, k] = posterior.priors[k].quantile(random.uniform(size=len(full)))
+    return posterior.coordinates(values)
+
+
+def _log_weights(
+    target: Target,
+    index: int,
+    full: Float[np.ndarray, "draws params"],
+    grid: Float[np.ndarray, " grid"],
+    translation: Float[np.ndarray, "grid sampled"],
+) -> Float[np.ndarray, "grid draws"]:
+    """ln of likelihood times prior of the translated draws with this amplitude, over that of the draws."""
+    moved = np.tile(full, (len(grid), 1, 1))
+    moved[:, :, target.sampled] += translation[:, None]
+    moved[:, :, index] = grid[:, None]
+    before = target.densities(full).sum(axis=0)
+    after = target.densities(moved.reshape(-1, full.shape[1])).sum(axis=0)
+    return after.reshape(len(grid), len(full)) - before
+
+
+def _log_prior(
+    posterior: LogPosterior, index: int, y: Float[np.ndarray, " grid"]
+) -> Float[np.ndarray, " grid"]:
+    """ln of the prior density of this coordinate."""
+    full = np.zeros((len(y), len(posterior.priors)))
+    full[:, index] = y
+    density = posterior.priors[index].log_density(posterior.values(full)[:, index])
+    return np.asarray(density) + posterior.log_jacobian(full)[:, index]
+
+
+def _integrated(
+    posterior: LogPosterior,
+    index: int,
+    grid: Float[np.ndarray, " grid"],
+    log_ratio: Float[np.ndarray, " grid"],
+    effective: Float[np.ndarray, " grid"],
+) -> GridPosterior:
+    from scipy.interpolate import PchipInterpolator
+
+    dense = np.linspace(grid[0], grid[-1], _DENSE)
+    floored = np.maximum(log_ratio, log_ratio.max() - 50.0)
+    ratio = np.exp(PchipInterpolator(grid, floored - floored.max())(dense))
+    density = ratio * np.exp(_log_prior(posterior, index, dense))
+    steps = (density[1:] + density[:-1]) / 2.0
+    probability = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+    full = np.zeros((_DENSE, len(posterior.priors)))
+    full[:, index] = dense
+    limit = np.interp(0.95, probability, dense)
+    return GridPosterior(
+        value=posterior.values(full)[:, index],
+        probability=probability,
+        bayes_factor=float(ratio[0] / (steps.sum() * (dense[1] - dense[0]))),
+        effective_draws=float(np.interp(limit, grid, effective)),
+    )

@@ -1,0 +1,124 @@
+"""What a column's label says: its sensor, axis, unit, or that it holds time stamps."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from allanjax.record.units import Sensor
+
+Role = Literal["axis", "time", "auxiliary"]
+
+_ALIASES: dict[Sensor, str] = {
+    "gyro": r"gyro(?:scopes?|meter)?|gyr|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rotation_?rate",
+    "accel": r"accel(?:eration|erometer)?|acc|lin(?:ear)?_?acc(?:el(?:eration)?)?|specific_?force",
+}
+_INCREMENTS: dict[Sensor, str] = {
+    "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
+    "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
+}
+# One letter is a sensor only when it stands alone before the axis: `gx`, but not `mag_x`.
+_LETTERS: dict[Sensor, str] = {"gyro": "[gw]", "accel": "a"}
+_NOT_A_SAMPLE = re.compile(r"(?:^|_)(?:bias|sigma|std|var|variance|cov|covariance)(?:_|$)")
+
+_UNIT_SUFFIXES = {
+    "dps": "deg/s",
+    "deg_s": "deg/s",
+    "degps": "deg/s",
+    "rad_s": "rad/s",
+    "radps": "rad/s",
+    "m_s2": "m/s²",
+    "mps2": "m/s²",
+    "ms2": "m/s²",
+    "mg": "mg",
+    "g": "g",
+}
+_TIME = re.compile(r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)|t|\w*timestamp")
+_TIME_SUFFIX = re.compile(r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds)")
+_TIME_SUFFIX_UNITS = {"secs": "s", "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns"} | {
+    "nanoseconds": "ns"
+}
+_TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column is.
+
+    Attributes:
+        label: the label as the file gives it.
+        role: `axis` of a sensor, `time` stamps, or `auxiliary`.
+        name: `gyro_x` ... `accel_z`, `gyro`, `gyro_1` for an axis, else the label without its unit.
+        sensor: the sensor of an axis, else None.
+        unit: the unit that the label states, if any.
+        increment: whether the label says that the samples are increments (`delta_angle_x`).
+        time_part: for stamps split over two columns, (common prefix, `s` or `ns`).
+    """
+
+    label: str
+    role: Role
+    name: str
+    sensor: Sensor | None = None
+    unit: str | None = None
+    increment: bool = False
+    time_part: tuple[str, str] | None = None
+
+
+def recognise(label: str) -> Column:
+    """Tell what a column is from its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
+    stem, unit = split_unit(label)
+    words = _words(stem)
+    axis = _axis(label, words, unit)
+    if axis is None and unit is None:
+        for suffix, suffix_unit in _UNIT_SUFFIXES.items():
+            if words.endswith("_" + suffix):
+                axis = _axis(label, words.removesuffix("_" + suffix), suffix_unit)
+                break
+    return axis or _time(label, stem, words, unit) or Column(label, "auxiliary", stem, unit=unit)
+
+
+def split_unit(label: str) -> tuple[str, str | None]:
+    """Split `gyro_x [deg/s]` or `gyro_x (deg/s)` into (`gyro_x`, `deg/s`); without a unit, (label, None)."""
+    label = label.strip()
+    match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]*)\]|\((.*)\))", label)
+    if match is None:
+        return label, None
+    unit = (match[2] or match[3] or "").strip()
+    # `covariance[0]` is an element of an array.
+    return (label, None) if not unit or unit.isdigit() else (match[1].strip(), unit)
+
+
+def _words(stem: str) -> str:
+    """`GyroX`, `gyro.x` and `gyro[0]` alike as lower-case words joined by underscores."""
+    stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
+    return re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")
+
+
+def _axis(label: str, words: str, unit: str | None) -> Column | None:
+    if _NOT_A_SAMPLE.search(words):
+        return None
+    for sensor, alias in _ALIASES.items():
+        for names, increment in ((alias, False), (_INCREMENTS[sensor], True)):
+            match = (
+                re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz])|_?(\d))?", words)
+                or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})()", words)
+                or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])()", words))
+            )
+            if match is not None:
+                axis = match[1] or match[2]
+                name = f"{sensor}_{axis}" if axis else sensor
+                return Column(label, "axis", name, sensor, unit, increment)
+    return None
+
+
+def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
+    if _TIME.fullmatch(words):
+        return Column(label, "time", stem, unit=unit)
+    suffix = _TIME_SUFFIX.fullmatch(words)
+    part = _TIME_PART.fullmatch(words)
+    part_key = None if part is None else (part[1], "ns" if part[2].startswith("n") else "s")
+    if suffix is not None and _TIME.fullmatch(suffix[1]):
+        own = unit or _TIME_SUFFIX_UNITS.get(suffix[2], suffix[2])
+        return Column(label, "time", stem, unit=own, time_part=part_key)
+    if part_key is not None:
+        return Column(label, "time", stem, unit=unit or part_key[1], time_part=part_key)
+    return None

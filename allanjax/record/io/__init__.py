@@ -1,0 +1,78 @@
+"""Reading and writing recordings."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from allanjax.record.io.assembly import assemble
+from allanjax.record.io.binary import read_mat, read_npy, read_npz, read_parquet
+from allanjax.record.io.chunks import ChunkedRecording, read_chunks
+from allanjax.record.io.formats import format_of, name_of
+from allanjax.record.io.hdf5 import read_hdf5
+from allanjax.record.io.options import ReadOptions, TimeChoice
+from allanjax.record.io.text import read_text
+from allanjax.record.io.writers import write
+from allanjax.record.recording import Recording
+
+__all__ = ["ChunkedRecording", "ReadOptions", "read", "read_chunks", "read_recording", "write"]
+
+_READERS = {
+    "parquet": read_parquet,
+    "npy": read_npy,
+    "npz": read_npz,
+    "hdf5": read_hdf5,
+    "mat": read_mat,
+    "text": read_text,
+}
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    columns: str | Sequence[str] | None = None,
+    time: TimeChoice = None,
+    time_unit: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+) -> Recording:
+    """Read a static recording: text (CSV, TSV, ..., also gzip), NumPy, Parquet, HDF5 or MATLAB.
+
+    HDF5 and MATLAB -v7.3 need h5py (`pip install "allanjax[hdf5]"`).
+
+    Columns are recognised by their names (`gyro_x`, `angular_velocity.x`, `ax`, `time`, ...), with units in
+    brackets (`gyro_x [deg/s]`); other columns of numbers become `auxiliary`. `notes` of the recording say
+    what was assumed.
+
+    Args:
+        path: the file.
+        rate: sample rate in Hz; needed without time stamps, and checked against them if there are any.
+        gyro_unit: unit of the gyros, e.g. `deg/s`, where the header has none.
+        accel_unit: unit of the accelerometers, e.g. `g`, where the header has none.
+        columns: names of the header to read, or one name per column in order, `-` to skip one; a list or
+            comma-separated.
+        time: name of the column of time stamps; `none` or False to ignore them.
+        time_unit: unit of the time stamps: s, ms, us or ns.
+        start: first time to read, in s from the file's first sample.
+        stop: time to stop before, in s from the file's first sample.
+
+    Raises:
+        RecordingError: the file or the arguments are not usable; the message says where and what to do.
+        UnitError: a unit is missing, unknown or contradictory.
+    """
+    return read_recording(
+        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop)
+    )
+
+
+def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
+    """What `read` does with these options; messages name the file `label`.
+
+    Raises:
+        RecordingError, UnitError: as `read`.
+    """
+    path = Path(path)
+    label = str(path) if label is None else label
+    return assemble(_READERS[format_of(path, label)](path, label), name_of(path), options)

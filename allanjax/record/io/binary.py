@@ -1,0 +1,217 @@
+"""Binary files: NumPy, Parquet, MATLAB up to -v7."""
+
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from allanjax.base.errors import RecordingError
+from allanjax.record.columns import split_unit
+from allanjax.record.io.table import ChunkedTable, Table
+from allanjax.record.validation import Source
+
+_RATES = re.compile(r"(?:sample_?|sampling_?)?(?:rate|freq|frequency)|fs|f_s", re.IGNORECASE)
+_INTERVALS = re.compile(r"dt|(?:sample|sampling)_?(?:interval|period|time)", re.IGNORECASE)
+_FEW_AXES = 12
+
+
+def read_npy(path: Path, label: str) -> Table:
+    """Read an array of shape [samples] or [samples, columns], or a structured array with named columns.
+
+    Raises:
+        RecordingError: unreadable, of another shape, or seemingly transposed.
+    """
+    return _npy_table(path, label, None)
+
+
+def chunked_npy(path: Path, label: str) -> ChunkedTable:
+    """What `read_npy` reads, through a memory map."""
+    table = _npy_table(path, label, "r")
+    n, labels = len(table.columns[0]), table.labels
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        for first in range(0, n, chunk):
+            # A map of its own for each chunk: the pages of a map stay in memory as long as it does.
+            columns = _npy_table(path, label, "r").columns
+            yield tuple(np.array(column[first : first + chunk]) for column in columns)
+
+    return ChunkedTable(rows, n, labels, table.source)
+
+
+def _npy_table(path: Path, label: str, mmap_mode: Literal["r"] | None) -> Table:
+    source = Source(label)
+    try:
+        array = np.load(path, mmap_mode, allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise source.error(f"can not be read as .npy: {error}; save a plain array of numbers") from error
+    if array.dtype.names:
+        names = tuple(array.dtype.names)
+        return Table(tuple(array[name] for name in names), names, source)
+    return Table(_columns_of(array, "the array", source), None, source)
+
+
+def read_npz(path: Path, label: str) -> Table:
+    """Read named arrays: columns, `gyro` and `accel` of shape [samples, 3], scalars `rate`, `fs` or `dt`.
+
+    Raises:
+        RecordingError: unreadable, or the arrays do not fit together.
+    """
+    source = Source(label)
+    if not zipfile.is_zipfile(path):
+        raise source.error("a damaged .npz file; save it again")
+    with zipfile.ZipFile(path) as archive:
+        if not any(name.endswith(".npy") for name in archive.namelist()):
+            raise source.error("a zip archive without NumPy arrays (a spreadsheet?); save it as CSV")
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            named = {name: arrays[name] for name in arrays.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise source.error(f"can not be read as .npz: {error}; save plain arrays of numbers") from error
+    return from_named(named, source)
+
+
+def read_mat(path: Path, label: str) -> Table:
+    """Read a MATLAB file (up to -v7) of named arrays, as `read_npz`; the fields of a struct count as arrays.
+
+    Raises:
+        RecordingError: unreadable (among others -v7.3), or the arrays do not fit together.
+    """
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    source = Source(label)
+    try:
+        contents = loadmat(path, simplify_cells=True)
+    except NotImplementedError as error:
+        raise source.error("a MATLAB -v7.3 file without its header; save it again") from error
+    except (MatReadError, ValueError, TypeError, OSError) as error:
+        raise source.error(f"can not be read as a MATLAB file: {error}; save it with -v7") from error
+    return from_named(
+        _flat({key: value for key, value in contents.items() if not key.startswith("__")}), source
+    )
+
+
+def read_parquet(path: Path, label: str) -> Table:
+    """Read all columns of a Parquet file.
+
+    Raises:
+        RecordingError: unreadable.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    source = Source(label)
+    try:
+        table = pq.ParquetFile(path).read()
+    except (pa.ArrowException, OSError) as error:
+        raise _parquet_error(error, source) from error
+    return Table(tuple(column.to_numpy() for column in table.columns), tuple(table.column_names), source)
+
+
+def chunked_parquet(path: Path, label: str) -> ChunkedTable:
+    """What `read_parquet` reads, by batches of rows.
+
+    Raises:
+        RecordingError: unreadable.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    source = Source(label)
+    try:
+        with pq.ParquetFile(path) as file:
+            n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
+    except (pa.ArrowException, OSError) as error:
+        raise _parquet_error(error, source) from error
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        try:
+            with pq.ParquetFile(path) as file:
+                for batch in file.iter_batches(chunk):
+                    yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
+        except (pa.ArrowException, OSError) as error:
+            raise _parquet_error(error, source) from error
+
+    return ChunkedTable(rows, n, labels, source)
+
+
+def _parquet_error(error: Exception, source: Source) -> RecordingError:
+    return source.error(f"can not be read as Parquet: {error}; write the file again")
+
+
+def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    flat: dict[str, np.ndarray] = {}
+    for key, value in contents.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = np.asarray(value)
+    return flat
+
+
+def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
+    """The table of named arrays: columns, matrices [samples, columns], scalars that state the rate.
+
+    Raises:
+        RecordingError: the arrays do not fit together.
+    """
+    rate: float | None = None
+    notes: list[str] = []
+    columns: dict[str, np.ndarray] = {}
+    matrices = 0
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiubM":
+            notes.append(f"{name!r} skipped: not numeric")
+        elif array.size == 1:
+            stem = split_unit(name)[0].split(".")[-1]
+            value = float(array.ravel()[0])
+            if _RATES.fullmatch(stem) or (_INTERVALS.fullmatch(stem) and value):
+                rate = value if _RATES.fullmatch(stem) else 1.0 / value
+                notes.append(f"sample rate {rate:.9g} Hz from {name!r}")
+        else:
+            parts = _columns_of(array, repr(name), source)
+            matrices += len(parts) > 1
+            columns |= dict(zip(_labels(name, len(parts)), parts, strict=True))
+    if not columns:
+        raise source.error(
+            "no array of samples; save one column per axis, or gyro and accel of shape [samples, 3]"
+        )
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {length}" for name, length in list(lengths.items())[:8])
+        raise source.error(f"the arrays differ in length ({listed}); save arrays of one length")
+    # One unnamed matrix is read as the same matrix in a .npy file would be.
+    unnamed = (
+        matrices == 1 and len(arrays) - (rate is not None) == 1 and not next(iter(columns)).endswith("_x")
+    )
+    labels = None if unnamed else tuple(columns)
+    return Table(tuple(columns.values()), labels, source, rate, tuple(notes))
+
+
+def _labels(name: str, count: int) -> tuple[str, ...]:
+    if count == 1:
+        return (name,)
+    stem, unit = split_unit(name)
+    ends = "xyz" if count == 3 else range(count)
+    return tuple(f"{stem}_{end}" + (f" [{unit}]" if unit else "") for end in ends)
+
+
+def _columns_of(array: np.ndarray, name: str, source: Source) -> tuple[np.ndarray, ...]:
+    """Columns of a vector (also [n, 1] or [1, n]) or of a matrix [samples, columns]."""
+    if array.dtype.kind not in "fiubM":
+        raise source.error(f"{name} has the dtype {array.dtype}; save an array of real numbers")
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.ravel()
+    if array.ndim == 1:
+        return (array,)
+    if array.ndim != 2:
+        raise source.error(f"{name} has the shape {array.shape}; save it as [samples, columns]")
+    rows, columns = array.shape
+    if rows <= _FEW_AXES and columns > 4 * rows:
+        raise source.error(
+            f"{name} has the shape {array.shape}, seemingly transposed; save its transpose (array.T)"
+        )
+    return tuple(array.T)

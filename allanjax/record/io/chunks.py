@@ -1,0 +1,286 @@
+"""Recordings that are read a chunk at a time, for those that do not fit into memory."""
+
+import dataclasses
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from allanjax.record.axes import Axis, axes_of, scales_of
+from allanjax.record.io.assembly import check_stretch, no_rate_error, rows_of_times, stated_rate
+from allanjax.record.io.binary import chunked_npy, chunked_parquet
+from allanjax.record.io.formats import format_of, name_of
+from allanjax.record.io.hdf5 import chunked_hdf5
+from allanjax.record.io.layout import Layout, find_layout
+from allanjax.record.io.options import ReadOptions, TimeChoice
+from allanjax.record.io.table import ChunkedTable, as_float
+from allanjax.record.io.text import chunked_text
+from allanjax.record.io.timestamps import gap_in_stream, rate_from_times, seconds_from_first
+from allanjax.record.recording import rows_between
+from allanjax.record.validation import (
+    Source,
+    bad_cells_message,
+    check_finite,
+    check_length,
+    check_rate,
+    constant_error,
+)
+
+_READERS = {
+    "parquet": chunked_parquet,
+    "npy": chunked_npy,
+    "hdf5": chunked_hdf5,
+    "text": chunked_text,
+}
+# Time stamps of a chunk are judged together with so many before it.
+_BEFORE = 1024
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChunkedRecording:
+    """A recording in a file, whose samples are read when it is iterated over, as often as that is done.
+
+    An iteration gives arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the
+    `values` that `read` would give, and dead axes, which that leaves out: constant, or nan throughout. It
+    raises RecordingError at the first bad value, gap of the time stamps or damaged row, and at the end if all
+    axes are dead.
+
+    Attributes:
+        rate: sample rate in Hz.
+        axes: one per column.
+        name: the file's name without its suffix.
+        notes: what the reader assumed or found that the user should know.
+        n: number of samples, if that is known before they are read.
+    """
+
+    rate: float
+    axes: tuple[Axis, ...]
+    name: str
+    notes: tuple[str, ...]
+    n: int | None
+    _stretch: "_Stretch"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
+        size = "" if self.n is None else f"{self.n} samples "
+        return f"<ChunkedRecording {self.name!r}: {axes}; {size}at {self.rate:g} Hz, not read yet>"
+
+    @property
+    def own_scales(self) -> Float[np.ndarray, " axes"]:
+        """Factor of each axis from its own unit to the SI rate."""
+        return scales_of(self.axes, self.rate)
+
+    def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
+        labels = [column.label for _, column in self._stretch.layout.axes]
+        place, count = self._stretch.table.source, 0
+        first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
+        for piece in self._stretch.pieces(self.rate):
+            pairs = zip(piece.axes, labels, strict=True)
+            values = np.column_stack([as_float(x, label, piece.source) for x, label in pairs])
+            numbers = np.isfinite(values)
+            for k, label in enumerate(labels):
+                if silent[k] and not numbers[:, k].any():
+                    values[:, k] = np.nan
+                    continue
+                if silent[k] and count:
+                    raise place.error(bad_cells_message(label, count, place.locate(0), place.missing))
+                if not numbers[:, k].all():
+                    check_finite(values[:, k], label, piece.source)
+            silent &= ~numbers.any(axis=0)
+            if not count:
+                place, first = piece.source, values[0].copy()
+            count += len(values)
+            if not varies.all():
+                varies |= ((values != first) & numbers).any(axis=0)
+            values *= self.own_scales
+            yield values
+        check_length(count, place)
+        if silent.all():
+            raise place.error(bad_cells_message(labels[0], count, place.locate(0), place.missing))
+        if not varies.any():
+            k = int(np.argmin(silent))
+            raise constant_error(labels[k], float(first[k]), place)
+
+
+def read_chunks(
+    path: str | os.PathLike[str],
+    *,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    columns: str | Sequence[str] | None = None,
+    time: TimeChoice = None,
+    time_unit: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    chunk: int = 2**20,
+) -> ChunkedRecording:
+    """Open a static recording to read it a chunk at a time: text (also gzip), .npy, Parquet or HDF5.
+
+    Columns are recognised as by `read`. The sample rate is that of the first chunk's time stamps, unless it
+    is given; later stamps must agree with it. Columns that are no axis are left out.
+
+    Args:
+        path: the file.
+        rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop: as in `read`.
+        chunk: rows to read at a time.
+
+    Raises:
+        RecordingError: the file or the arguments are not usable, as far as the first chunk shows.
+        UnitError: a unit is missing, unknown or contradictory.
+    """
+    return open_chunks(
+        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop), chunk
+    )
+
+
+def open_chunks(
+    path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20, label: str | None = None
+) -> ChunkedRecording:
+    """What `read_chunks` does with these options; messages name the file `label`.
+
+    Raises:
+        RecordingError, UnitError: as `read_chunks`.
+    """
+    path = Path(path)
+    label = str(path) if label is None else label
+    source = Source(label)
+    if chunk < 1:
+        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
+    kind = format_of(path, label)
+    if kind not in _READERS:
+        raise source.error(
+            f"a file of this kind (.{kind}) can not be read in chunks; save it as .npy, Parquet, HDF5 or "
+            "CSV, or read it as a whole by read()"
+        )
+    table = _READERS[kind](path, label)
+    first = next(table.rows(chunk), None)
+    if first is None:
+        raise source.error("the file has no rows; give a file with one row of numbers per sample")
+    head = table.head(first)
+    layout = find_layout(head, options)
+    notes = [*table.notes, *layout.notes]
+    rate = stated_rate(head, options.rate)
+    columns = [column for _, column in layout.axes]
+    axes, axis_notes = axes_of(columns, options.gyro_unit, options.accel_unit, source)
+    n, start, stop = table.n, options.start, options.stop
+    if layout.time:
+        stamps = [(column, first[i]) for i, column in layout.time]
+        unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)[1:]
+        notes += time_notes
+        stretch = _Stretch(table, layout, unit or options.time_unit, start, stop, chunk)
+        times, place = stretch.first_times()
+        check_length(len(times), place)
+        rate, note = rate_from_times(times, stretch.time_label, rate, place, gap_in_stream)
+        notes.append(note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
+        n = n if start is None and stop is None else None
+    elif rate is None:
+        raise no_rate_error(source)
+    else:
+        stretch = _Stretch(table, layout, None, start, stop, chunk)
+        if n is not None:
+            rows = rows_between(n, rate, start, stop)
+            if rows != slice(0, n):
+                notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} taken")
+            check_stretch(rows, n / rate, source)
+            n = rows.stop - rows.start
+            check_length(n, source)
+    if layout.auxiliary:
+        notes.append(f"not read: {', '.join(column.name for _, column in layout.auxiliary)}")
+    return ChunkedRecording(check_rate(rate, source), axes, name_of(path), (*notes, *axis_notes), n, stretch)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Piece:
+    """Some rows of the stretch: their axes in the file's units, their times, and where they are."""
+
+    axes: tuple[Shaped[np.ndarray, " samples"], ...]
+    times: Float[np.ndarray, " samples"]
+    source: Source
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stretch:
+    """The part of a file from `start` to `stop` [s], read chunk by chunk."""
+
+    table: ChunkedTable
+    layout: Layout
+    time_unit: str | None
+    start: float | None
+    stop: float | None
+    chunk: int
+
+    @property
+    def time_label(self) -> str:
+        return " + ".join(column.label for _, column in self.layout.time)
+
+    def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
+        """Times [s] of the first samples, a chunk of them if there are so many, and where they begin."""
+        times: list[np.ndarray] = []
+        place = self.table.source
+        for piece in self._by_time(None):
+            place = place if times else piece.source
+            times.append(piece.times)
+            if sum(map(len, times)) >= self.chunk:
+                break
+        return np.concatenate([np.zeros(0), *times])[: self.chunk], place
+
+    def pieces(self, rate: float) -> Iterator[_Piece]:
+        """The stretch piece by piece, the time stamps, if there are any, checked against the rate."""
+        return self._by_time(rate) if self.layout.time else self._by_number(rate)
+
+    def _by_number(self, rate: float) -> Iterator[_Piece]:
+        everything = sys.maxsize if self.table.n is None else self.table.n
+        taken = rows_between(everything, rate, self.start, self.stop)
+        row = 0
+        for columns in self.table.rows(self.chunk):
+            size = len(columns[0])
+            rows = slice(max(taken.start - row, 0), max(taken.stop - row, 0))
+            if rows.start < min(rows.stop, size):
+                yield self._piece(columns, rows, np.zeros(0), row)
+            row += size
+            if row >= taken.stop:
+                return
+
+    def _by_time(self, rate: float | None) -> Iterator[_Piece]:
+        row, elapsed, begun = 0, 0.0, False
+        last: list[np.ndarray] = []
+        seen = np.zeros(0)
+        for columns in self.table.rows(self.chunk):
+            size = len(columns[0])
+            stamps = [columns[i] for i, _ in self.layout.time]
+            joined = [np.concatenate([a, b]) for a, b in zip(last, stamps, strict=True)] if last else stamps
+            labelled = [(column, x) for (_, column), x in zip(self.layout.time, joined, strict=True)]
+            source = self.table.source.after(row - (len(joined[0]) - size))
+            times = elapsed + seconds_from_first(labelled, self.time_unit, rate, source).seconds[-size:]
+            rows = rows_of_times(times, None if begun else self.start, self.stop)
+            piece = self._piece(columns, rows, times[rows], row)
+            if len(piece.times):
+                begun = True
+                together = np.concatenate([seen, piece.times])
+                if rate is not None and len(together) > 1:
+                    place = piece.source.after(-len(seen))
+                    rate_from_times(together, self.time_label, rate, place, gap_in_stream)
+                seen = together[-_BEFORE:]
+                yield piece
+            if rows.stop < size:
+                return
+            row, last, elapsed = row + size, [x[-1:] for x in stamps], float(times[-1])
+
+    def _piece(
+        self,
+        columns: tuple[Shaped[np.ndarray, " samples"], ...],
+        rows: slice,
+        times: Float[np.ndarray, " samples"],
+        row: int,
+    ) -> _Piece:
+        axes = tuple(columns[i][rows] for i, _ in self.layout.axes)
+        return _Piece(axes, times, self.table.source.after(row + rows.start))

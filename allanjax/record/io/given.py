@@ -1,0 +1,133 @@
+"""What people have in hand, as a recording: arrays, lists, data frames, files."""
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias, Union
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.record.columns import recognise
+from allanjax.record.io import read
+from allanjax.record.io.assembly import assemble
+from allanjax.record.io.chunks import ChunkedRecording
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.table import Table
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.validation import Source, check_rate
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: What functions of a recording take.
+RecordingLike: TypeAlias = Union[
+    Recording, ArrayLike, Sequence, Mapping[str, ArrayLike], "pd.DataFrame", str, os.PathLike[str]
+]
+
+
+def as_recording(
+    data: RecordingLike,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> Recording:
+    """The recording that `data` is.
+
+    Args:
+        data: a recording; samples [samples, axes] or [samples], as `Recording.from_array` takes them; a data
+            frame or a mapping of columns, recognised by their names as those of a file; a file's path.
+        rate, gyro_unit, accel_unit: of the samples; a recording has its own, and columns may state theirs.
+        names: names of the columns; of a data frame and of a file the columns to take, as `read` has it.
+
+    Raises:
+        RecordingError, UnitError: something is missing or wrong; the message says what to give.
+        AllanjaxError: what is given is no recording.
+    """
+    if isinstance(data, Recording):
+        given = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names}
+        superfluous = [name for name, value in given.items() if value is not None]
+        if superfluous:
+            raise AllanjaxError(
+                f"a recording has its own rate, units and names: leave out {', '.join(superfluous)}"
+            )
+        return data
+    if isinstance(data, str | os.PathLike):
+        return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names)
+    columns = _columns(data)
+    if columns is not None:
+        table = Table(tuple(columns.values()), tuple(columns), Source("data frame"))
+        return assemble(table, "", ReadOptions(rate, gyro_unit, accel_unit, names))
+    values = _samples(data)
+    rate = _needed(rate)
+    if gyro_unit is None and accel_unit is None and names is None:
+        raise AllanjaxError(
+            'an array needs the unit of its samples: give gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
+        )
+    return Recording.from_array(values, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names)
+
+
+def samples_of(
+    data: RecordingLike,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
+    """Samples, rate [Hz] and axes of `as_recording`; of an array whose unit nobody tells there are no axes.
+
+    Raises:
+        RecordingError, UnitError, AllanjaxError: as `as_recording`; another shape.
+    """
+    told = isinstance(data, Recording | str | os.PathLike) or _columns(data) is not None
+    if told or not gyro_unit is accel_unit is names is None:
+        recording = as_recording(data, rate, gyro_unit, accel_unit, names)
+        return recording.values, recording.rate, recording.axes
+    samples = _samples(data)
+    values = samples[:, None] if samples.ndim == 1 else samples
+    if values.ndim != 2 or values.shape[1] == 0:
+        raise AllanjaxError(f"data must have the shape [samples] or [samples, axes], not {values.shape}")
+    return values, check_rate(_needed(rate), Source("array")), None
+
+
+def _needed(rate: float | None) -> float:
+    if rate is None:
+        raise AllanjaxError("an array needs its sample rate: give rate in Hz")
+    return rate
+
+
+def _columns(data: Any) -> dict[str, np.ndarray] | None:
+    """The columns of a data frame or a mapping, its index among them if that holds times; None of others."""
+    index: Any = getattr(data, "index", None)
+    times = {}
+    if hasattr(index, "dtype"):
+        label = str(index.name or ("time" if index.dtype.kind == "M" else ""))
+        if recognise(label).role == "time":
+            times = {label: np.asarray(index)}
+    if isinstance(data, Mapping):
+        return {str(label): np.asarray(column) for label, column in data.items()}
+    if not hasattr(data, "columns"):
+        return None
+    return times | {str(label): np.asarray(data[label]) for label in data.columns}
+
+
+def _samples(data: Any) -> np.ndarray:
+    """Samples as an array of floats."""
+    remedy = (
+        "give what allanjax.read returns, an array with rate= and gyro_unit= or accel_unit=, or a data frame"
+    )
+    if isinstance(data, ChunkedRecording):
+        remedy = "accumulate it, allanjax.accumulate(recording).fit(), or read the whole with allanjax.read"
+    try:
+        values = np.asarray(data, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise AllanjaxError(f"{_named(data)} is no recording: {remedy}") from error
+    if values.ndim == 0:
+        raise AllanjaxError(f"{_named(data)} is no recording: {remedy}")
+    return values
+
+
+def _named(data: Any) -> str:
+    kind = type(data).__name__
+    return f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind}"

@@ -1,0 +1,109 @@
+"""HDF5 files, those of MATLAB -v7.3 among them; needs h5py."""
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from allanjax.record.io.binary import from_named
+from allanjax.record.io.table import ChunkedTable, Table
+from allanjax.record.validation import Source
+
+_SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save it as CSV, Parquet or .npz"
+
+
+def read_hdf5(path: Path, label: str) -> Table:
+    """Read named datasets as the arrays of an .npz file; those in groups are named `group.dataset`.
+
+    Raises:
+        RecordingError: h5py is not installed, the file is damaged, or the datasets do not fit together.
+    """
+    source = Source(label)
+    with _opened(path, source) as file:
+        arrays = {name: _rows(dataset, slice(None)) for name, dataset in _datasets(file).items()}
+    return from_named(arrays, source)
+
+
+def chunked_hdf5(path: Path, label: str) -> ChunkedTable:
+    """What `read_hdf5` reads, some rows at a time.
+
+    Raises:
+        RecordingError: as `read_hdf5`.
+    """
+    source = Source(label)
+    with _opened(path, source) as file:
+        datasets = _datasets(file)
+        table = from_named({name: _outline(dataset) for name, dataset in datasets.items()}, source)
+        names = [name for name, dataset in datasets.items() if _is_samples(dataset)]
+    n = len(table.columns[0])
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        with _opened(path, source) as file:
+            datasets = _datasets(file)
+            for first in range(0, n, chunk):
+                stretch = slice(first, first + chunk)
+                blocks = (_rows(datasets[name], stretch) for name in names)
+                yield tuple(column for x in blocks for column in x.reshape(len(x), -1).T)
+
+    return ChunkedTable(rows, n, table.labels, source, table.rate, table.notes)
+
+
+def _opened(path: Path, source: Source) -> Any:
+    try:
+        import h5py
+    except ModuleNotFoundError as error:
+        raise source.error(
+            'an HDF5 file (MATLAB -v7.3), for which h5py is needed: pip install "allanjax[hdf5]", '
+            + _SAVE_AGAIN
+        ) from error
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise source.error(f"can not be read as HDF5: {error}; copy it again, {_SAVE_AGAIN}") from error
+
+
+def _datasets(file: Any) -> Mapping[str, Any]:
+    """All datasets by name, but for text and what else MATLAB writes as if it were numbers."""
+    import h5py
+
+    found: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        if item.attrs.get("MATLAB_class") != b"char" and "MATLAB_empty" not in item.attrs:
+            # The slash of a unit is no group's.
+            found[re.sub(r"/(?![^\[]*\])", ".", name)] = item
+
+    file.visititems(visit)
+    return found
+
+
+def _rows(dataset: Any, rows: slice) -> np.ndarray:
+    """These rows, [rows] or [rows, columns]; a dataset that has no rows as a whole."""
+    if not _is_samples(dataset):
+        return np.asarray(dataset[()])
+    array = dataset[rows] if _row_axis(dataset) == 0 else dataset[:, rows].T
+    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
+
+
+def _outline(dataset: Any) -> np.ndarray:
+    """An array with the shape of all rows, which takes no memory; a dataset that has no rows itself."""
+    if not _is_samples(dataset):
+        return np.asarray(dataset[()])
+    shape = dataset.shape if _row_axis(dataset) == 0 else dataset.shape[::-1]
+    return np.broadcast_to(np.zeros((), dataset.dtype), shape[:1] if shape[1:] == (1,) else shape)
+
+
+def _is_samples(dataset: Any) -> bool:
+    return dataset.dtype.kind in "fiub" and dataset.size > 1
+
+
+def _row_axis(dataset: Any) -> int:
+    """Along which axis the rows are: MATLAB writes its matrices transposed, and a vector lies either way."""
+    if dataset.ndim != 2:
+        return 0
+    axis = int("MATLAB_class" in dataset.attrs)
+    return 1 - axis if dataset.shape[axis] == 1 else axis

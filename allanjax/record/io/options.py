@@ -1,0 +1,56 @@
+"""How a recording is read: one object, so that no reader and no command can leave an option out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from allanjax.base.errors import RecordingError
+
+TimeChoice = str | Literal[False] | None
+
+
+def _option(help: str) -> Any:
+    """An option that is not given by default, and what the command line's help says of it."""
+    return field(default=None, metadata={"help": help})
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """The arguments of `read` and `read_chunks`, whose meaning is told there; None where one is not given."""
+
+    rate: float | None = _option("Sample rate in Hz; needed if the file has no time stamps.")
+    gyro_unit: str | None = _option(
+        "Unit of the gyros if the header has none: deg/s, rad/s, deg/h, ...; rad for increments."
+    )
+    accel_unit: str | None = _option(
+        "Unit of the accelerometers if the header has none: m/s^2, g, mg, ...; m/s for increments."
+    )
+    columns: str | Sequence[str] | None = _option(
+        "Columns to read, or a name for each in order, - to skip one, e.g. time,gyro_x,-,gyro_z."
+    )
+    time: TimeChoice = _option("Column of time stamps; none to ignore them.")
+    time_unit: str | None = _option("Unit of the time stamps: s, ms, us or ns.")
+    start: float | None = _option("Leave out what is before this time, in s.")
+    stop: float | None = _option("Leave out what is from this time on, in s.")
+
+    def __post_init__(self) -> None:
+        start, stop = self.start, self.stop
+        for name, time in (("start", start), ("stop", stop)):
+            if time is not None and not np.isfinite(time):
+                raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
+        if start is not None and stop is not None and start >= stop:
+            raise RecordingError(
+                f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"
+            )
+
+    def within(self, stretch: tuple[float, float]) -> "ReadOptions":
+        """For a stretch of what is read with these, in s from its first sample."""
+        origin = self.start or 0.0
+        return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
+
+    def given(self) -> dict[str, Any]:
+        """Names and values of the options that are given."""
+        values = {option.name: getattr(self, option.name) for option in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}

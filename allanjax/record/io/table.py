@@ -1,0 +1,81 @@
+"""A file's columns as they were read, before it is known what they are."""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Shaped
+
+from allanjax.record.validation import Source, bad_cells_message
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length.
+
+    Attributes:
+        columns: numbers, datetime64, or objects where a text file has text.
+        labels: one per column, or None if the file has no names.
+        source: where they came from.
+        rate: sample rate in Hz that the file itself states, if any.
+        notes: what the reader did that the user should know.
+    """
+
+    columns: tuple[Shaped[np.ndarray, " samples"], ...]
+    labels: tuple[str, ...] | None
+    source: Source
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def label(self, index: int) -> str:
+        """The column's label, or its place (from 1) if the file has no names."""
+        return f"column {index + 1}" if self.labels is None else self.labels[index]
+
+
+@dataclass(frozen=True)
+class ChunkedTable:
+    """Columns that are read some rows at a time.
+
+    Attributes:
+        rows: columns of at most so many rows, one stretch of the file after the other.
+        n: rows in all, if the file tells.
+        labels, source, rate, notes: as those of a `Table`.
+    """
+
+    rows: Callable[[int], Iterator[tuple[Shaped[np.ndarray, " samples"], ...]]]
+    n: int | None
+    labels: tuple[str, ...] | None
+    source: Source
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def head(self, columns: tuple[Shaped[np.ndarray, " samples"], ...]) -> Table:
+        """The table of its first rows."""
+        return Table(columns, self.labels, self.source, self.rate, self.notes)
+
+
+def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
+    """Whether the dtype is one of real numbers or booleans."""
+    return values.dtype.kind in "fiub"
+
+
+def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
+    """The column as floats; NaN stays, as does a column without a single value.
+
+    Raises:
+        RecordingError: a cell is text that is no number.
+    """
+    if is_numeric(values):
+        return values.astype(float)
+    import pandas as pd
+
+    numbers = np.asarray(pd.to_numeric(pd.Series(values, dtype=object), errors="coerce"), dtype=float)
+    bad = np.flatnonzero(np.isnan(numbers))
+    if bad.size and not pd.isna(values).all():
+        cell = values[bad[0]]
+        text = source.missing if pd.isna(cell) else repr(cell)
+        if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell)):
+            text += " (write numbers with a decimal point)"
+        raise source.error(bad_cells_message(label, bad.size, source.locate(int(bad[0])), text))
+    return numbers

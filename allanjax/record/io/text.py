@@ -1,0 +1,301 @@
+"""Text files: comma, semicolon, tab or white space between columns, with or without a header."""
+
+import csv
+import gzip
+import itertools
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from allanjax.record.columns import recognise
+from allanjax.record.io.table import ChunkedTable, Table
+from allanjax.record.validation import Source
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_GZIP_MAGIC = b"\x1f\x8b"
+_COMMENT_MARKS = ("#", "%", "//")
+_LINES_BEFORE_DATA = 1000
+_DECIMAL_COMMA = re.compile(
+    r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?:[\s;]+[+-]?\d+,\d+(?:[eE][+-]?\d+)?)*\s*;?\s*"
+)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the file is written: `start` is the index of the first line of data."""
+
+    start: int
+    labels: tuple[str, ...] | None
+    fields: int
+    delimiter: str | None
+    comment: str
+    encoding: str
+    compressed: bool
+    notes: tuple[str, ...]
+
+
+def read_text(path: Path, label: str) -> Table:
+    """Read a text file, gzip-compressed or not.
+
+    Raises:
+        RecordingError: no rows of numbers, rows of differing length, or decimal commas.
+    """
+    import pandas as pd
+
+    layout = _layout(path, Source(label))
+    source = _source(path, label, layout)
+    with _errors_located(path, layout, source):
+        frame = pd.read_csv(path, **_options(layout))
+    return Table(_columns(frame, path, layout, source), layout.labels, source, notes=layout.notes)
+
+
+def chunked_text(path: Path, label: str) -> ChunkedTable:
+    """What `read_text` reads, some rows at a time.
+
+    Raises:
+        RecordingError: no row of numbers, or decimal commas; `rows` raises it at a row of another length.
+    """
+    import pandas as pd
+
+    layout = _layout(path, Source(label))
+    source = _source(path, label, layout)
+
+    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+        with (
+            _errors_located(path, layout, source),
+            pd.read_csv(path, chunksize=chunk, **_options(layout)) as frames,
+        ):
+            for frame in frames:
+                yield _columns(frame, path, layout, source)
+
+    return ChunkedTable(rows, None, layout.labels, source, notes=layout.notes)
+
+
+def _source(path: Path, label: str, layout: _Layout) -> Source:
+    return Source(
+        label,
+        lambda row: f"line {_line_number(path, layout, row)}",
+        "nan, an empty cell, or a row cut short",
+    )
+
+
+def _options(layout: _Layout) -> dict[str, Any]:
+    """How pandas is to read the file."""
+    return {
+        "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
+        "header": None,
+        "skiprows": layout.start,
+        "comment": layout.comment,
+        "skipinitialspace": True,
+        "low_memory": False,
+        "encoding": layout.encoding,
+        "encoding_errors": "replace",
+        "compression": "gzip" if layout.compressed else None,
+    }
+
+
+@contextmanager
+def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[None]:
+    import pandas as pd
+
+    try:
+        yield
+    except pd.errors.ParserError as error:
+        raise source.error(_ragged_row(path, layout) or f"can not be read: {error}") from error
+    except (EOFError, OSError, zlib.error) as error:
+        raise source.error(f"can not be read: {error}; copy or compress it again") from error
+
+
+def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> tuple[np.ndarray, ...]:
+    columns = [frame[name].to_numpy() for name in frame.columns]
+    # A delimiter at the end of every line makes one empty column too many.
+    if len(columns) == layout.fields + 1 and frame[layout.fields].isna().all():
+        columns.pop()
+    if len(columns) != layout.fields:
+        raise source.error(_ragged_row(path, layout) or f"{len(columns)} columns for {layout.fields} names")
+    return tuple(columns)
+
+
+def _layout(path: Path, source: Source) -> _Layout:
+    compressed, encoding = _encoding(path, source)
+    lines = itertools.islice(_lines(path, compressed, encoding), _LINES_BEFORE_DATA)
+    head = [(number, line) for number, line in enumerate(lines) if not _is_blank(line)]
+    if not head:
+        raise source.error("the file is empty; give a file with one row of numbers per sample")
+    for number, line in head:
+        if _DECIMAL_COMMA.fullmatch(line) and (_delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line)):
+            raise source.error(
+                f"line {number + 1} has decimal commas: {line.strip()[:60]!r}; write numbers with a "
+                "decimal point"
+            )
+    first = _first_row(head)
+    if first is None:
+        raise source.error(
+            f"no row of numbers in the first {head[-1][0] + 1} lines; give a file with one row of "
+            "numbers per sample"
+        )
+    number, line = head[first]
+    delimiter = _delimiter(line)
+    return _with_header(head[:first], number, _split(line, delimiter), delimiter, encoding, compressed)
+
+
+def _first_row(head: list[tuple[int, str]]) -> int | None:
+    """Index in `head` of the first row: what follows names of axes, else what is numbers at least by half."""
+    plain = [k for k, (_, line) in enumerate(head) if not _is_comment(line)]
+    for before, k in itertools.pairwise(plain):
+        delimiter = _delimiter(head[k][1])
+        labels = _trim(_split(head[before][1], delimiter))
+        names_axes = any(not _is_number(label) and recognise(label).role == "axis" for label in labels)
+        if names_axes and _fits(_split(head[k][1], delimiter), len(labels)):
+            return k
+    for k in plain:
+        fields = _split(head[k][1], _delimiter(head[k][1]))
+        if 2 * sum(map(_is_number, fields)) >= len(fields):
+            return k
+    return None
+
+
+def _with_header(
+    before: list[tuple[int, str]],
+    first: int,
+    fields: list[str],
+    delimiter: str | None,
+    encoding: str,
+    compressed: bool,
+) -> _Layout:
+    """The layout, its header sought among the lines before the first that has numbers."""
+    plain = [(number, line) for number, line in before if not _is_comment(line)]
+    comments = [(number, line) for number, line in before if _is_comment(line)]
+    mark = "%" if any(line.lstrip().startswith("%") for _, line in comments) else "#"
+    named = [item for item in plain if any(recognise(x).role == "axis" for x in _split(item[1], delimiter))]
+    for number, line in named or plain:
+        labels = _trim(_split(line, delimiter))
+        if _fits(fields, len(labels)):
+            # What follows the header is data, even where it is no number: it will be reported as such.
+            skipped = tuple(text for n, text in plain if n < number)
+            return _Layout(
+                number + 1,
+                tuple(labels),
+                len(labels),
+                delimiter,
+                mark,
+                encoding,
+                compressed,
+                _skipped(skipped),
+            )
+    for _, line in reversed(comments):
+        # The % of `%time`, as ROS writes it, belongs to the name.
+        labels = _trim(_split(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), delimiter))
+        if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
+            return _Layout(first, tuple(labels), len(labels), delimiter, mark, encoding, compressed, ())
+    skipped = _skipped(tuple(line for _, line in plain))
+    return _Layout(first, None, len(_trim(fields)), delimiter, mark, encoding, compressed, skipped)
+
+
+def _skipped(lines: tuple[str, ...]) -> tuple[str, ...]:
+    return (
+        (f"{len(lines)} lines before the data skipped, the first {lines[0].strip()[:60]!r}",) if lines else ()
+    )
+
+
+def _encoding(path: Path, source: Source) -> tuple[bool, str]:
+    with path.open("rb") as stream:
+        compressed = stream.read(2) == _GZIP_MAGIC
+    try:
+        with gzip.open(path) if compressed else path.open("rb") as stream:
+            head = stream.read(1 << 16)
+    except (EOFError, OSError, zlib.error) as error:
+        raise source.error(f"can not be read: {error}; copy or compress it again") from error
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return compressed, "utf-16"
+    if b"\0" in head:
+        raise source.error(
+            "neither text nor a binary format that is known; save it as CSV, Parquet, NumPy .npy or "
+            ".npz, or MATLAB -v7"
+        )
+    try:
+        # The last bytes may be half a character.
+        head[:-4].decode("utf-8")
+    except UnicodeDecodeError:
+        return compressed, "latin-1"
+    return compressed, "utf-8-sig"
+
+
+def _lines(path: Path, compressed: bool, encoding: str) -> Iterator[str]:
+    with (
+        gzip.open(path, "rt", encoding=encoding, errors="replace")
+        if compressed
+        else path.open(encoding=encoding, errors="replace") as stream
+    ):
+        yield from stream
+
+
+def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, str]]:
+    """Line number (from 1) and text of each row of data."""
+    for number, line in enumerate(_lines(path, layout.compressed, layout.encoding), start=1):
+        if number > layout.start and not _is_blank(line) and not line.lstrip().startswith(layout.comment):
+            yield number, line
+
+
+def _line_number(path: Path, layout: _Layout, row: int) -> int:
+    number, _ = next(itertools.islice(_rows(path, layout), row, None))
+    return number
+
+
+def _ragged_row(path: Path, layout: _Layout) -> str | None:
+    for number, line in _rows(path, layout):
+        fields = _split(line.split(layout.comment)[0], layout.delimiter)
+        if not _fits(fields, layout.fields):
+            return (
+                f"line {number} has {len(fields)} columns where {layout.fields} are expected: "
+                f"{line.strip()[:60]!r}; "
+                "repair or delete that line"
+            )
+    return None
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(_COMMENT_MARKS)
+
+
+def _is_blank(line: str) -> bool:
+    return not line.strip(" \r\n")
+
+
+def _delimiter(line: str) -> str | None:
+    return next((mark for mark in "\t;," if mark in line), None)
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    line = line.strip(" \r\n")
+    if delimiter is None:
+        # A unit belongs to the name before it.
+        return re.split(r"\s+(?![\[(])", line.strip())
+    fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return [field.strip() for field in fields]
+
+
+def _trim(fields: list[str]) -> list[str]:
+    """The fields without the empty one after a delimiter at the line's end."""
+    return fields[:-1] if len(fields) > 1 and not fields[-1] else fields
+
+
+def _fits(fields: list[str], count: int) -> bool:
+    """Whether there are `count` fields, but for a delimiter at the line's end."""
+    return len(fields) == count or (len(fields) == count + 1 and not fields[-1])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

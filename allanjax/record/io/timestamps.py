@@ -1,0 +1,248 @@
+"""Sample times from a file's time stamps, and the sample rate from them."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from allanjax.base.errors import UnitError
+from allanjax.record.columns import Column
+from allanjax.record.io.table import as_float, is_numeric
+from allanjax.record.units import convert
+from allanjax.record.validation import Source
+
+_GAP = 1.5
+_MAX_JITTER = 0.2
+MAX_RATE_DIFFERENCE = 0.01
+# More long intervals than this are irregular sampling, not gaps.
+_MANY_GAPS = 0.05
+_IGNORE_STAMPS = "or if no sample is lost ignore the stamps by time='none' and rate= (--time none --rate)"
+_UNITS = ("s", "ms", "us", "ns")
+# What stamps without a unit must fit: UNIX time in s, 2001 to 2065, and the rates of inertial sensors in Hz.
+_UNIX_SECONDS = (1e9, 3e9)
+_PLAUSIBLE_RATES = (1.0, 2e4)
+
+
+#: Words for gaps: of times, their label, the samples before the gaps, the typical interval, the source.
+GapMessage = Callable[[np.ndarray, str, np.ndarray, float, Source], str]
+
+
+class Times(NamedTuple):
+    """Times in s from the first sample; the stamps' unit, if they are numbers in one column; and notes."""
+
+    seconds: Float[np.ndarray, " samples"]
+    unit: str | None
+    notes: tuple[str, ...]
+
+
+def seconds_from_first(
+    stamps: Sequence[tuple[Column, Shaped[np.ndarray, " samples"]]],
+    time_unit: str | None,
+    rate: float | None,
+    source: Source,
+) -> Times:
+    """Times in s from the first sample, from one column or from seconds and nanoseconds.
+
+    Raises:
+        RecordingError: a stamp is missing or not a number, or the unit can not be told.
+        UnitError: the unit is not one of time, or stated twice and differently.
+    """
+    if len(stamps) == 2:
+        parts = [_since_first(values, column.label, source) for column, values in stamps]
+        return Times(parts[0] + 1e-9 * parts[1], None, ())
+    column, values = stamps[0]
+    if values.dtype.kind == "O":
+        values = _iso_dates(values)
+    if values.dtype.kind == "M":
+        missing = np.flatnonzero(np.isnat(values))
+        if missing.size:
+            raise source.error(
+                f"column {column.label!r} has no time at {source.locate(int(missing[0]))}; repair it"
+            )
+        return Times((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, None, ())
+    times = _since_first(values, column.label, source)
+    unit, notes = _unit(column, times, values, time_unit, rate, source)
+    return Times(convert(times, unit, "s"), unit, notes)
+
+
+def rate_from_times(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    rate: float | None,
+    source: Source,
+    gap_message: GapMessage,
+) -> tuple[float, str]:
+    """Sample rate in Hz and a note on it, from times in s; a `rate` given is used if they agree with it.
+
+    `gap_message` says what is wrong where there are gaps: `gap_in_record` or `gap_in_stream`.
+
+    Raises:
+        RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
+    """
+    intervals = np.diff(times)
+    backwards = np.flatnonzero(intervals <= 0)
+    if backwards.size:
+        first = int(backwards[0]) + 1
+        what = "repeats" if intervals[first - 1] == 0 else "is earlier than"
+        raise source.error(
+            f"column {label!r} {what} the time before it at {source.locate(first)} ({backwards.size} "
+            "such in all); "
+            "sort or repair the file, or ignore the stamps by time='none' and rate= (--time none --rate)"
+        )
+    typical = float(np.median(intervals))
+    long = intervals > _GAP * typical
+    jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
+    if jitter > _MAX_JITTER * regular or np.mean(long) > _MANY_GAPS:
+        raise source.error(
+            f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
+            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals exceed {_GAP} times "
+            "the median; "
+            f"jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves are regular, "
+            "ignore the stamps by time='none' and rate= (--time none --rate)"
+        )
+    if np.any(long):
+        raise source.error(gap_message(times, label, np.flatnonzero(long), typical, source))
+    measured = (len(times) - 1) / float(times[-1] - times[0])
+    # Below a nanosecond it is the rounding of the stamps.
+    shaken = f"jitter {jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "jitter below 1 ns"
+    stamped = f"{measured:.9g} Hz from column {label!r}, {shaken}"
+    if rate is None:
+        return measured, f"sample rate {stamped}"
+    if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
+        raise source.error(
+            f"rate {rate:g} Hz contradicts column {label!r}, whose stamps give {measured:.6g} Hz; leave "
+            "out rate= "
+            "(--rate), correct time_unit= (--time-unit), or ignore the stamps by time='none' (--time none)"
+        )
+    return rate, f"sample rate {rate:.9g} Hz as given; {stamped}"
+
+
+def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
+    """Stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
+    if is_numeric(values) and values.dtype.kind in "iu":
+        return (values - values[0]).astype(np.int64).astype(float)
+    numbers = as_float(values, label, source)
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if bad.size:
+        raise source.error(
+            f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or ignore the "
+            "stamps by "
+            "time='none' and rate= (--time none --rate)"
+        )
+    return numbers - numbers[0]
+
+
+def _iso_dates(values: Shaped[np.ndarray, " samples"]) -> np.ndarray:
+    """Dates as datetime64 if all cells are ISO 8601, else the cells as they are."""
+    import pandas as pd
+
+    dates = pd.to_datetime(pd.Series(values), format="ISO8601", utc=True, errors="coerce")
+    return values if dates.isna().any() else dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+
+
+def _unit(
+    column: Column,
+    times: Float[np.ndarray, " samples"],
+    values: Shaped[np.ndarray, " samples"],
+    time_unit: str | None,
+    rate: float | None,
+    source: Source,
+) -> tuple[str, tuple[str, ...]]:
+    for unit in filter(None, (column.unit, time_unit)):
+        try:
+            convert(1.0, unit, "s")
+        except UnitError as error:
+            raise UnitError(
+                f"{source.label}: column {column.label!r}: {unit!r} is not a unit of time; use s, ms, "
+                "us or ns"
+            ) from error
+    if column.unit is not None and time_unit is not None and convert(1.0, column.unit, time_unit) != 1.0:
+        raise UnitError(
+            f"{source.label}: column {column.label!r} is in {column.unit} by its header but time_unit= "
+            "(--time-unit) "
+            f"says {time_unit}; leave out time_unit= or correct the header"
+        )
+    stated = column.unit or time_unit
+    if stated is not None:
+        return stated, ()
+    typical = float(np.median(np.diff(times)))
+    fitting = [
+        unit for unit in _UNITS if typical > 0 and _fits(unit, float(values[0]), typical, values, rate)
+    ]
+    if len(fitting) == 1:
+        return fitting[0], (f"column {column.label!r} taken to be in {fitting[0]}, the only unit that fits",)
+    raise source.error(
+        f"column {column.label!r} has no unit and it can not be told; pass time_unit= (--time-unit), "
+        f"e.g. s, ms, us or ns, or write it in the header as `{column.name} [s]`"
+    )
+
+
+def _fits(unit: str, first: float, typical: float, values: np.ndarray, rate: float | None) -> bool:
+    """Whether stamps are plausible in `unit`: by the rate given, else by their size or by being fractions."""
+    scale = convert(1.0, unit, "s")
+    stamped = 1.0 / (typical * scale)
+    if rate is not None:
+        return abs(stamped / rate - 1.0) < MAX_RATE_DIFFERENCE
+    low, high = _PLAUSIBLE_RATES
+    unix = _UNIX_SECONDS[0] < first * scale < _UNIX_SECONDS[1]
+    # Whole numbers may as well be a counter's.
+    return low <= stamped <= high and (unix or bool(np.any(values % 1)))
+
+
+def gap_in_record(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    gaps: Int[np.ndarray, " gaps"],
+    typical: float,
+    source: Source,
+) -> str:
+    """What to say of gaps after the samples `gaps`, where all times of the record are known."""
+    edges = np.concatenate([[-1], gaps, [len(times) - 1]])
+    longest = int(np.argmax(np.diff(edges)))
+    begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
+    count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
+    return (
+        f"{_gap(times, label, gaps, typical, source)}, {count}; take a stretch without gaps, the longest by "
+        f"start={_after(begin):.3f}, stop={_before(end):.3f} (--start, --stop), {_IGNORE_STAMPS}"
+    )
+
+
+def gap_in_stream(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    gaps: Int[np.ndarray, " gaps"],
+    typical: float,
+    source: Source,
+) -> str:
+    """What to say of gaps after the samples `gaps`, where more samples may follow."""
+    first = int(gaps[0])
+    return (
+        f"{_gap(times, label, gaps, typical, source)}; take what comes before it by "
+        f"stop={_before(times[first]):.3f} (--stop) or after it by start={_after(times[first + 1]):.3f} "
+        f"(--start), {_IGNORE_STAMPS}"
+    )
+
+
+def _gap(
+    times: Float[np.ndarray, " samples"],
+    label: str,
+    gaps: Int[np.ndarray, " gaps"],
+    typical: float,
+    source: Source,
+) -> str:
+    first = int(gaps[0])
+    length = times[first + 1] - times[first]
+    return (
+        f"column {label!r} has a gap of {length:.6g} s ({length / typical:.3g} intervals) before "
+        f"{source.locate(first + 1)}"
+    )
+
+
+# Rounded inwards, to stay clear of the gaps; but a time that is a whole ms stays so.
+def _after(time: float) -> float:
+    return float(np.ceil(time * 1e3 - 1e-7) / 1e3)
+
+
+def _before(time: float) -> float:
+    return float(np.floor(time * 1e3 + 1e-7) / 1e3)

@@ -1,0 +1,292 @@
+"""A static recording of gyros and accelerometers."""
+
+import html
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import RecordingError
+from allanjax.base.plain import printable
+from allanjax.base.wording import duration
+from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
+from allanjax.record.columns import Column, recognise
+from allanjax.record.validation import Source, check_length, check_rate, check_values
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Slack, in samples, within which a time counts as a sample's own.
+_TIME_SLACK = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Recording(ByValue):
+    """Samples of one or more axes, at one rate.
+
+    Attributes:
+        values: rates in SI, rad/s and m/s²; increments have been multiplied by the rate.
+        rate: sample rate in Hz.
+        axes: one per column of `values`.
+        auxiliary: other columns by name, in the units of the file.
+        name: e.g. the file's name without its suffix.
+        notes: what the reader assumed or found that the user should know.
+        dead: axes that were left out for want of noise, and why.
+    """
+
+    values: Float[np.ndarray, "samples axes"]
+    rate: float
+    axes: tuple[Axis, ...]
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    name: str = ""
+    notes: tuple[str, ...] = ()
+    dead: tuple[DeadAxis, ...] = ()
+
+    @classmethod
+    def from_array(
+        cls,
+        values: Float[np.ndarray, "samples axes"] | Float[np.ndarray, " samples"],
+        rate: float,
+        *,
+        gyro_unit: str | None = None,
+        accel_unit: str | None = None,
+        names: Sequence[str] | None = None,
+        auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
+        name: str = "",
+    ) -> "Recording":
+        """Make a recording of an array, one column per axis.
+
+        A column that is constant, or has no finite number at all, is left out: see `dead`.
+
+        Args:
+            values: samples, in `gyro_unit` and `accel_unit`.
+            rate: sample rate in Hz.
+            gyro_unit: unit of the gyros' samples, e.g. `deg/s`, or `rad` for increments.
+            accel_unit: unit of the accelerometers' samples, e.g. `m/s²`, `g`, or `m/s` for increments.
+            names: the columns' names, e.g. `["gyro_z", "accel_x"]`. Without them 3 columns with one unit
+                are taken as x, y, z; 6 with both units as gyro x, y, z, accel x, y, z; 1 with one unit as
+                that sensor; `notes` say so.
+            auxiliary: other columns of the same length, e.g. a temperature.
+            name: a name for display.
+
+        Raises:
+            RecordingError: wrong shape, names or rate, fewer than 16 samples, values that are not
+                finite, or no column that is not constant.
+            UnitError: a unit is missing or unknown.
+        """
+        source = Source(name or "array")
+        table = np.asarray(values, dtype=float)
+        if table.ndim == 1:
+            table = table[:, None]
+        if table.ndim != 2:
+            raise source.error(
+                f"values must have the shape [samples, axes], not {table.shape}; reshape them to one "
+                "column an axis"
+            )
+        if table.shape[0] < table.shape[1]:
+            raise source.error(
+                f"values of shape {table.shape} seem transposed; pass values.T, one column an axis"
+            )
+        notes: tuple[str, ...] = ()
+        if names is None:
+            names = default_names(table.shape[1], gyro_unit, accel_unit, "names=", source)
+            notes = (f"column order taken as {', '.join(names)}",)
+        if len(names) != table.shape[1]:
+            raise source.error(
+                f"{len(names)} names for {table.shape[1]} columns; give one name a column in names="
+            )
+        columns = [recognise(label) for label in names]
+        for column in columns:
+            if column.role != "axis":
+                raise source.error(
+                    f"names= has {column.label!r}, which is no axis of a gyro or an accelerometer; use "
+                    "names such as gyro_x, accel_z, and pass other columns as auxiliary="
+                )
+        extra = {} if auxiliary is None else {key: np.asarray(column) for key, column in auxiliary.items()}
+        for key, column_values in extra.items():
+            if column_values.shape != table.shape[:1]:
+                raise source.error(
+                    f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
+                    f"({len(table)},)"
+                )
+        return build(table, rate, columns, gyro_unit, accel_unit, extra, name, notes, source)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.values.shape[0]
+
+    @property
+    def duration(self) -> float:
+        """Length in s: the number of samples over the rate."""
+        return self.n / self.rate
+
+    @property
+    def time(self) -> Float[np.ndarray, " samples"]:
+        """Time of each sample in s from the first."""
+        return np.arange(self.n) / self.rate
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def own_scales(self) -> Float[np.ndarray, " axes"]:
+        """Factor of each axis from its own unit to the SI rate."""
+        return scales_of(self.axes, self.rate)
+
+    @property
+    def own_values(self) -> Float[np.ndarray, "samples axes"]:
+        """Samples, each axis in its own unit."""
+        return self.values / self.own_scales
+
+    @property
+    def columns(self) -> dict[str, Float[np.ndarray, " samples"]]:
+        """Times, samples in each axis's own unit, and auxiliary channels, by labels that state the units."""
+        samples = zip(self.axes, self.own_values.T, strict=True)
+        return {
+            "time [s]": self.time,
+            **{f"{axis.name} [{axis.unit}]": values for axis, values in samples},
+            **self.auxiliary,
+        }
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """One row a sample: `columns` as a pandas table, which `fit` and the like take again."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns)
+
+    def select(self, *keys: str) -> "Recording":
+        """The axes named, in that order; `gyro` or `accel` stands for all axes of that sensor.
+
+        Raises:
+            RecordingError: there is no such axis, or it is dead.
+        """
+        chosen: list[int] = []
+        for key in keys:
+            for dead in self.dead:
+                if key == dead.axis.name:
+                    raise RecordingError(f"{self.name or 'recording'}: {key} was left out: {dead.reason}")
+            found = [i for i, axis in enumerate(self.axes) if axis.name == key]
+            found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
+            if not found:
+                raise RecordingError(
+                    f"{self.name or 'recording'}: no axis {key!r}; there are {', '.join(self.names)}"
+                )
+            chosen += [i for i in found if i not in chosen]
+        if not chosen:
+            raise RecordingError(f"select at least one of {', '.join(self.names)}")
+        return replace(
+            self,
+            values=self.values[:, chosen],
+            axes=tuple(self.axes[i] for i in chosen),
+            dead=tuple(dead for dead in self.dead if dead.axis.sensor in keys),
+        )
+
+    def __getitem__(self, key: str | Sequence[str]) -> "Recording":
+        return self.select(key) if isinstance(key, str) else self.select(*key)
+
+    def between(self, start: float | None = None, stop: float | None = None) -> "Recording":
+        """The samples from `start` up to but not including `stop`, in s from the first sample.
+
+        Raises:
+            RecordingError: fewer than 16 samples are left, or every axis is constant there.
+        """
+        source = Source(self.name or "recording")
+        rows = rows_between(self.n, self.rate, start, stop)
+        check_length(rows.stop - rows.start, source)
+        note = f"samples {rows.start} to {rows.stop - 1} of {self.n} taken"
+        values = self.values[rows]
+        living = check_values(values, self.names, source)
+        dead = _dead(self.axes, values[0] / self.own_scales, living)
+        return replace(
+            self,
+            values=values if living.all() else values[:, living],
+            axes=tuple(itertools.compress(self.axes, living)),
+            auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
+            notes=(*self.notes, note, *_left_out(dead)),
+            dead=(*self.dead, *dead),
+        )
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
+        title = f" {self.name!r}" if self.name else ""
+        dead = f"; without {', '.join(dead.axis.name for dead in self.dead)}" if self.dead else ""
+        size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
+        return printable(f"<Recording{title}: {axes}; {size}{dead}>")
+
+    def _repr_html_(self) -> str:
+        own = self.own_values
+        rows = "".join(
+            f"<tr><td>{html.escape(axis.name)}</td><td>{axis.sensor}</td><td>{html.escape(axis.unit)}</td>"
+            f"<td>{mean:.6g}</td><td>{std:.6g}</td></tr>"
+            for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
+        )
+        notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
+        return (
+            f"<table><caption>{html.escape(self.name or 'Recording')}: {self.n} samples at {self.rate:g} Hz, "
+            f"{duration(self.duration)}</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th>"
+            f"<th>mean</th><th>std</th></tr></thead><tbody>{rows}</tbody></table>"
+            + (f"<ul>{notes}</ul>" if notes else "")
+        )
+
+
+def build(
+    values: Float[np.ndarray, "samples axes"],
+    rate: float,
+    columns: Sequence[Column],
+    gyro_unit: str | None,
+    accel_unit: str | None,
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]],
+    name: str,
+    notes: Sequence[str],
+    source: Source,
+) -> Recording:
+    """Check samples in their own units and make the recording of them, without dead axes; readers end here.
+
+    Raises:
+        RecordingError: see `Recording.from_array`.
+        UnitError: a unit is missing, unknown, or given twice and differently.
+    """
+    axes, own_notes = axes_of(columns, gyro_unit, accel_unit, source)
+    rate = check_rate(rate, source)
+    living = check_values(values, [column.label for column in columns], source)
+    dead = _dead(axes, values[0], living)
+    axes = tuple(itertools.compress(axes, living))
+    return Recording(
+        (values if living.all() else values[:, living]) * scales_of(axes, rate),
+        rate,
+        axes,
+        MappingProxyType(dict(auxiliary)),
+        name,
+        (*notes, *own_notes, *_left_out(dead)),
+        dead,
+    )
+
+
+def _dead(
+    axes: Sequence[Axis], values: Float[np.ndarray, " axes"], living: Bool[np.ndarray, " axes"]
+) -> tuple[DeadAxis, ...]:
+    """The axes that do not live, with the values [their own units] that they always have."""
+    every = zip(axes, values, living, strict=True)
+    return tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
+
+
+def _left_out(dead: Sequence[DeadAxis]) -> tuple[str, ...]:
+    return tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
+
+
+def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
+    """Rows whose time in s from the first is in [start, stop)."""
+    first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
+    last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
+    first = min(max(first, 0), samples)
+    return slice(first, max(first, min(last, samples)))

@@ -1,0 +1,310 @@
+"""Units of samples and of noise coefficients, on pint.
+
+The registry is our own: an angle is a base dimension, so that a gyro's unit can not be taken for an
+accelerometer's, and `g` is the standard acceleration of gravity, not the gram.
+"""
+
+import functools
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeVar, cast
+
+import numpy as np
+
+from allanjax.base.errors import UnitError
+
+if TYPE_CHECKING:
+    import pint
+
+Sensor = Literal["gyro", "accel"]
+Quantity = Literal["rate", "increment"]
+Value = TypeVar("Value", float, np.ndarray)
+
+SENSORS: tuple[Sensor, ...] = ("gyro", "accel")
+
+SAMPLE_UNITS: dict[Sensor, dict[Quantity, tuple[str, ...]]] = {
+    "gyro": {
+        "rate": ("deg/h", "deg/s", "mdeg/s", "rad/s", "mrad/s", "rad/h", "arcsec/s", "rpm"),
+        "increment": ("rad", "mrad", "µrad", "deg", "arcmin", "arcsec"),
+    },
+    "accel": {
+        "rate": ("m/s²", "cm/s²", "mm/s²", "g", "mg", "µg", "Gal", "mGal", "ft/s²", "m/s/h"),
+        "increment": ("m/s", "cm/s", "mm/s", "ft/s"),
+    },
+}
+
+_DEFINITIONS = """
+milli- = 1e-3 = m-
+micro- = 1e-6 = u-
+nano- = 1e-9 = n-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+radian = [angle] = rad = radians
+degree = 0.017453292519943295 * radian = deg = degrees
+arcminute = degree / 60 = arcmin = arcminutes
+arcsecond = degree / 3600 = arcsec = arcseconds
+revolution = 6.283185307179586 * radian = rev = revolutions
+meter = [length] = m = metre = meters = metres
+foot = 0.3048 * meter = ft = feet
+second = [time] = s = sec = seconds
+minute = 60 * second = min = minutes
+hour = 3600 * second = h = hr = hours
+hertz = 1 / second = Hz
+degree_per_second = degree / second = dps
+revolution_per_minute = revolution / minute = rpm
+standard_gravity = 9.80665 * meter / second ** 2 = g
+gal = 0.01 * meter / second ** 2 = Gal
+"""
+
+_RATE_DIMENSION: dict[Sensor, dict[str, float]] = {
+    "gyro": {"[angle]": 1, "[time]": -1},
+    "accel": {"[length]": 1, "[time]": -2},
+}
+_INCREMENT_DIMENSION: dict[Sensor, dict[str, float]] = {
+    "gyro": {"[angle]": 1},
+    "accel": {"[length]": 1, "[time]": -1},
+}
+_FOREIGN_DIMENSION: dict[Sensor, str] = {"gyro": "[length]", "accel": "[angle]"}
+
+_COEFFICIENT_UNITS: dict[Sensor, dict[float, str]] = {
+    "gyro": {1.0: "arcsec", 0.5: "deg/√h", 0.0: "deg/h", -0.5: "deg/h/√h", -1.0: "deg/h²"},
+    "accel": {1.0: "m/s", 0.5: "m/s/√h", 0.0: "µg", -0.5: "m/s/h/√h", -1.0: "m/s/h²"},
+}
+
+_SI_UNITS = (
+    *("rad", "rad/√s", "rad/s", "rad/s/√s", "rad/s²"),
+    *("m/s", "m/s/√s", "m/s²", "m/s²/√s", "m/s³"),
+    *("s", "Hz", "1"),
+)
+
+# Words whose case carries no meaning. Not m, g and what begins with a prefix: M and G could be mega, giga.
+_ANY_CASE = {
+    word.lower(): word
+    for word in (
+        *("deg", "degree", "degrees", "rad", "radian", "radians", "arcsec", "arcmin", "dps", "rpm"),
+        *("s", "sec", "second", "seconds", "min", "h", "hr", "hour", "hours", "Hz", "Gal", "mGal", "uGal"),
+    )
+}
+
+_SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_SYMBOLS = str.maketrans(
+    {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "″": "arcsec", "”": "arcsec", '"': "arcsec", "′": "arcmin"}
+    | dict.fromkeys("·⋅×", "*")
+)
+# pint would take `rads` and `degs` as plurals of an angle; people may mean rad/s and deg/s.
+_AMBIGUOUS_PLURAL = re.compile(r"\b[a-z]?(rad|deg|g|h|hr|ft|arcsec|arcmin)s\b")
+
+
+@dataclass(frozen=True)
+class SampleUnit:
+    """Unit of a sensor's samples.
+
+    Attributes:
+        name: label for display, e.g. `deg/s`.
+        scale: factor to SI: rad/s or m/s² for rates, rad or m/s for increments.
+        quantity: `rate`, or `increment` (angle or velocity gained within one sample interval).
+    """
+
+    name: str
+    scale: float
+    quantity: Quantity
+
+
+@dataclass(frozen=True)
+class _Unit:
+    scale: float
+    dimension: dict[str, float]
+
+
+@functools.cache
+def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
+    """Parse the unit of a sensor's samples, in any usual spelling (`°/s`, `dps`, `m/s^2`, `mg`, ...).
+
+    Raises:
+        UnitError: the unit is unknown or does not fit the sensor; the message lists those that do.
+    """
+    unit = _parse(text)
+    quantity = None if unit is None else _quantity(unit, sensor)
+    if unit is None or quantity is None:
+        raise UnitError(_unknown_sample_unit(text, sensor, unit))
+    return SampleUnit(_display_name(text, unit.scale, SAMPLE_UNITS[sensor][quantity]), unit.scale, quantity)
+
+
+def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
+    """The unit that rates are told in where samples have this one, and its factor to SI.
+
+    Where the samples are increments that is rad/s or m/s².
+    """
+    own = parse_sample_unit(unit, sensor)
+    name = own.name if own.quantity == "rate" else {"gyro": "rad/s", "accel": "m/s²"}[sensor]
+    return name, unit_scale(name, sensor)
+
+
+def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
+    """Usual unit of a noise coefficient whose SI dimension is rate·s^time_exponent.
+
+    The rate is in rad/s (gyro) or m/s² (accel). Quantization has the exponent 1, random walk 1/2,
+    bias instability 0, rate random walk -1/2, ramp -1; another exponent gets an SI label that
+    `unit_scale` parses, e.g. `rad/s^0.75`.
+    """
+    usual = _COEFFICIENT_UNITS[sensor].get(float(time_exponent))
+    if usual is not None:
+        return usual
+    return _per_time("rad", time_exponent - 1.0) if sensor == "gyro" else _per_time("m", time_exponent - 2.0)
+
+
+@functools.cache
+def si_unit(unit: str) -> str:
+    """The SI unit of the same dimension, e.g. `rad/√s` for `deg/√h`.
+
+    Raises:
+        UnitError: the unit is unknown.
+    """
+    known = _known(unit, None)
+    usual = next((label for label in _SI_UNITS if _known(label, None).dimension == known.dimension), None)
+    if usual is not None:
+        return usual
+    bases = {"[angle]": "rad", "[length]": "m"}
+    powers = ((bases[name], power) for name, power in known.dimension.items() if name in bases)
+    base = "·".join(name if power == 1.0 else f"{name}^{power:.12g}" for name, power in powers)
+    return _per_time(base or "1", known.dimension.get("[time]", 0.0))
+
+
+def _per_time(base: str, exponent: float) -> str:
+    """E.g. `rad/s^0.75`."""
+    if exponent == 0.0:
+        return base
+    power = "s" if abs(exponent) == 1.0 else f"s^{abs(exponent):.12g}"
+    return f"{base}·{power}" if exponent > 0.0 else f"{base}/{power}"
+
+
+def unit_scale(unit: str, sensor: Sensor | None = None) -> float:
+    """Factor of one `unit` in SI (rad, m, s and their products): value_SI = value · factor.
+
+    Roots may be written `deg/√h`, `deg/sqrt(h)`, `deg/h^0.5`. With a `sensor`, a unit of the other
+    sensor is refused.
+
+    Raises:
+        UnitError: the unit is unknown or belongs to the other sensor.
+    """
+    return _known(unit, sensor).scale
+
+
+def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = None) -> Value:
+    """Convert `value` (a number or an array) between two units of the same dimension.
+
+    Raises:
+        UnitError: a unit is unknown, belongs to the other sensor, or the dimensions differ.
+    """
+    source, target = _known(from_unit, sensor), _known(to_unit, sensor)
+    if source.dimension != target.dimension:
+        raise UnitError(
+            f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are "
+            f"{_dimension_label(source)} and {_dimension_label(target)}; give units of the same dimension"
+        )
+    return value * (source.scale / target.scale)
+
+
+def _known(text: str, sensor: Sensor | None) -> _Unit:
+    unit = _parse(text)
+    if unit is None:
+        raise UnitError(
+            f"unknown unit {text!r}; write for instance deg/h, deg/√h, deg/h/√h, m/s/√h, µg, µg/√Hz, "
+            "rad/s/√Hz"
+        )
+    if sensor is not None and _FOREIGN_DIMENSION[sensor] in unit.dimension:
+        other = "an accelerometer" if sensor == "gyro" else "a gyro"
+        raise UnitError(
+            f"unit {text!r} is not one of {_a(sensor)}: it looks like a unit of {other}; "
+            f"write for instance {', '.join(_COEFFICIENT_UNITS[sensor].values())}"
+        )
+    return unit
+
+
+@functools.cache
+def _parse(text: str) -> _Unit | None:
+    """The unit that `text` names, or None if it names none."""
+    import pint
+
+    expression = _expression(text)
+    if not _is_product(expression) or _AMBIGUOUS_PLURAL.search(expression):
+        return None
+    registry = _registry()
+    try:
+        unit = registry.parse_units(expression)
+    except pint.PintError:
+        return None
+    factor = registry.Quantity(1.0, unit).to_root_units().magnitude
+    powers = cast(Mapping[str, float], unit.dimensionality)
+    dimension = {name: round(power, 9) for name, power in powers.items()}
+    return _Unit(factor, {name: power for name, power in dimension.items() if power})
+
+
+@functools.cache
+def _registry() -> "pint.UnitRegistry":
+    import pint
+
+    registry: pint.UnitRegistry = pint.UnitRegistry(None)
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
+
+
+def _expression(text: str) -> str:
+    """`text` as pint reads it: powers by `**`, products by `*`, the usual spellings spelt out."""
+    text = text.strip().translate(_SYMBOLS).replace("**", "^")
+    text = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda run: "^" + run[0].translate(_SUPERSCRIPTS), text)
+    text = re.sub(r"(?:√|\bsqrt|\brt-?)\s*(?:\(\s*(\w+)\s*\)|(\w+))", r"(\1\2^0.5)", text)
+    text = re.sub(r"\s+per\s+", "/", text)
+    text = re.sub(r"\s*([/*^()])\s*", r"\1", text)
+    text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])|(?<=[\w)])\s+(?=[\w(])", "*", text)
+    text = re.sub(r"([A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"\1^\2", text)
+    text = re.sub(r"[A-Za-z]+", lambda word: _ANY_CASE.get(word[0].lower(), word[0]), text)
+    return text.replace("^", "**")
+
+
+def _is_product(expression: str) -> bool:
+    """Whether the expression is a product of powers; pint's parser lets much else through, or crashes."""
+    number = r"-?\d+(?:\.\d+)?"
+    product = r"(?:[A-Za-z]+|1)\^?(?:[*/](?:[A-Za-z]+|1)\^?)*"
+    expression = re.sub(rf"\*\*(?:{number}|\({number}(?:/{number})?\))", "^", expression)
+    while (reduced := re.sub(rf"\({product}\)", "u", expression)) != expression:
+        expression = reduced
+    return re.fullmatch(product, expression) is not None
+
+
+def _quantity(unit: _Unit, sensor: Sensor) -> Quantity | None:
+    if unit.dimension == _RATE_DIMENSION[sensor]:
+        return "rate"
+    if unit.dimension == _INCREMENT_DIMENSION[sensor]:
+        return "increment"
+    return None
+
+
+def _display_name(text: str, scale: float, labels: tuple[str, ...]) -> str:
+    spelling = _expression(text)
+    for label in labels:
+        if _expression(label) == spelling:
+            return label
+    for label in labels:
+        if np.isclose(unit_scale(label), scale, rtol=1e-12, atol=0.0):
+            return label
+    return text.strip()
+
+
+def _unknown_sample_unit(text: str, sensor: Sensor, unit: _Unit | None) -> str:
+    accepted = SAMPLE_UNITS[sensor]
+    other: Sensor = "accel" if sensor == "gyro" else "gyro"
+    hint = f" {text!r} is a unit of {_a(other)}." if unit is not None and _quantity(unit, other) else ""
+    return (
+        f"unknown unit {text!r} for {_a(sensor)}.{hint} Accepted: {', '.join(accepted['rate'])} (rates); "
+        f"{', '.join(accepted['increment'])} (increments)"
+    )
+
+
+def _dimension_label(unit: _Unit) -> str:
+    return "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
+
+
+def _a(sensor: Sensor) -> str:
+    return "a gyro" if sensor == "gyro" else "an accelerometer"

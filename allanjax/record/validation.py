@@ -1,0 +1,116 @@
+"""The checks that every recording passes, from a file or from an array alike."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.errors import RecordingError
+
+MIN_SAMPLES = 16
+"""Fewest samples that make a recording."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where samples came from, for messages.
+
+    Attributes:
+        label: the file's path, or a name for an array.
+        locate: the place of a sample (counted from 0) in words, e.g. `line 17`.
+        missing: what a NaN may have been where it was read from.
+    """
+
+    label: str
+    locate: Callable[[int], str] = lambda row: f"row {row} (counting from 0)"
+    missing: str = "nan"
+
+    def after(self, rows: int) -> "Source":
+        """The source of what is left when the first `rows` samples are dropped."""
+        return replace(self, locate=lambda row: self.locate(row + rows)) if rows else self
+
+    def error(self, message: str) -> RecordingError:
+        """A `RecordingError` whose message begins with where it is."""
+        return RecordingError(f"{self.label}: {message}")
+
+
+def check_rate(rate: float, source: Source) -> float:
+    """Return the sample rate in Hz as a float.
+
+    Raises:
+        RecordingError: it is not a positive finite number.
+    """
+    if not (np.isreal(rate) and np.isfinite(rate) and rate > 0):
+        raise source.error(
+            f"the sample rate must be a positive number of Hz, not {rate!r}; pass rate= (--rate)"
+        )
+    return float(rate)
+
+
+def check_length(samples: int, source: Source) -> None:
+    """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples."""
+    if samples < MIN_SAMPLES:
+        raise source.error(
+            f"too short: {samples} samples, and at least {MIN_SAMPLES} are needed (thousands for a "
+            "useful fit); "
+            "give a longer recording, or a longer stretch by start= and stop= (--start, --stop)"
+        )
+
+
+def check_values(
+    values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source
+) -> Bool[np.ndarray, " axes"]:
+    """Check samples, one column per label, and say which columns live: the others have no noise at all.
+
+    A dead column never changes, or has no number throughout.
+
+    Raises:
+        RecordingError: too few samples, a value that is not finite in a column that has others, or no column
+            that lives; the message names the column, the first place and the remedy.
+    """
+    check_length(len(values), source)
+    living = np.array([bool(np.isfinite(x).any() and (x != x[0]).any()) for x in values.T], bool)
+    for label, column, lives in zip(labels, values.T, living, strict=True):
+        if lives or not living.any():
+            check_finite(column, label, source)
+    if not living.any():
+        raise constant_error(labels[0], float(values[0, 0]), source)
+    return living
+
+
+def dead_reason(value: float, unit: str) -> str:
+    """Why there is no result for an axis that has this value throughout."""
+    if np.isnan(value):
+        return "not a single number in it, as of a sensor that is not connected"
+    return f"constant, {value:.6g} {unit} throughout, as of a sensor that is stuck or not connected"
+
+
+def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
+    """Raise `RecordingError` if a value of the column is not finite; see `check_values`."""
+    bad = np.flatnonzero(~np.isfinite(column))
+    if bad.size:
+        first = int(bad[0])
+        text = source.missing if np.isnan(column[first]) else str(column[first])
+        raise source.error(bad_cells_message(label, bad.size, source.locate(first), text))
+
+
+def constant_error(label: str, value: float, source: Source) -> RecordingError:
+    """The error for a column that has this value throughout."""
+    return source.error(
+        f"column {label!r} is constant ({value:g} from {source.locate(0)} on): a sensor that is stuck "
+        "or not connected has no noise to fit; leave it out by columns= (--columns)"
+    )
+
+
+def bad_cells_message(label: str, count: int, place: str, text: str) -> str:
+    """Message for `count` cells of a column that are not finite numbers, the first of them at `place`."""
+    cells = (
+        "1 value is not a finite number"
+        if count == 1
+        else f"{count} values are not finite numbers, the first"
+    )
+    return (
+        f"column {label!r}: {cells} at {place}: {text}; repair the file, or take a stretch "
+        "without bad values by start= and stop= (--start, --stop)"
+    )

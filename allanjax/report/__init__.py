@@ -1,0 +1,22 @@
+"""What people see of results: figures, tables, stories and files.
+
+Importing this room gives results their methods that draw, tell and export (see `base.presented`).
+"""
+
+from allanjax.base.presented import present
+
+present(
+    {
+        "AllanDeviation.plot": "allanjax.report.allan_figure.plot_allan",
+        "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
+        "Critique.__str__": "allanjax.report.critique_story.critique_text",
+        "Critique.plot": "allanjax.report.critique_figure.plot_critique",
+        "Critique.to_dict": "allanjax.report.critique_json.to_dict",
+        "Finding.__repr__": "allanjax.report.critique_story.finding_repr",
+        "Finding.__str__": "allanjax.report.critique_story.finding_text",
+        "Fit.plot": "allanjax.report.allan_figure.plot_allan",
+        "FleetResult.plot": "allanjax.report.fleet_figure.plot_fleet_result",
+        "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",
+        "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",
+    }
+)

@@ -1,0 +1,81 @@
+"""Parts of pictures of Allan deviations: the measured points, units and labels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.base.errors import AllanjaxError
+from allanjax.estimate.result import Fit
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.report.figure import (
+    Unit,
+    marks,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: What can be drawn as an Allan deviation.
+Drawable: TypeAlias = Fit | AllanDeviation | Recording
+
+
+def fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
+    """What there is to draw of it."""
+    if isinstance(data, Fit):
+        return data, data.curve
+    if isinstance(data, Recording):
+        return None, allan_deviation(data)
+    if isinstance(data, AllanDeviation):
+        return None, data
+    raise AllanjaxError(
+        f"cannot draw {type(data).__name__} as an Allan deviation: give a fit, what allan_deviation returns, "
+        "or a recording"
+    )
+
+
+def draw_measured(
+    panel: Axes, curve: AllanDeviation, k: int, unit: Unit, label: str = "measured", **style: Any
+) -> None:
+    """The estimates with their 68 % intervals."""
+    deviation = curve.deviation[:, k]
+    lower, upper = curve.confidence_interval(0.68)
+    spread = np.stack([deviation - lower[:, k], upper[:, k] - deviation])
+    panel.errorbar(
+        curve.cluster_time,
+        deviation / unit.scale,
+        np.maximum(spread, 0.0) / unit.scale,
+        label=label,
+        zorder=3,
+        **{**marks(2.6), **style},
+    )
+
+
+def times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
+    """Cluster times [s] of a model's line.
+
+    At whole numbers of samples only: between them a line above the Nyquist frequency is something else.
+    """
+    return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
+
+
+def unit_of(axis: Axis | None) -> Unit:
+    """The unit in which an axis's deviations are drawn."""
+    if axis is None:
+        return Unit("", 1.0)
+    name = default_coefficient_unit(axis.sensor, 0.0)
+    return Unit(name, unit_scale(name, axis.sensor))
+
+
+def deviation_label(curve: AllanDeviation, unit: Unit) -> str:
+    """What is on the vertical axis."""
+    return f"{kind_of(curve)}\n[{unit.name}]" if unit.name else kind_of(curve)
+
+
+def kind_of(curve: AllanDeviation) -> str:
+    """E.g. "Allan deviation"."""
+    return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"

@@ -1,0 +1,253 @@
+"""A critique told to people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from allanjax.base.plain import printable
+from allanjax.base.wording import duration, plain
+from allanjax.critic.result import (
+    AxisCritique,
+    CoefficientChange,
+    Critique,
+    Discrepancy,
+    DriftChange,
+    Finding,
+)
+from allanjax.estimate.misfit import LIMIT
+from allanjax.noise.estimate import title_of
+from allanjax.record.recording import Axis
+from allanjax.report.critique_words import describe, factor_off, filled, p_value, parameters, percent, what
+
+#: A discrepancy with a larger p-value is not worth a word: of some fourteen an axis, a few are small anyway.
+UNEXPLAINED = 1e-4
+# Changes of a coefficient or of the drift below this share are not told.
+_NOTABLE = 0.05
+# What people know comes first, unless something else says it this many times as clearly.
+_KNOWN, _CLEARER = "allan_deviation", 3.0
+# Statistics of which what is left is told as a ratio.
+_RATIOS = frozenset({"allan_deviation", "drift", "psd", "window_variance"})
+_BETWEEN = frozenset({"cross_correlation", "auxiliary_correlation"})
+_TOLD = 3
+_WIDTH = 108
+
+
+def story(critique: Critique) -> str:
+    """What the simulation of a recording gets wrong and why: a headline an axis, a paragraph a finding."""
+    count = sum(f.cause != "unexplained" for f in critique.findings)
+    head = "nothing found" if count == 0 else f"{count} finding{'s' if count > 1 else ''}"
+    gain = f", worth {nats(critique.gain)} on held-out data" if count else ""
+    lines = [f"{critique.name or 'recording'}: {head} in {_axes(len(critique))}{gain}"]
+    # Before all that is said of coefficients: whether they are any.
+    first = [f"warning: {text}" for text in (*critique.warnings, *unmeasured(critique))]
+    lines[:0] = [_wrapped(text, "", "  ") for text in first]
+    shared, previous = {name for f in critique.shared_findings for name in f.axes}, 2
+    for axis in critique.results:
+        block = _of_axis(axis, shared)
+        # Axes with nothing but a headline stand together.
+        lines += [*([""] if max(len(block), previous) > 1 else []), *block]
+        previous = len(block)
+    for dead in critique.dead:
+        lines += ["", _wrapped(f"{dead.axis.name}: not compared: {dead.reason}", "", "  ")]
+    for finding in critique.shared_findings:
+        lines += ["", _wrapped(sentence(finding), "", "  ")]
+        lines += told(finding, critique[finding.axes[0]].axis)
+    notes = [_wrapped(f"note: {note}", "", "  ") for note in critique.notes]
+    return "\n".join([*lines, *([""] if notes else []), *notes])
+
+
+def unmeasured(critique: Critique) -> tuple[str, ...]:
+    """A sentence for each axis whose baseline is not a measurement of the sensor, and what became of that."""
+    found = []
+    for axis in critique.results:
+        if axis.misfit is None or not axis.misfit.excessive:
+            continue
+        left = next((d for d in axis.after if d.statistic == _KNOWN), None)
+        off = left is not None and left.p_value < UNEXPLAINED and _is_far(left.size)
+        then = (
+            "what was found does not explain it, and the coefficients below are not the sensor's either; "
+            "cut off what was not at rest (--start, --stop), or look at the pictures"
+            if off
+            else "coefficients after what was found are those to look at"
+        )
+        name = axis.axis.name
+        found.append(f"{name}: the baseline is not a measurement of this sensor, {axis.misfit}; {then}")
+    return tuple(found)
+
+
+def _is_far(size: float) -> bool:
+    """Whether a relative error, of either sign, is beyond what coefficients may have."""
+    return not abs(np.log(max(1.0 + size, 1e-300))) < np.log(1.0 + LIMIT)
+
+
+def sentence(finding: Finding) -> str:
+    """A finding by itself: what was wrong, the cause, what is left of it, the gain, and rivals."""
+    return f"{', '.join(finding.axes)}: {paragraph(finding)}"
+
+
+def paragraph(finding: Finding, known: str = "") -> str:
+    """The same without the axis, and without what is wrong if that is `known`."""
+    if finding.cause == "unexplained":
+        return f"unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
+    cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding.parameters)])
+    pair = telling(finding)
+    if pair is None:
+        text = f"{cause} ({p_value(finding.p_value)}). "
+    else:
+        wrong = f"{describe(pair[0])}. "
+        text = f"{wrong if what(pair[0]) != known else ''}Cause: {cause}. After: {left(*pair)}; "
+    text += f"{'Gain' if pair is None else 'gain'} {nats(finding.gain)} on held-out data."
+    if finding.rivals:
+        rivals = ", ".join(f"{r.cause.replace('_', ' ')} (1 : {r.odds:,.2g})" for r in finding.rivals)
+        text += f" Rivals: {rivals}."
+    return text
+
+
+def telling(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
+    """What the finding mended most, if it was plainly wrong before."""
+    pairs = [p for p in finding.discrepancies if p[0].p_value < UNEXPLAINED and _much(p)]
+    best = max(pairs, key=_mended, default=None)
+    if best is None:
+        return None
+    known = next((p for p in pairs if p[0].statistic == _KNOWN), None)
+    return known if known is not None and _CLEARER * _mended(known) >= _mended(best) else best
+
+
+def _much(pair: tuple[Discrepancy, Discrepancy]) -> bool:
+    """Whether half of it, at least, is gone."""
+    return _mended(pair) > -0.5 * np.log(pair[0].p_value)
+
+
+def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
+    before, after = (np.log(max(d.p_value, 1e-300)) for d in pair)
+    return float(after - before)
+
+
+def left(before: Discrepancy, after: Discrepancy) -> str:
+    """What remains of a discrepancy, e.g. "within 0.5 %"."""
+    if before.statistic in _RATIOS and np.isfinite(after.size):
+        if after.p_value < UNEXPLAINED:
+            return factor_off(after.size)
+        return f"within {percent(max(abs(after.size), 1e-3))}"
+    return "gone" if after.p_value > UNEXPLAINED else f"still there ({p_value(after.p_value)})"
+
+
+def told(finding: Finding, axis: Axis) -> list[str]:
+    """What the finding changes, in one line if anything."""
+    text = "; ".join(changes(finding, axis))
+    return [_wrapped(text, "    ", "    ")] if text else []
+
+
+def changes(finding: Finding, axis: Axis) -> list[str]:
+    """Coefficients and drift that the finding changes."""
+    found = [_coefficient(c, axis) for c in finding.coefficients if _notable(c.before, c.after)]
+    drift = finding.drift
+    if drift is not None and _notable(drift.before, drift.after):
+        found.append(_drift(drift))
+    return found
+
+
+def nats(gain: float) -> str:
+    """E.g. "1,234 nats"."""
+    return f"{gain:,.0f} nats" if abs(gain) >= 10.0 else f"{gain:.1f} nats"
+
+
+def _of_axis(axis: AxisCritique, shared: set[str]) -> list[str]:
+    name, count = axis.axis.name, len(axis.before)
+    causes = [f for f in axis.findings if f.cause != "unexplained"]
+    wrong = _wrong(axis.before)
+    remains = _wrong(axis.after if causes else axis.before)
+    # What axes have in common is told at the end.
+    remains = [d for d in remains if not (name in shared and d.statistic in _BETWEEN)]
+    if not wrong and not causes:
+        smallest = min((d.p_value for d in axis.before), default=1.0)
+        return [
+            _wrapped(
+                f"{name}: nothing found: the simulation is indistinguishable from the measurement "
+                f"(smallest p-value {smallest:.2g} of {count} tests)",
+                "",
+                "  ",
+            )
+        ]
+    if not causes:
+        return [_wrapped(f"{name}: {_unexplained(remains)}", "", "  ")] if remains else [f"{name}: {_SHARED}"]
+    known = what(wrong[0]) if wrong else ""
+    lines = [_wrapped(f"{name}: {_headline(wrong, count)}", "", "  ")]
+    for finding in causes:
+        lines += [_wrapped(paragraph(finding, known), "  - ", "    "), *told(finding, axis.axis)]
+    lines.append(
+        _wrapped(_unexplained(remains) if remains else f"left: nothing, all {count} tests pass", "  ")
+    )
+    return lines
+
+
+def _headline(wrong: Sequence[Discrepancy], count: int) -> str:
+    if not wrong:
+        return "no test by itself fails"
+    fail = "tests fail" if len(wrong) > 1 else "tests fails"
+    return f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
+
+
+_SHARED = "nothing of its own; see what axes share"
+
+
+def _wrong(found: Sequence[Discrepancy]) -> list[Discrepancy]:
+    """What is plainly wrong: the Allan deviation first, then by p-value."""
+    wrong = [d for d in found if d.p_value < UNEXPLAINED]
+    return sorted(wrong, key=lambda d: (d.statistic != _KNOWN, d.p_value))
+
+
+def _unexplained(remains: Sequence[Discrepancy]) -> str:
+    by_p = sorted(remains, key=lambda d: d.p_value)
+    more = f"; and {len(by_p) - _TOLD} more" if len(by_p) > _TOLD else ""
+    return f"unexplained: {'; '.join(describe(d) for d in by_p[:_TOLD])}{more}"
+
+
+def _wrapped(text: str, first: str, rest: str | None = None) -> str:
+    return filled(text, _WIDTH, first, f"{first}  " if rest is None else rest)
+
+
+def _coefficient(c: CoefficientChange, axis: Axis) -> str:
+    name = title_of(c.label, axis)
+    if not np.isfinite(c.before):
+        return f"{name} none → {plain(c.after, 3)} {c.unit}"
+    if not np.isfinite(c.after):
+        return f"{name} {plain(c.before, 3)} {c.unit} → none"
+    return f"{name} {plain(c.before, 3)} → {plain(c.after, 3)} {c.unit}"
+
+
+def _drift(drift: DriftChange) -> str:
+    return (
+        f"drift over {duration(drift.horizon)}: measured {plain(drift.measured, 3)} {drift.unit}, "
+        f"predicted {plain(drift.before, 3)} before and {plain(drift.after, 3)} after"
+    )
+
+
+def _notable(before: float, after: float) -> bool:
+    """Whether a value changed; that of a term which is in neither model did not."""
+    known = np.isfinite([before, after])
+    if not known.all():
+        return bool(known.any())
+    return abs(after - before) > _NOTABLE * max(abs(before), abs(after))
+
+
+def _axes(count: int) -> str:
+    return f"{count} {'axis' if count == 1 else 'axes'}"
+
+
+def critique_text(critique: Critique) -> str:
+    """The story of a critique as standard output can show it, for `print`."""
+    return printable(story(critique))
+
+
+def finding_text(finding: Finding) -> str:
+    """A finding in a sentence as standard output can show it, for `print`."""
+    return printable(sentence(finding))
+
+
+def finding_repr(finding: Finding) -> str:
+    """A finding in one line: its cause, its parameters, its gain."""
+    found = ", ".join([f"{finding.cause} in {' and '.join(finding.axes)}", *parameters(finding.parameters)])
+    return f"<Finding {found}; gain {nats(finding.gain)} on held-out data>"

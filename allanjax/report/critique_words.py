@@ -1,0 +1,169 @@
+"""Numbers of a critique as people write them."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Mapping
+
+import numpy as np
+
+from allanjax.base.wording import format_with_error, plain
+from allanjax.critic.result import Discrepancy
+from allanjax.critic.view import Quantity
+
+# Statistics whose two values compare as a ratio: their name, and what stands before a place.
+_RELATIVE = {
+    "allan_deviation": ("Allan deviation", "at τ ="),
+    "drift": ("drift", "over"),
+    "psd": ("PSD", "at"),
+    "window_variance": ("noise power", "around"),
+}
+_SHOWN = 3
+# Errors below this share of a value are not told: they are those of arithmetic, or of a file's digits.
+_EXACT = 1e-5
+_COUNTS = frozenset({"count", "jumps", "order", "longest"})
+# Values that the samples have, in whose unit people look for them.
+_AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
+# Places in time, and what is counted, of which limits have words of their own.
+_PLACES = frozenset({"start", "end", "time"})
+# Units for what is small in another one, the largest first, and their factor.
+_FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "g": (("mg", 1e3), ("µg", 1e6)),
+    "mg": (("µg", 1e3),),
+    "m/s²": (("mm/s²", 1e3), ("µm/s²", 1e6)),
+    "deg/s": (("deg/h", 3600.0),),
+    "rad/s": (("mrad/s", 1e3), ("µrad/s", 1e6)),
+}
+_SMALL = 0.1
+# Spaces at which no line is broken: in "p = 1e-30", "0.552 ± 0.001 Hz" and "τ = 0.7 s".
+_TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<]) |(?<=\d) (?=[A-Za-zµσ(])|(?<=[pτ]) ")
+
+
+def parameters(values: Mapping[str, Quantity]) -> list[str]:
+    """Each with its error, e.g. "frequency 0.55200 ± 0.00010 Hz"."""
+    return [f"{name.replace('_', ' ')} {quantity(q, name)}" for name, q in values.items() if name != "axes"]
+
+
+def quantity(q: Quantity, name: str = "") -> str:
+    """Value, error and unit; counts are whole, shares in per cent, a long list is cut short."""
+    if isinstance(q.value, tuple):
+        return _several(q.value, q.unit)
+    if q.limit:
+        unit, factor = suited(q.unit, q.value)
+        number = f"{round(q.value):,}" if name in _COUNTS else f"{factor * q.value:.3g}"
+        return f"{_beyond(q.limit, name)} {number}{f' {unit}' if unit else ''}"
+    if name in _COUNTS and np.isfinite(q.value):
+        return f"{round(q.value):,}{'' if q.unit in ('', '1') else f' {q.unit}'}"
+    if name == "fraction":
+        return f"{plain(100.0 * q.value, 3)} %"
+    unit, factor = (q.unit, 1.0) if name in _AS_RECORDED else suited(q.unit, q.value)
+    value, std = factor * q.value, factor * q.std
+    known = std > _EXACT * abs(value)
+    text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
+    return f"{text}{f' {unit}' if unit else ''}"
+
+
+def _beyond(limit: str, name: str) -> str:
+    """What stands before a limit, e.g. "below"."""
+    if name in _PLACES:
+        return {"below": "at or before", "above": "at or after"}[limit]
+    if name in _COUNTS:
+        return {"below": "at most", "above": "at least"}[limit]
+    return limit
+
+
+def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:
+    if not values:
+        return "none"
+    numbers = [v for v in values if not isinstance(v, str)]
+    unit, factor = suited(unit, max(numbers, key=abs, default=0.0))
+    shown = [v if isinstance(v, str) else plain(factor * v, 4) for v in values[:_SHOWN]]
+    more = f", … ({len(values)} in all)" if len(values) > _SHOWN else ""
+    return f"{', '.join(shown)}{f' {unit}' if unit else ''}{more}"
+
+
+def suited(unit: str, value: float) -> tuple[str, float]:
+    """A unit in which a small value is easy to read, and the factor to it; of a ratio, an empty name."""
+    if unit in ("", "1"):
+        return "", 1.0
+    base = max(
+        (name for name in _FINER if unit == name or unit.startswith((f"{name}/[", f"{name}/√"))),
+        key=len,
+        default="",
+    )
+    name, factor = base, 1.0
+    for finer, times in _FINER.get(base, ()):
+        if not 0.0 < factor * abs(value) < _SMALL:
+            break
+        name, factor = finer, times
+    return name + unit[len(base) :], factor
+
+
+def describe(d: Discrepancy) -> str:
+    """A discrepancy in words, e.g. "simulated Allan deviation is 38 % low at τ = 0.7 s (p = 1e-30)"."""
+    return f"{what(d)} ({p_value(d.p_value)})"
+
+
+def p_value(p: float) -> str:
+    """E.g. "p = 1e-30"."""
+    if p <= 1e-300:
+        return "p < 1e-300"
+    return f"p = {p:.0e}" if p < 1e-3 else f"p = {p:.2g}"
+
+
+def what(d: Discrepancy) -> str:
+    """The same without its p-value."""
+    place = f"{plain(d.where, 3)} {d.where_unit}"
+    if d.statistic in _RELATIVE:
+        name, before = _RELATIVE[d.statistic]
+        return f"simulated {name} is {factor_off(d.size)} {before} {place}"
+    unit, factor = suited(d.unit, d.measured)
+    value, simulated = (plain(factor * x, 2) for x in (d.measured, d.simulated))
+    return {
+        "psd_line": f"a line of {value} {unit} at {place}, simulations reach {simulated}",
+        "autocorrelation": f"residuals correlate by {value} after {place}",
+        "tails": f"residuals have an excess kurtosis of {value}",
+        "largest_residual": f"a residual of {value} σ at {place}, simulations reach {simulated} σ",
+        "lattice": "samples are multiples of one step",
+        "repeated_values": f"{percent(d.measured)} of samples repeat the one before, "
+        f"simulated {percent(d.simulated)}",
+        "window_mean": f"residuals have a mean of {value} σ around {place}",
+        "cross_correlation": f"residuals correlate by {value} with those of {d.channel}",
+        "auxiliary_correlation": f"{value} {unit} follow {d.channel}, {simulated} by chance",
+    }.get(d.statistic, f"{d.statistic.replace('_', ' ')}: {value} {unit}, simulated {simulated}")
+
+
+def factor_off(size: float) -> str:
+    """E.g. "38 % low"; of large errors the factor."""
+    if not np.isfinite(size):
+        return "wrong"
+    if size > 2.0:
+        return f"{_factor(1.0 + size)} times too high"
+    if size < -0.95:
+        return f"{_factor(1.0 / max(1.0 + size, 1e-300))} times too low"
+    return f"{percent(size)} {'low' if size < 0.0 else 'high'}"
+
+
+def percent(size: float) -> str:
+    """E.g. "38 %", "160 %"."""
+    size = abs(100.0 * size)
+    return f"{size:.2g} %" if size < 99.5 else f"{round(size, -1):.0f} %"
+
+
+def _factor(x: float) -> str:
+    return f"{x:.2g}" if x < 10.0 else f"{x:,.0f}" if x < 1e6 else f"{x:.0e}"
+
+
+def filled(text: str, width: int, first: str = "", rest: str = "") -> str:
+    """Broken into lines, not between a number and its unit."""
+    kept = _TOGETHER.sub("\u00a0", text)
+    lines = textwrap.wrap(
+        kept,
+        width,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines).replace("\u00a0", " ")

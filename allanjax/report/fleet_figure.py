@@ -1,0 +1,304 @@
+"""The picture of a fleet: how each coefficient is distributed over its units."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
+from allanjax.fleet.fleet import FleetResult
+from allanjax.noise.estimate import title_of
+from allanjax.record.recording import Axis
+from allanjax.record.units import Sensor
+from allanjax.report.figure import POINTS, finished, literal, look
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, as in the other pictures.
+_MEDIAN, _OUTLYING, _LIMIT = "#0072B2", "#D55E00", "0.6"
+# Points of each group; of one group alone the first.
+_GROUPS = (POINTS, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.5")
+_SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+
+# Inches: places are fixed, so that nothing can overlap.
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
+_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.75, 0.65
+_NAME_HEIGHT = 0.125
+# Letters of a unit's name beside its point, of which the last ones tell it; width of one, of the panel.
+_LONGEST, _LETTER = 18, 0.0115
+# Half the width that an axis's units take, of the distance between axes; from points to names, of the panel.
+_SPREAD = 0.38
+_BESIDE = 0.02
+# Outlying units that are named in a panel, on each axis; the table names all.
+_NAMED = 12
+# Units of a fleet that are named in the title, from left to right.
+_LISTED, _MOST_LINES = 12, 4
+# Empty places between two groups, of all places; one at least.
+_APART = 0.05
+# Heights of a line of the key and of the title; letters, and entries of the key, that an inch holds.
+_LINE_HEIGHT, _TITLE_LINE, _LETTERS, _ENTRIES = 0.2, 0.16, 12.0, 0.5
+# From the outermost points of a group to the ends of its band, of the distance between axes.
+_BESIDE_POINTS = 0.04
+_MANY = 60
+# Intervals reach so many times beyond the outermost values at most.
+_BEYOND = 2.0
+# Ratio of highest to lowest from which ticks are at 1, 2 and 5 times powers of ten.
+_NEAR = 8.0
+# Of the units, from which to which the bands reach.
+_BAND = (0.05, 0.95)
+
+
+def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw each coefficient of every unit, a panel a coefficient, gyros beside accelerometers.
+
+    Points are the units' estimates with their 95 % intervals, axis beside axis, group beside group, the units
+    of each in the order of the table; hollow triangles are the 95 % limits of units in which the coefficient
+    was not detected. Outlying units are red and named. Blue are the median of the others' estimates in their
+    group and the band of 90 % of them. Coefficients that no unit determines, or that were held, have no
+    panel. The recordings of up to twelve units are named in the title.
+
+    Args:
+        table: of a fleet's coefficients, `FleetResult.table`.
+        path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+
+    Returns:
+        The matplotlib figure.
+
+    Raises:
+        AllanjaxError: the table lacks a column.
+    """
+    import matplotlib.pyplot as plt
+
+    from allanjax.fleet.table import table_schema
+
+    if missing := set(table_schema().names) - set(table.columns):
+        raise AllanjaxError(
+            f"a fleet's table has a column {', '.join(sorted(missing))}; pass the table of FleetResult"
+        )
+    drawn = _drawn(table)
+    groups = list(table["group"].unique())
+    sensors = [sensor for sensor in _SENSOR if (drawn["sensor"] == sensor).any()]
+    coefficients = list(drawn["coefficient"].unique())
+    rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
+    width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
+    facts = _facts(table, int(_LETTERS * (width - _LEFT - _RIGHT)))
+    keys = _key(table)
+    key_columns = max(int(_ENTRIES * (width - _LEFT - _RIGHT)), 1)
+    top = _TOP + _TITLE_LINE * (len(facts) - 1) + _LINE_HEIGHT * (1 + -(-len(keys) // key_columns))
+    height = top + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
+    with look():
+        figure = plt.figure(figsize=(width, height))
+        _draw_title(figure, table["recording"].nunique(), facts, keys, key_columns)
+        for row, coefficient in enumerate(coefficients):
+            for column, sensor in enumerate(sensors):
+                of = drawn[(drawn["coefficient"] == coefficient) & (drawn["sensor"] == sensor)]
+                if of.empty:
+                    continue
+                left = _LEFT + column * (_PANEL_WIDTH + _GAP)
+                bottom = height - top - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
+                place = (left / width, bottom / height, _PANEL_WIDTH / width, _PANEL_HEIGHT / height)
+                _draw_panel(figure.add_axes(place), of, coefficient, sensor, groups)
+        return finished(figure, path)
+
+
+def plot_fleet_result(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
+    return plot_fleet(fleet.table, path)
+
+
+def _drawn(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows with an estimate and its interval, or a limit; `height` is where they are."""
+    height = np.where(table["detected"], table["value"], table["upper_limit_95"])
+    # Neither a value that was held nor one without an error is an estimate.
+    estimated = table["lower_95"] < table["upper_95"]
+    return table.assign(height=height)[np.isfinite(height) & (estimated | ~table["detected"])]
+
+
+def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
+    """What the key says of the points of each group, and their colour."""
+    groups = list(table["group"].unique())
+    if len(groups) < 2:
+        return [("estimate, 95 % interval", _GROUPS[0])]
+    if len(groups) > len(_GROUPS):
+        return [("estimates, 95 % intervals: a colour a group", _GROUPS[0])]
+    counts = table.groupby("group")["recording"].nunique()
+    return [(literal(f"group {g} ({counts[g]})"), colour) for g, colour in zip(groups, _GROUPS, strict=False)]
+
+
+def _facts(table: pd.DataFrame, letters: int) -> list[str]:
+    """Lines on how many units are outlying, and which units there are if that does not take many."""
+    units = table["recording"].nunique()
+    if not units:
+        return ["no results"]
+    facts = f"{table.loc[table['outlying'], 'recording'].nunique() or 'none'} of them outlying"
+    parts = [of["recording"].unique() for _, of in table.groupby("group", sort=False)]
+    named = f"{facts}; left to right: {' | '.join(', '.join(names) for names in parts)}"
+    lines = textwrap.wrap(named, letters, break_on_hyphens=False)
+    return lines if units <= _LISTED and len(lines) <= _MOST_LINES else [facts]
+
+
+def _key(table: pd.DataFrame) -> list[Any]:
+    """What points, lines and bands mean."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    points: dict[str, Any] = {"marker": "o", "markersize": 3, "linewidth": 0.8}
+    hollow: dict[str, Any] = {"marker": "v", "markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
+    return [
+        *(Line2D([], [], color=colour, label=name, **points) for name, colour in _group_colours(table)),
+        Line2D([], [], color=_LIMIT, label="not detected: 95 % limit", **hollow),
+        Line2D([], [], color=_OUTLYING, label="outlying", **points),
+        Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
+        Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
+    ]
+
+
+def _draw_title(figure: Figure, units: int, facts: Sequence[str], keys: list[Any], columns: int) -> None:
+    width, height = figure.get_size_inches()
+    at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
+    figure.text(y=1.0 - 0.12 / height, s=f"{units} units", fontsize=13, fontweight="bold", **at)
+    figure.text(y=1.0 - 0.4 / height, s=literal("\n".join(facts)), color="0.35", fontsize=9.5, **at)
+    figure.legend(
+        handles=keys,
+        loc="upper left",
+        bbox_to_anchor=(_LEFT / width, 1.0 - (0.42 + _LINE_HEIGHT + _TITLE_LINE * (len(facts) - 1)) / height),
+        ncols=columns,
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        columnspacing=1.2,
+    )
+
+
+def _draw_panel(
+    panel: Axes, of: pd.DataFrame, coefficient: str, sensor: Sensor, groups: Sequence[str]
+) -> None:
+    unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
+    title = title_of(coefficient, Axis(axes[0], sensor, unit))
+    panel.set_title(f"{_SENSOR[sensor]}: {title}", loc="left", fontweight="bold")
+    panel.set_ylabel(title if unit == "1" else f"{title} [{unit}]")
+    panel.set_xticks(range(len(axes)), axes)
+    panel.set_xlim(-0.5, len(axes) - 0.5)
+    panel.tick_params(axis="x", length=0.0)
+    panel.grid(True, axis="y", which="major", color="0.88", linewidth=0.6)
+    panel.set_axisbelow(True)
+    _set_scale(panel, of)
+    for k, axis in enumerate(axes):
+        _draw_axis(panel, k, of[of["axis"] == axis], groups)
+
+
+def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
+    """Logarithmic where it can be, with numbers for people; ends of wide intervals leave the panel."""
+    height = of["height"].to_numpy()
+    if (height <= 0.0).any():
+        return
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    low = max(float(of.loc[of["lower_95"] > 0.0, "lower_95"].min()), height.min() / _BEYOND)
+    high = min(float(of.loc[of["detected"], "upper_95"].max()), height.max() * _BEYOND)
+    low, high = np.nanmin([low, height.min()]), np.nanmax([high, height.max()])
+    panel.set_yscale("log")
+    margin = max((high / low) ** 0.08, 1.05)
+    panel.set_ylim(low / margin, high * margin)
+    # Within a decade or less, powers of ten alone would leave the scale without numbers.
+    near = high / low < _NEAR
+    panel.yaxis.set_major_locator(MaxNLocator(6) if near else LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda y, _: plain(y)))
+    panel.yaxis.set_minor_locator(NullLocator())
+
+
+def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: Sequence[str]) -> None:
+    """The units' values on one axis about x = k, side by side, with a gap between groups."""
+    places = np.concatenate([np.flatnonzero(of["group"] == group) for group in groups])
+    of = of.iloc[places]
+    number = of["group"].map(list(groups).index).to_numpy()
+    apart = max(1, round(_APART * len(of)))
+    steps = np.arange(len(of)) + apart * np.cumsum(np.diff(number, prepend=number[0]) > 0)
+    x = k + _SPREAD * (2.0 * steps / max(steps[-1], 1) - (steps[-1] > 0))
+    for g in np.unique(number):
+        members = number == g
+        _draw_group(panel, x[members], of[members], _GROUPS[g % len(_GROUPS)])
+    odd = of["outlying"].to_numpy()
+    _name_units(panel, k, x[odd], of["height"].to_numpy()[odd], list(of.loc[odd, "recording"]))
+
+
+def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, colour: str) -> None:
+    """The values of a group's units on one axis, and where most of them are."""
+    y, detected, outlying = (of[name].to_numpy() for name in ("height", "detected", "outlying"))
+    usual = detected & ~outlying
+    if usual.any():
+        low, median, high = np.quantile(y[usual], (_BAND[0], 0.5, _BAND[1]))
+        reach = [x[0] - _BESIDE_POINTS, x[-1] + _BESIDE_POINTS]
+        panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
+        panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
+    panel.plot(
+        x[~detected],
+        y[~detected],
+        "v",
+        color=_LIMIT,
+        markersize=3.5,
+        markerfacecolor="none",
+        markeredgewidth=0.7,
+    )
+    # Many units' bars must not hide their points.
+    bars = 0.8 if len(of) <= _MANY else 0.4
+    for rows, shown in ((usual, colour), (outlying, _OUTLYING)):
+        ends = np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y])[:, rows]
+        panel.errorbar(
+            x[rows],
+            y[rows],
+            np.maximum(np.nan_to_num(ends, posinf=0.0), 0.0),
+            fmt="o",
+            color=shown,
+            markersize=2.6,
+            markeredgewidth=0.0,
+            elinewidth=bars,
+            zorder=4 if shown == _OUTLYING else 3,
+        )
+
+
+def _name_units(
+    panel: Axes, k: int, x: Float[np.ndarray, " units"], y: Float[np.ndarray, " units"], names: list[str]
+) -> None:
+    """Names in a column beside their points, from the lowest up, each clear of the one before."""
+    if not names:
+        return
+    to_share = panel.transLimits.transform
+    places = to_share(panel.transScale.transform(np.stack([x, y], axis=1)))
+    names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in names]
+    # Where there is more room.
+    right = x.mean() <= k
+    step = _NAME_HEIGHT / _PANEL_HEIGHT
+    column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
+    last = 1.0 - _LETTER * max(map(len, names))
+    if right and column > last:
+        # Within the panel, and above the points.
+        column, places = last, places + np.array([0.0, step])
+    order = np.argsort(places[:, 1])[:_NAMED]
+    clear = -np.inf
+    for count, i in enumerate(order):
+        # So low that those above it have a place too.
+        highest = 1.0 - (len(order) - 1 - count + 0.6) * step
+        level = max(min(places[i, 1], highest), clear)
+        clear = level + step
+        more = len(names) - _NAMED
+        panel.annotate(
+            literal(names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more"),
+            (x[i], y[i]),
+            (column, level),
+            textcoords="axes fraction",
+            color=_OUTLYING,
+            fontsize=7,
+            va="center",
+            ha="left" if right else "right",
+            arrowprops={"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2},
+        )

@@ -1,0 +1,174 @@
+"""Where a power spectral density is flat, and what else than white noise is in it there.
+
+The flat part of real spectra is a shallow valley between noises that fall and noises that rise with
+frequency. Its mean is above the white noise's density by what these contribute, which no test on the valley
+alone can tell. So a rough sum of white and other noise is fitted to the whole spectrum, to know how much.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.estimate import Coefficient
+from allanjax.noise.terms import AngleRandomWalk
+from allanjax.record.recording import Axis
+
+# A flat part spans this factor in frequency, has so many points, and a slope known to be less than this.
+_OCTAVE = 2.0
+_FEWEST_POINTS = 5
+_STEEPEST = 0.5
+# Slope and curvature together lower χ² by no more than they do on average where there is neither.
+_BENT = 2.0
+# The points scatter around one level as their degrees of freedom say.
+_SCATTER_P_VALUE = 1e-3
+
+# Points this many standard deviations off the sum, such as lines, weigh less.
+_OUTLYING = 3.0
+_REWEIGHTINGS = 12
+
+
+def coloured_density(
+    frequency: Float[np.ndarray, " m"],
+    density: Float[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    rate: float,
+) -> Float[np.ndarray, " m"]:
+    """What flicker, random walk and quantization contribute to the density [its unit] at each frequency [Hz].
+
+    That is c₁/f + c₂/f² + c₃ sin²(πf/rate) of their sum with a constant, fitted with coefficients that are
+    not negative, weighted with the degrees of freedom at the sum itself, robust to lines.
+    """
+    from scipy.optimize import nnls
+
+    shapes = np.stack(
+        [np.ones_like(frequency), 1.0 / frequency, frequency**-2.0, np.sin(np.pi * frequency / rate) ** 2],
+        axis=1,
+    )
+    precision = np.sqrt(dof / 2.0)
+    model, outlying = density, np.zeros_like(density)
+    for _ in range(_REWEIGHTINGS):
+        weight = precision / model / np.sqrt(np.maximum(outlying / _OUTLYING, 1.0))
+        scaled = shapes * weight[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        coefficients = nnls(scaled / size, density * weight)[0] / size
+        model = shapes @ coefficients
+        outlying = abs(density / model - 1.0) * precision
+    return shapes[:, 1:] @ coefficients[1:]
+
+
+def flattest(
+    frequency: Float[np.ndarray, " m"],
+    density: Float[np.ndarray, " m"],
+    coloured: Float[np.ndarray, " m"],
+    count: Int[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    share: Float[np.ndarray, " m"],
+) -> tuple[int, int] | None:
+    """First and last point of the band that `PowerSpectrum.flat_band` describes; None if there is none.
+
+    Args:
+        frequency, density, dof: of the points of a spectrum.
+        coloured: what is not white in the density.
+        count: ordinates in each point.
+        share: what each point contributes to the degrees of freedom of a long band.
+
+    The logarithm of χ² over its ν degrees of freedom has the mean ψ(ν/2) − ln(ν/2) and the variance ψ'(ν/2).
+    """
+    from scipy.special import digamma, polygamma
+    from scipy.stats import chi2
+
+    x = np.log(frequency / frequency[-1])
+    y = np.log(density) - digamma(dof / 2.0) + np.log(dof / 2.0)
+    w = share / dof / polygamma(1, dof / 2.0)
+    first, last = np.triu_indices(len(x), _FEWEST_POINTS - 1)
+    wide = frequency[last] >= _OCTAVE * frequency[first]
+    first, last = first[wide], last[wide]
+    if not first.size:
+        return None
+
+    def sums(v: Float[np.ndarray, " m"]) -> Float[np.ndarray, " bands"]:
+        total = np.append(0.0, np.cumsum(v))
+        return total[last + 1] - total[first]
+
+    # Weighted sums of powers of x over every band at once, and what the fits of constant and parabola leave.
+    moments = np.stack([sums(w * x**p) for p in range(5)], axis=1)
+    right = np.stack([sums(w * x**p * y) for p in range(3)], axis=1)
+    degree = np.arange(3)
+    parabola = np.linalg.solve(moments[:, degree[:, None] + degree], right[:, :, None])[:, :, 0]
+    around_level = sums(w * y**2) - right[:, 0] ** 2 / moments[:, 0]
+    around_parabola = sums(w * y**2) - (parabola * right).sum(axis=1)
+    spread = moments[:, 2] - moments[:, 1] ** 2 / moments[:, 0]
+    slope = (right[:, 1] - moments[:, 1] * right[:, 0] / moments[:, 0]) / spread
+    flat = abs(slope) + 2.0 / np.sqrt(spread) < _STEEPEST
+    flat &= around_level - around_parabola <= _BENT
+    flat &= chi2.sf(around_level, last - first) > _SCATTER_P_VALUE
+    if not flat.any():
+        return None
+    error = 2.0 / sums(share) + (sums(count * coloured) / sums(count * density)) ** 2
+    best = np.argmin(np.where(flat, error, np.inf))
+    return int(first[best]), int(last[best])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SpectralRandomWalk(Coefficient):
+    """N from a flat part of a power spectral density, Hou (2004) eq. (3.41); a `Coefficient` with its band.
+
+    Attributes:
+        band: lowest and highest frequency [Hz] averaged.
+        degrees_of_freedom: of the mean density in it.
+        excess: what other noise seems to add to N; part of `std` and of the intervals, not of `value`.
+    """
+
+    NUMBERS: ClassVar[tuple[str, ...]] = (*Coefficient.NUMBERS, "excess")
+
+    band: tuple[float, float] = (0.0, 0.0)
+    degrees_of_freedom: float = 0.0
+    excess: float = 0.0
+
+
+def spectral_random_walk(
+    density: float, coloured: float, dof: float, axis: Axis, band: tuple[float, float]
+) -> SpectralRandomWalk:
+    """N = √(density / 2), from a mean density [SI] with its coloured part and its degrees of freedom.
+
+    Other noise can only add to the density. Its part is taken as known to within half of itself.
+    """
+    from scipy.stats import norm
+
+    value = float(np.sqrt(density / 2.0))
+    excess = value * (1.0 - float(np.sqrt(max(1.0 - coloured / density, 0.0))))
+
+    def interval(level: float) -> tuple[float, float]:
+        lower, upper = (value * float(np.sqrt(factor)) for factor in chi_squared_factors(dof, level))
+        uncertainty = norm.ppf((1.0 + level) / 2.0) * excess / 2.0
+        return max(value - excess - float(np.hypot(value - lower, uncertainty)), 0.0), upper
+
+    return SpectralRandomWalk(
+        label=AngleRandomWalk.name(),
+        term=AngleRandomWalk.name(),
+        parameter=AngleRandomWalk.parameters()[0],
+        axis=axis,
+        value=value,
+        std=float(np.hypot(value / np.sqrt(2.0 * dof), excess)),
+        interval=interval(0.95),
+        interval_68=interval(0.68),
+        upper_limit=None,
+        detected=True,
+        band=(float(band[0]), float(band[1])),
+        degrees_of_freedom=dof,
+        excess=excess,
+    )
+
+
+def chi_squared_factors(
+    dof: ArrayLike, level: float
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Ends of the interval of a variance whose estimate is one."""
+    from scipy.stats import chi2
+
+    if not 0 < level < 1:
+        raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
+    return dof / chi2.ppf((1 + level) / 2, dof), dof / chi2.ppf((1 - level) / 2, dof)

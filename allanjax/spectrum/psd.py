@@ -1,0 +1,388 @@
+"""Power spectral density of a static recording, averaged over frequency as Hou (2004) does in section 3.4.2.
+
+The periodogram is eq. (3.39), one-sided, but of the record without its straight line and under a Hann window.
+Without them a drift would leak: the periodogram of a random walk is twice its density at every frequency, and
+a ramp or a strong line can bury the floor. The window's price is that neighbouring ordinates are correlated
+(by 4/9 in power, and 1/36 two apart), so that a mean of many has 1/1.94 of the degrees of freedom.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.presented import presented
+from allanjax.record.io.given import RecordingLike, samples_of
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.validation import Source, check_values
+from allanjax.spectrum.flat_band import (
+    SpectralRandomWalk,
+    chi_squared_factors,
+    coloured_density,
+    flattest,
+    spectral_random_walk,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Method = Literal["logarithmic", "welch"]
+
+# Table 3.4: ordinates that stay single, and points an octave above them.
+_SINGLE = 32
+_PER_OCTAVE = 16
+# Welch's segments, if nobody says how long they are to be; they overlap by half.
+_SEGMENTS = 8
+# Ordinates farther apart than this are taken as uncorrelated under any window.
+_CORRELATED = 32
+# Correlations of ordinates depend on the window's shape alone: a short one shows them.
+_SHORT_WINDOW = 4096
+
+
+# --- Averaging over frequency -------------------------------------------------------------------------------
+
+
+def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
+    """First ordinate, counted from 0, of each group of Hou (2004) table 3.4 that m ordinates make up.
+
+    The first 32 stay single; of 33-64 two are averaged each, of 65-128 four, and so on: 16 groups an octave.
+    What is left at the end of a broken octave is a group of its own, or joins the last if less than half one.
+    """
+    octaves = max(int(np.ceil(np.log2(max(m, 1) / _SINGLE))), 0)
+    width = 2 ** np.arange(1, octaves + 1)
+    starts = (width * _PER_OCTAVE)[:, None] + width[:, None] * np.arange(_PER_OCTAVE)
+    starts = np.concatenate([np.arange(_SINGLE), starts.ravel()])
+    starts = starts[starts < m]
+    if len(starts) > _SINGLE:
+        full = width[np.searchsorted(width * _PER_OCTAVE, starts[-1], side="right") - 1]
+        if m - starts[-1] < full / 2:
+            starts = starts[:-1]
+    return starts
+
+
+# --- Results ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PowerSpectrum(ByValue):
+    """Estimated one-sided power spectral density of each axis against frequency.
+
+    Attributes:
+        frequency: [m] mean frequency of the ordinates averaged [Hz].
+        density: [m, axes] one-sided density [(rad/s)²/Hz or (m/s²)²/Hz, or the array's unit squared a Hz].
+        count: [m] adjacent ordinates averaged.
+        dof: [m] degrees of freedom: dof · estimate / density has the χ² law, nearly.
+        correlation: [lags] squared correlation of ordinates 0, 1, 2 … apart, summed over the segments.
+        n: rate samples per axis.
+        rate: sample rate [Hz].
+        method: "logarithmic" or "welch".
+        window: its name in `scipy.signal`.
+        segments: stretches of the record averaged; 1 for "logarithmic".
+        axes: the recording's axes, or None for an array.
+    """
+
+    frequency: Float[np.ndarray, " m"]
+    density: Float[np.ndarray, "m axes"]
+    count: Int[np.ndarray, " m"]
+    dof: Float[np.ndarray, " m"]
+    correlation: Float[np.ndarray, " lags"]
+    n: int
+    rate: float
+    method: Method = "logarithmic"
+    window: str = "hann"
+    segments: int = 1
+    axes: tuple[Axis, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes; "0", "1", … for an array."""
+        if self.axes is None:
+            return tuple(str(k) for k in range(self.density.shape[1]))
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def standard_error(self) -> Float[np.ndarray, "m axes"]:
+        """Standard error of the density: density · √(2/dof)."""
+        return self.density * np.sqrt(2.0 / self.dof)[:, None]
+
+    def confidence_interval(
+        self, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, "m axes"], Float[np.ndarray, "m axes"]]:
+        """Lower and upper end of the central interval of the density, by the χ² law.
+
+        Raises:
+            AllanjaxError: `level` not between 0 and 1.
+        """
+        lower, upper = chi_squared_factors(self.dof, level)
+        return self.density * lower[:, None], self.density * upper[:, None]
+
+    def degrees_of_freedom(self, count: ArrayLike) -> Float[np.ndarray, "..."]:
+        """Degrees of freedom of the mean of `count` adjacent ordinates (Percival & Walden 1993, section 6).
+
+        2·count·segments / Σ_d (1 − |d|/count) c(|d|), with c the `correlation` and |d| < count.
+        """
+        B = np.asarray(count, dtype=float)
+        lag = np.arange(1, len(self.correlation))
+        share = np.maximum(1.0 - lag / B[..., None], 0.0)
+        return 2.0 * B * self.segments / (self.correlation[0] + 2.0 * share @ self.correlation[1:])
+
+    def averaged(self) -> "PowerSpectrum":
+        """The spectrum averaged over frequency after Hou (2004) table 3.4; itself, if it is already."""
+        if self.count.max() > 1:
+            return self
+        starts = octave_groups(len(self.frequency))
+        count = np.diff(starts, append=len(self.frequency))
+        return replace(
+            self,
+            frequency=np.add.reduceat(self.frequency, starts) / count,
+            density=np.add.reduceat(self.density, starts, axis=0) / count[:, None],
+            count=count,
+            dof=self.degrees_of_freedom(count),
+        )
+
+    def flat_band(self, axis: str) -> tuple[float, float]:
+        """Frequencies [Hz] between which the density is flat, as white noise is.
+
+        Candidates are all contiguous bands of an octave or more of the spectrum averaged after table 3.4. To
+        the logarithm of the density in each, weighted with its degrees of freedom, a constant, a line and a
+        parabola are fitted against ln f. A band is flat if
+
+        - its log-log slope is within ±0.5 by two standard errors, nearer to white noise than to flicker;
+        - line and parabola together lower χ² by at most 2, which is what they do where nothing is bent;
+        - the points scatter around the constant as their degrees of freedom allow (p > 0.001): no line in it.
+
+        Of the flat bands it is the one whose mean has the least expected square error: 2 over its degrees of
+        freedom, plus the square of what other noise seems to contribute (`flat_band.coloured_density`).
+
+        Raises:
+            AllanjaxError: there is no such axis, or no flat band.
+        """
+        k, s = self._index(axis), self.averaged()
+        # Neighbours are correlated, so that a band has not the sum of its points' degrees of freedom.
+        share = s.degrees_of_freedom(s.count.sum()) * s.count / s.count.sum()
+        found = flattest(s.frequency, s.density[:, k], s._coloured(k), s.count, s.dof, share)
+        if found is None:
+            raise AllanjaxError(
+                f"{axis}: its power spectral density is flat over no octave from {s.frequency[0]:.3g} Hz to "
+                f"{s.frequency[-1]:.3g} Hz; give the band of the white noise, band=(low, high) in Hz"
+            )
+        first, last = found
+        edges = (np.append(0, np.cumsum(s.count)) + 0.5) * s.frequency[0]
+        return float(edges[first]), float(edges[last + 1])
+
+    def random_walk(self, axis: str, band: tuple[float, float] | None = None) -> SpectralRandomWalk:
+        """Angle (velocity) random walk N of an axis, Hou (2004) eq. (3.41): √(mean density in the band / 2).
+
+        In (3.41) N is in deg/√h and the density in (deg/h)²/Hz; here both are SI, see `in_unit`. Intervals
+        are those of the mean's χ² law, and reach below it by what flicker, rate random walk and quantization
+        seem to contribute to the band (see `SpectralRandomWalk.excess`).
+
+        Args:
+            axis: the axis's name.
+            band: lowest and highest frequency [Hz] to average over; by default `flat_band(axis)`.
+
+        Raises:
+            AllanjaxError: no such axis, no flat part, no frequency in the band, or samples without unit.
+        """
+        k = self._index(axis)
+        if self.axes is None:
+            raise AllanjaxError(
+                "N needs the samples' unit, which an array does not have: make a recording of it, "
+                "Recording.from_array(values, rate, gyro_unit=…)"
+            )
+        low, high = self.flat_band(axis) if band is None else band
+        inside = (low <= self.frequency) & (self.frequency <= high)
+        if not inside.any():
+            raise AllanjaxError(
+                f"{axis}: the band {low:g} Hz to {high:g} Hz holds no frequency of the spectrum, which goes "
+                f"from {self.frequency[0]:.3g} Hz to {self.frequency[-1]:.3g} Hz; give (low, high) in Hz"
+            )
+        count = self.count[inside]
+        density = count @ self.density[inside, k] / count.sum()
+        coloured = count @ self._coloured(k)[inside] / count.sum()
+        dof = float(self.degrees_of_freedom(count.sum()))
+        return spectral_random_walk(float(density), float(coloured), dof, self.axes[k], (low, high))
+
+    def _coloured(self, k: int) -> Float[np.ndarray, " m"]:
+        """What is not white of the density of the axis of this index, at this spectrum's frequencies."""
+        s = self.averaged()
+        coloured = coloured_density(s.frequency, s.density[:, k], s.dof, s.rate)
+        return coloured if s is self else np.interp(self.frequency, s.frequency, coloured)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """One row a frequency: it, its degrees of freedom, and every axis's density in (deg/h)²/Hz or µg²/Hz.
+
+        Headers state the units; without them, of an array, densities are in its own.
+        """
+        import pandas as pd
+
+        columns = {"frequency [Hz]": self.frequency, "degrees of freedom": self.dof}
+        for k, name in enumerate(self.names):
+            unit, scale = ("", 1.0) if self.axes is None else density_unit(self.axes[k])
+            columns[f"{name} [{unit}]" if unit else name] = self.density[:, k] / scale
+        return pd.DataFrame(columns)
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
+        """Draw the densities with their 68 % intervals; see `plot_psd`."""
+        raise NotImplementedError
+
+    def _index(self, axis: str) -> int:
+        if axis not in self.names:
+            raise AllanjaxError(f"no axis {axis!r} in the spectrum; there are {', '.join(self.names)}")
+        return self.names.index(axis)
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.names) if self.axes else f"{self.density.shape[1]} axes"
+        first, last = self.frequency[[0, -1]]
+        segments = f" of {self.segments} segments" if self.segments > 1 else ""
+        return (
+            f"PowerSpectrum({self.method}{segments}, {self.window}; {names}; "
+            f"{self.n} samples at {self.rate:.6g} Hz; "
+            f"{len(self.frequency)} frequencies from {first:.4g} Hz to {last:.4g} Hz)"
+        )
+
+
+def density_unit(axis: Axis) -> tuple[str, float]:
+    """Unit for people of an axis's power spectral density, and its factor to SI."""
+    unit = default_coefficient_unit(axis.sensor, 0.0)
+    name = f"({unit})²/Hz" if "/" in unit else f"{unit}²/Hz"
+    return name, unit_scale(unit, axis.sensor) ** 2
+
+
+# --- The estimate -------------------------------------------------------------------------------------------
+
+
+def power_spectrum(
+    data: RecordingLike,
+    rate: float | None = None,
+    *,
+    method: Method = "logarithmic",
+    window: str = "hann",
+    segment_time: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> PowerSpectrum:
+    """One-sided power spectral density of every axis, Hou (2004) section 3.4.2.
+
+    "logarithmic" is one periodogram (3.39) of the whole record without its straight line, averaged over
+    frequency after table 3.4. "welch" is the mean over segments that overlap by half, each without its mean,
+    as `scipy.signal.welch` has it. The ordinates at zero and at the Nyquist frequency are left out: they have
+    half the bandwidth and one degree of freedom. From the lowest two of the others the straight line or the
+    mean has taken a part, under a Hann window 29 % and 5 % (17 % and 4 %) of white noise.
+
+    Args:
+        data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
+        rate: sample rate [Hz], for an array only: a recording has its own.
+        method: "logarithmic" or "welch".
+        window: a window that `scipy.signal.get_window` knows by this name. "boxcar" is eq. (3.39) as it
+            stands: twice as many degrees of freedom, and leakage from drifts and lines.
+        segment_time: length of Welch's segments [s]; by default as many samples, a power of two, as fit into
+            the record eight times.
+        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
+            densities are in the array's own, whatever that is.
+
+    Raises:
+        AllanjaxError: no rate or not a positive one, samples that are not finite or constant, fewer than 16,
+            an unknown method or window, or segments that do not fit.
+    """
+    from scipy.fft import rfft
+    from scipy.signal import welch
+
+    if method not in get_args(Method):
+        raise AllanjaxError(f"unknown method {method!r}: expected 'logarithmic' or 'welch'")
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    labels = [str(k) for k in range(values.shape[1])] if axes is None else [axis.name for axis in axes]
+    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
+    n = len(values)
+    length = n
+    if method == "welch":
+        length = _segment_length(n, rate, segment_time)
+    elif segment_time is not None:
+        raise AllanjaxError("segment_time is for method='welch': the logarithmic average has one segment")
+    overlap = length // 2
+    weights = _window(window, length)
+
+    def periodogram(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " frequencies"]:
+        if method == "welch":
+            return welch(x, rate, window=weights, noverlap=overlap)[1]
+        # scipy.signal's periodogram takes seven times as long.
+        return 2.0 * abs(rfft(_without_line(x) * weights)) ** 2 / (rate * (weights @ weights))
+
+    # One axis at a time: transforms of all of a long record would fill the memory.
+    count = (length + 1) // 2 - 1
+    segments = 1 + (n - length) // (length - overlap)
+    raw = PowerSpectrum(
+        frequency=np.arange(1, count + 1) * (rate / length),
+        density=np.stack([periodogram(x)[1 : count + 1] for x in values.T], axis=1),
+        count=np.ones(count, dtype=int),
+        dof=np.zeros(count),
+        n=n,
+        rate=rate,
+        method="welch",
+        window=window,
+        segments=segments,
+        correlation=_correlation(window, length, segments),
+        axes=axes,
+    )
+    if method == "logarithmic":
+        return replace(raw.averaged(), method=method)
+    return replace(raw, dof=raw.degrees_of_freedom(raw.count))
+
+
+def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
+    if segment_time is None:
+        return max(1 << ((n // _SEGMENTS).bit_length() - 1), _SEGMENTS)
+    if not _SEGMENTS <= segment_time * rate <= n:
+        raise AllanjaxError(
+            f"a segment_time of {segment_time:g} s does not fit: it must be {_SEGMENTS / rate:g} s, "
+            f"{_SEGMENTS} samples, at least and {n / rate:g} s, the record, at most"
+        )
+    return round(segment_time * rate)
+
+
+def _window(name: str, length: int) -> Float[np.ndarray, " length"]:
+    from scipy.signal import get_window
+
+    try:
+        return get_window(name, length)
+    except (ValueError, TypeError) as error:
+        raise AllanjaxError(
+            f"unknown window {name!r}: expected one that scipy.signal.get_window knows by name, e.g. 'hann'"
+        ) from error
+
+
+def _without_line(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """x minus its least-squares straight line; `scipy.signal.detrend` solves for it in far more time."""
+    t = np.arange(len(x)) - (len(x) - 1) / 2.0
+    x = x - x.mean()
+    return x - (t @ x) / (t @ t) * t
+
+
+def _correlation(window: str, length: int, segments: int) -> Float[np.ndarray, " lags"]:
+    """c(d) = Σ_m (1 − |m|/segments) |Σ_t w(t) w(t + m·step) e^{2πi·d·t/length}|² / (Σ w²)².
+
+    The step is half the length. Welch (1967) has d = 0. Of the segments only neighbours overlap, m = ±1.
+    """
+    short = min(length, _SHORT_WINDOW) // 2 * 2
+    w = _window(window, short)
+    half = short // 2
+    squares = abs(np.fft.rfft(w**2)) ** 2
+    if segments > 1:
+        squares = squares + 2.0 * (1.0 - 1.0 / segments) * abs(np.fft.rfft(w[:half] * w[half:], short)) ** 2
+    return squares[:_CORRELATED] / (w @ w) ** 2
