@@ -13,10 +13,12 @@ import jax
 # Allan variances of a long record span ten decades: single precision cannot hold them.
 jax.config.update("jax_enable_x64", True)
 
+from allanjax import critic  # noqa: E402
 from allanjax.allan.deviation import AllanDeviation, allan_deviation  # noqa: E402
 from allanjax.base.cache import enable_compilation_cache  # noqa: E402
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError, UnitError  # noqa: E402
-from allanjax.critic import Cause, Critique, Finding, critique  # noqa: E402
+from allanjax.critic import Cause, Critique, Finding  # noqa: E402
+from allanjax.critic.critique import critique  # noqa: E402
 from allanjax.estimate.as_json import to_dict  # noqa: E402
 from allanjax.estimate.bulk import BulkFit, fit_many  # noqa: E402
 from allanjax.estimate.fit import fit  # noqa: E402
@@ -120,6 +122,7 @@ __all__ = [
     "basic_terms",
     "characterize_fleet",
     "convert",
+    "critic",
     "critique",
     "enable_compilation_cache",
     "fit",

@@ -45,7 +45,7 @@ from hidden_verdict import (
 )
 
 import allanjax as aj
-from allanjax.critic import critique
+from allanjax.critic.critique import critique
 from allanjax.critic.view import FALSE_ALARMS
 
 MULTIPLES = (2.0, 5.0)

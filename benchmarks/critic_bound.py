@@ -33,7 +33,7 @@ from hidden_sensors import power_limit
 from hidden_verdict import model_without, recording_of, right
 
 import allanjax as aj
-from allanjax.critic import critique
+from allanjax.critic.critique import critique
 
 PATHS = ("bias_step", "warm_up", "telegraph")
 STOCHASTIC = ("drift_ramp", "rate_random_walk", "markov")

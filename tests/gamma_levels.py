@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-import allanjax.posterior.likelihood
+import allanjax.posterior.axis_sampler
 from allanjax.noise.terms import AngleRandomWalk, RateRandomWalk
 
 DEGREE, HOUR = np.pi / 180.0, 3600.0
@@ -86,7 +86,7 @@ def quadrature(likelihood, priors, points=401):
 
 def with_likelihood(patch, fit, likelihood, chosen=True):
     """The fit with N and K as its model, every axis of which has this likelihood."""
-    patch.setattr(allanjax.likelihood, "likelihood", lambda fit, axis: likelihood)
+    patch.setattr(allanjax.posterior.axis_sampler, "likelihood_of", lambda fit, axis: likelihood)
     patch.setattr(type(fit), "chosen", chosen)
     results = tuple(dataclasses.replace(r, _coefficients={}) for r in fit.results)
     return dataclasses.replace(fit, template=AngleRandomWalk() + RateRandomWalk(), results=results)

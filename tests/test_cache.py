@@ -6,7 +6,7 @@ import pytest
 
 import allanjax as aj
 from allanjax.base import cache
-from allanjax.critic import critique
+from allanjax.critic.critique import critique
 
 
 @pytest.mark.parametrize("used", [100, 60_000])

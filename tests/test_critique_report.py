@@ -302,7 +302,7 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
 
 @pytest.fixture(scope="module")
 def schema():
-    return json.loads(files("allanjax").joinpath("critique.schema.json").read_text(encoding="utf-8"))
+    return json.loads(files("allanjax.report").joinpath("critique.schema.json").read_text(encoding="utf-8"))
 
 
 def test_json_has_all_numbers_and_follows_the_schema(schema):
@@ -356,7 +356,7 @@ def command(critique, tmp_path, monkeypatch):
         return critique
 
     # The package by its own name: allanjax.critique is the function that it is named after.
-    monkeypatch.setattr(importlib.import_module("allanjax.critic"), "critique", fake)
+    monkeypatch.setattr(importlib.import_module("allanjax.critic.critique"), "critique", fake)
     values = np.random.default_rng(0).standard_normal((64, 1))
     for name in ("imu", "odd"):
         recording = Recording.from_array(values, RATE, gyro_unit="deg/s", names=["gyro_x"], name=name)
@@ -394,7 +394,7 @@ def test_json_of_one_file_is_its_document(command, critique, schema):
 def test_a_dead_axis_is_told_and_an_error(critique, command, monkeypatch, schema):
     dead = dataclasses.replace(critique, dead=(DeadAxis.of(Axis("gyro_z", "gyro", "deg/s"), 0.0),))
     assert "gyro_z: not compared: constant, 0 deg/s throughout" in str(dead)
-    package = importlib.import_module("allanjax.critic")
+    package = importlib.import_module("allanjax.critic.critique")
     monkeypatch.setattr(package, "critique", lambda recording, *, progress: dead)
     done = command("imu.csv", "--json")
     assert done.exit_code == 1

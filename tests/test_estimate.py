@@ -10,6 +10,7 @@ import pytest
 import allanjax as aj
 from allanjax.noise.estimate import Coefficient
 from allanjax.noise.notation import term_classes
+from allanjax.noise.parameter import Parameter
 from allanjax.posterior.derived_quantities import Derived
 from allanjax.posterior.marginals import Marginal
 from allanjax.record.recording import Axis
@@ -40,7 +41,7 @@ FREQUENCIES = {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0, "1/h": 1 / H}
 AXES = {"gyro": Axis("gyro_x", "gyro", "deg/s"), "accel": Axis("accel_z", "accel", "g")}
 
 
-def units_of(parameter: aj.terms.Parameter, sensor: str) -> dict[str, float]:
+def units_of(parameter: Parameter, sensor: str) -> dict[str, float]:
     if parameter.kind == "amplitude":
         return {"gyro": GYRO, "accel": ACCEL}[sensor][float(parameter.time_exponent)]
     return {"time": TIMES, "frequency": FREQUENCIES, "line": FREQUENCIES}.get(parameter.kind, {"1": 1.0})
@@ -50,7 +51,7 @@ PARAMETERS = [(name, p) for name, cls in term_classes().items() for p in cls.par
 PARAMETERS += [("user's", dataclasses.replace(aj.AngleRandomWalk.parameters()[0], time_exponent=0.25))]
 
 
-def estimates(sensor: str, parameter: aj.terms.Parameter, label: str, size: float) -> list:
+def estimates(sensor: str, parameter: Parameter, label: str, size: float) -> list:
     """One of every class and every state, of this size in SI."""
     axis = AXES[sensor]
     numbers = {

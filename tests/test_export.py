@@ -34,7 +34,7 @@ USUAL = {
 
 @pytest.fixture(scope="module")
 def schema():
-    return json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+    return json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text(encoding="utf-8"))
 
 
 def test_json_has_the_fits_numbers_in_both_units(small_fit, schema, tmp_path):

@@ -16,9 +16,11 @@ import pytest
 from matplotlib import pyplot as plt
 from typer.testing import CliRunner
 
-from allanjax import AllanAccumulator, fleet, fleet_cluster
+from allanjax import AllanAccumulator
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.app import app
+from allanjax.fleet import cluster as fleet_cluster
+from allanjax.fleet import fleet
 from allanjax.fleet.cluster import connected, outcomes
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.fleet import characterize_fleet

@@ -8,7 +8,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from allanjax import AngleRandomWalk, LowPass, Markov, fleet, fleet_store
+from allanjax import AngleRandomWalk, LowPass, Markov
+from allanjax.fleet import fleet
+from allanjax.fleet import store as fleet_store
 from allanjax.fleet.fleet import characterize_fleet
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.store import key_of

@@ -13,10 +13,11 @@ from hidden_effects import TERMS, draw
 from hidden_verdict import compared, model_without, others, recording_of, right
 
 import allanjax as aj
-from allanjax.critic import Candidate, Cause, View, critique
+from allanjax.critic import Candidate, Cause, View
 from allanjax.critic.bank import Bank
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.additive import additive
+from allanjax.critic.critique import critique
 from allanjax.critic.noise import centred
 
 SMALL = {"duration": 600.0, "rate": 50.0}
@@ -89,7 +90,7 @@ def test_a_record_that_no_fit_converges_on_is_criticized_all_the_same(monkeypatc
         return dataclasses.replace(fit, results=tuple(failed))
 
     monkeypatch.setattr(critic, "fit_recording", failing)
-    (axis,) = found = critique(recording)
+    (axis,) = (found := critique(recording)).results
     assert [f.cause for f in axis.findings] == ["sinusoid"]
     assert "angle_random_walk" in axis.baseline.term_labels
     assert any("no luck" in note for note in found.notes)

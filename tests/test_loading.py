@@ -16,7 +16,7 @@ from allanjax.estimate.misfit import Misfit
 from allanjax.posterior.likelihood import likelihood_of
 from allanjax.record.recording import DeadAxis
 
-SCHEMA = json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text(encoding="utf-8"))
 
 
 def reloaded(fit, tmp_path, **options):

@@ -235,7 +235,7 @@ def test_what_was_held_stays_as_it_was_given(fit):
 
 def test_files_and_tables_have_no_errors_of_what_is_no_measurement(fit, recording, tmp_path):
     document = to_dict(fit)
-    schema = json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+    schema = json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text(encoding="utf-8"))
     jsonschema.validate(document, schema)
     json.dumps(document, allow_nan=False)
     axis, _, good, _ = document["axes"]
@@ -351,7 +351,7 @@ def test_a_correlation_time_beyond_the_record_is_above_a_limit():
     assert "±" not in str(time)
     document = to_dict(fit)
     jsonschema.validate(
-        document, json.loads(files("allanjax").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+        document, json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text(encoding="utf-8"))
     )
     (told,) = (c for c in document["axes"][0]["coefficients"] if c["label"] == "markov_correlation_time")
     assert (told["std"], told["lower_limit_95"], told["interval_95"][1]) == (None, time.lower_limit, None)

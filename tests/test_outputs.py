@@ -294,7 +294,7 @@ def test_critique_of_standard_input(monkeypatch):
         read.append(recording)
         raise aj.AllanjaxError("enough")
 
-    monkeypatch.setattr(importlib.import_module("allanjax.critic"), "critique", enough)
+    monkeypatch.setattr(importlib.import_module("allanjax.critic.critique"), "critique", enough)
     values = np.random.default_rng(0).normal(size=(64, 1))
     write(aj.Recording.from_array(values, 10.0, gyro_unit="deg/s", names=["gyro_x"]), "a.csv")
     done = CliRunner().invoke(app, ["critique", "-", "a*.csv"], input=Path("a.csv").read_bytes())

@@ -176,7 +176,7 @@ def test_a_users_prior_is_obeyed(two_terms):
     priors = default_priors(likelihood) | {"rate_random_walk": prior}
     grid = np.linspace(prior.lower, prior.upper, 400)
     likelihoods = [
-        np.exp(float(likelihood_of(np.array([N, c])) - likelihood_of(np.array([N, grid[0]])))) for c in grid
+        np.exp(float(likelihood(np.array([N, c])) - likelihood(np.array([N, grid[0]])))) for c in grid
     ]
     # N is known to a part in a thousand and hardly correlated with K.
     density = np.array(likelihoods) * np.exp(np.asarray(priors["rate_random_walk"].log_density(grid)))

@@ -127,7 +127,7 @@ def test_an_axis_is_told_by_its_coefficients_in_usual_units(small_fit, half_fail
 
 
 def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, posterior):
-    table = pd.concat([result.to_dataframe() for result in small_fit], ignore_index=True)
+    table = pd.concat([result.to_dataframe() for result in small_fit.results], ignore_index=True)
     pd.testing.assert_frame_equal(table, small_fit.to_dataframe())
     walk = small_fit["accel_z"]["angle_random_walk"]
     row = table[(table["axis"] == "accel_z") & (table["coefficient"] == "angle_random_walk")].iloc[0]

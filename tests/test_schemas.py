@@ -78,7 +78,7 @@ def test_of_critique(monkeypatch):
     for name in ("a.csv", "b.csv"):
         write(recording, name)
     found = aj.critique(recording)
-    package = importlib.import_module("allanjax.critic")
+    package = importlib.import_module("allanjax.critic.critique")
     monkeypatch.setattr(package, "critique", lambda recording, **options: found)
     pictures = importlib.import_module("allanjax.report.critique_figure")
     monkeypatch.setattr(pictures, "plot_critique", lambda critique, folder: None)

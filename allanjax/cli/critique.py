@@ -90,7 +90,7 @@ def critique_command(
 
 def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
     with stage(f"{file.label}: loading allanjax"):
-        from allanjax.critic import critique
+        from allanjax.critic.critique import critique
     with stage(f"{file.label}: reading"):
         recording = read_recording(file.path, reading, file.label)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"

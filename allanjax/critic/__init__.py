@@ -1,20 +1,29 @@
-"""The critic: what a simulation of the fitted sensor gets wrong, why, and what is gained by mending it."""
+"""The critic: what a simulation of the fitted sensor gets wrong, why, and what is gained by mending it.
 
-from __future__ import annotations
+A cause of one's own is a subclass of `Cause` with a `name` and a method `detect(view)`, which is handed a `View`
+of one axis and returns its best `Candidate`, or None. A shape that is known up to some parameters goes into a
+`Bank` of such shapes, `centred`, and `additive` finds the best of them.
+"""
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from allanjax.base.cache import release_programs
 from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding, Rival
-from allanjax.critic.view import FALSE_ALARMS, Candidate, Cause, Quantity, View
-from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.critic.view import Candidate, Cause, Quantity, View
 
 if TYPE_CHECKING:
-    from allanjax.estimate.result import Fit
+    from allanjax.critic.bank import Bank
+    from allanjax.critic.causes import CAUSES
+    from allanjax.critic.causes.additive import additive
+    from allanjax.critic.noise import centred
+
+# What only an author of causes needs, and takes long to load.
+_LATE = {"Bank": "bank", "CAUSES": "causes", "additive": "causes.additive", "centred": "noise"}
 
 __all__ = [
+    "CAUSES",
     "AxisCritique",
+    "Bank",
     "Candidate",
     "Cause",
     "Critique",
@@ -23,50 +32,13 @@ __all__ = [
     "Quantity",
     "Rival",
     "View",
-    "critique",
+    "additive",
+    "centred",
 ]
 
 
-def critique(
-    recording: RecordingLike,
-    fit: Fit | None = None,
-    *,
-    causes: Sequence[Cause] | None = None,
-    false_alarms: float = FALSE_ALARMS,
-    progress: Callable[[str], None] | None = None,
-    rate: float | None = None,
-    gyro_unit: str | None = None,
-    accel_unit: str | None = None,
-    names: Sequence[str] | None = None,
-) -> Critique:
-    """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
-
-    Every axis is whitened by its model; each cause looks in the residuals for its own signature with the best
-    filter there is for it. Competing explanations, among them other basic noise terms, are compared by their
-    evidence; the best is accepted if it is significant and predicts data that it was not estimated from,
-    taken out, and the search begins anew. What was found earlier is fitted again beside it if that matters,
-    and dropped if nothing is left of it. See `allanjax.critique.view` for writing a cause of one's own.
-
-    Args:
-        recording: what `read` returns, or what else `allanjax.fit` takes.
-        fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
-            are causes too; if they were chosen, the choice is made anew with every finding.
-        causes: what to look for; by default `allanjax.critique.causes.CAUSES`.
-        false_alarms: probability that a recording without any effect has a finding; it is shared by its
-            axes. Basic terms that a given model lacks come on top (`Cause.margin`, as often again).
-        progress: is told what is being done.
-        rate, gyro_unit, accel_unit, names: of an array, see `allanjax.fit`.
-
-    Raises:
-        AllanjaxError: `fit` is of other axes; `false_alarms` is not between 0 and 1.
-        FitError: a record of fewer than 1024 samples, or an axis without a fit.
-    """
-    # What it needs takes long to load.
-    from allanjax.critic.criticize import criticize
-
-    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
-
-    # Sooner than a fit would: not while axes are criticized beside it.
-    release_programs(0.5)
-
-    return criticize(recording, fit, causes, false_alarms, progress)
+def __getattr__(name: str) -> Any:
+    """What a cause of one's own needs, loaded when it is asked for."""
+    if name not in _LATE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_LATE[name]}"), name)

@@ -51,7 +51,7 @@ def criticize(
     false_alarms: float,
     progress: Callable[[str], None] | None,
 ) -> Critique:
-    """See `allanjax.critique.critique`.
+    """See `critique`.
 
     The axes are criticized beside each other: threads of BLAS, which wait for work by spinning, would only be
     in their way.

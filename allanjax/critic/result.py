@@ -248,7 +248,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     ) -> tuple[Figure, ...]:
         """A figure for every finding, or for some, and one for each axis without; saved in the folder `path`.
 
-        See `allanjax.critique.plot.plot_critique`.
+        See `report.critique_figure`.
         """
         raise NotImplementedError
 

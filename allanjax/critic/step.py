@@ -20,7 +20,7 @@ class Step:
         gain: log-likelihood gained on held-out data [nats].
         rivals: other causes and the odds against them.
         before: the view that it was found in.
-        beside: what it was fitted beside, see `allanjax.critique.refit`.
+        beside: what it was fitted beside, see `critic.refit`.
     """
 
     candidate: Candidate

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
-from allanjax.posterior.axis_sampler import AxisSampler
 from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import Posterior
 
@@ -62,6 +61,9 @@ def sample(
         AllanjaxError: an unknown axis or label, a bad number.
         FitError: an axis of which there is no fit, or a posterior without density anywhere.
     """
+    # What it needs takes long to load.
+    from allanjax.posterior.axis_sampler import AxisSampler
+
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:
         raise AllanjaxError(f"name at least one axis to sample of {', '.join(fit.axes)}")
