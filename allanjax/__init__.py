@@ -28,7 +28,7 @@ from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet, b
 from allanjax.fleet.fleet import FleetResult, characterize_fleet  # noqa: E402
 from allanjax.fleet.stream import AllanAccumulator, accumulate  # noqa: E402
 from allanjax.inspection import Inspection, inspect  # noqa: E402
-from allanjax.noise.estimate import Coefficient  # noqa: E402
+from allanjax.noise.estimate import Estimate  # noqa: E402
 from allanjax.noise.model import Model  # noqa: E402
 from allanjax.noise.sensors import SENSORS, SensorPreset  # noqa: E402
 from allanjax.noise.simulate import simulate, simulate_recording  # noqa: E402
@@ -60,6 +60,9 @@ from allanjax.report.files import write_coefficients_csv, write_curve_csv, write
 from allanjax.report.spectrum_figure import plot_psd  # noqa: E402
 from allanjax.spectrum.psd import PowerSpectrum, power_spectrum  # noqa: E402
 
+#: A fit's estimates are its coefficients.
+Coefficient = Estimate
+
 
 def __getattr__(name: str) -> str:
     """`allanjax.__version__`, which takes a while to find."""
@@ -88,6 +91,7 @@ __all__ = [
     "Coefficient",
     "Critique",
     "DriftRamp",
+    "Estimate",
     "Finding",
     "Fit",
     "FitError",

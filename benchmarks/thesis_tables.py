@@ -23,7 +23,7 @@ from machine import describe
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.wording import format_with_error
 from allanjax.estimate.fit import fit
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.sensors import SENSORS, Tabulated
 from allanjax.noise.terms import (
     AngleRandomWalk,
@@ -67,7 +67,7 @@ class Row:
     axis: str
     label: str
     truth: Tabulated
-    found: Coefficient | None
+    found: Estimate | None
     reading: Reading
 
     @property

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.notation import term_classes
 from allanjax.noise.parameter import Parameter
-from allanjax.posterior.derived_quantities import Derived
-from allanjax.posterior.marginals import Marginal
 from allanjax.record.recording import Axis
 from allanjax.record.units import UnitError, si_unit, unit_scale
-from allanjax.spectrum.flat_band import SpectralRandomWalk
 
 DEG, H, G0 = math.pi / 180.0, 3600.0, 9.80665
 
@@ -52,7 +49,7 @@ PARAMETERS += [("user's", dataclasses.replace(aj.AngleRandomWalk.parameters()[0]
 
 
 def estimates(sensor: str, parameter: Parameter, label: str, size: float) -> list:
-    """One of every class and every state, of this size in SI."""
+    """One from every source and in every state, of this size in SI."""
     axis = AXES[sensor]
     numbers = {
         "axis": axis,
@@ -64,15 +61,25 @@ def estimates(sensor: str, parameter: Parameter, label: str, size: float) -> lis
     names = {"label": label, "term": label, "parameter": parameter}
     limit = 3.17 * size
     of_amplitude = limit if parameter.kind == "amplitude" else None
-    found = Coefficient(**numbers, **names, upper_limit=of_amplitude, detected=True)
+    found = Estimate(**numbers, **names, upper_limit=of_amplitude, detected=True)
     absent = dataclasses.replace(found, value=0.0, std=0.0, upper_limit=limit, detected=False)
     shape = dataclasses.replace(absent, upper_limit=None)
     held = dataclasses.replace(found, std=0.0, held=True)
-    marginal = Marginal(**numbers, **names, upper_limit=of_amplitude, detected=True, bayes_factor=0.01)
-    walk = SpectralRandomWalk(
-        **numbers, **names, upper_limit=None, detected=True, band=(1.0, 7.0), excess=0.03 * size
+    marginal = Estimate(
+        source="posterior", **numbers, **names, upper_limit=of_amplitude, detected=True, bayes_factor=0.01
     )
-    derived = Derived(**numbers, name=label, usual=found.usual_unit, remark="extrapolated")
+    walk = Estimate(
+        source="spectrum",
+        **numbers,
+        **names,
+        upper_limit=None,
+        detected=True,
+        band=(1.0, 7.0),
+        excess=0.03 * size,
+    )
+    derived = Estimate(
+        source="posterior", **numbers, label=label, usual_unit=found.usual_unit, remark="extrapolated"
+    )
     # A shape that may be anywhere below is detected, and has a limit.
     below = [] if of_amplitude else [dataclasses.replace(found, upper_limit=limit)]
     return [found, absent, shape, held, marginal, walk, derived, *below]

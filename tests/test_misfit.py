@@ -22,7 +22,7 @@ from allanjax.estimate.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectr
 from allanjax.estimate.selection import basic_terms
 from allanjax.estimate.whittle import fit_spectrum
 from allanjax.fleet.table import mark_outlying, rows_of, table_of
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis, Recording
 from allanjax.report.files import write_coefficients_csv, write_json, write_results
 from allanjax.spectrum.cosine import CosineBins, cosine_transform
@@ -385,7 +385,7 @@ def test_shapes_whose_intervals_leave_what_a_record_can_show_have_limits(paramet
     """20,000 samples at 100 Hz: times from 0.02 to 200 s, frequencies from 0.005 to 50 Hz."""
     distance = value - parameter.lower
     ratio = np.exp(1.96 * std / distance)
-    c = Coefficient(
+    c = Estimate(
         label="x",
         term="x",
         parameter=parameter,

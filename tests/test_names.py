@@ -3,7 +3,7 @@
 import pytest
 
 import allanjax as aj
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.names import called
 from allanjax.noise.notation import parse_model
 from allanjax.record.recording import Axis
@@ -11,9 +11,9 @@ from allanjax.record.recording import Axis
 AXES = {"gyro": Axis("gyro_x", "gyro", "deg/s"), "accel": Axis("accel_x", "accel", "g")}
 
 
-def coefficients(sensor: str, text: str = "Q + N + B + K + R + markov") -> dict[str, Coefficient]:
+def coefficients(sensor: str, text: str = "Q + N + B + K + R + markov") -> dict[str, Estimate]:
     return {
-        p.label: Coefficient(
+        p.label: Estimate(
             axis=AXES[sensor],
             value=1.0,
             std=0.1,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import AngleRandomWalk, Markov
-from allanjax.posterior.marginals import Marginal
 from allanjax.posterior.priors import LogUniform, ModifiedLogUniform
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.report.posterior_figure import plot_corner, plot_posterior
@@ -38,7 +38,8 @@ def posterior(small_fit):
     for name in ("gyro_x", "accel_z"):
         axis = small_fit[name].axis
         marginals = {
-            p.label: Marginal(
+            p.label: Estimate(
+                source="posterior",
                 label=p.label,
                 term=p.term_label,
                 parameter=p.parameter,

@@ -123,7 +123,7 @@ def test_an_axis_is_told_by_its_coefficients_in_usual_units(small_fit, half_fail
     assert draws["angle_random_walk"].in_unit().describe() in repr(draws)
     assert draws.verdict() in repr(draws)
     walk = small_fit["gyro_x"]["angle_random_walk"]
-    assert repr(walk) == f"<Coefficient {walk}>"
+    assert repr(walk) == f"<Estimate {walk}>"
 
 
 def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, posterior):

@@ -339,7 +339,7 @@ def test_a_fit_without_a_model_uses_the_chosen_sets(small_fit):
             if c.term in axis.chosen.terms:
                 continue
             assert not c.detected
-            if c.parameter.kind == "amplitude":
+            if c.is_amplitude:
                 assert c.value == 0.0
                 assert c.upper_limit > 0.0
         assert set(result.model.term_labels) <= set(axis.chosen.terms)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from allanjax.base.tables import text_table
 from allanjax.base.wording import plain
 from allanjax.estimate.result import Fit
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import parse_model
 from allanjax.noise.simulate import simulate_recording
@@ -35,7 +35,7 @@ class Comparison:
         truth: the true value [SI]; 0 for a term that was left out.
     """
 
-    found: Coefficient
+    found: Estimate
     truth: float
 
     @property

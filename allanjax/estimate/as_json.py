@@ -14,7 +14,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import DeadAxis
 
@@ -173,13 +173,13 @@ def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
     ]
 
 
-def _coefficient(c: Coefficient) -> dict[str, Any]:
+def _coefficient(c: Estimate) -> dict[str, Any]:
     shown, si = c.in_unit(), c.in_unit(c.si_unit)
     return {
         "label": c.label,
         "term": c.term,
-        "symbol": c.parameter.symbol,
-        "kind": c.parameter.kind,
+        "symbol": c.symbol,
+        "kind": c.kind,
         "detected": c.detected,
         "held": c.held,
         "measured": c.measured,
@@ -189,7 +189,7 @@ def _coefficient(c: Coefficient) -> dict[str, Any]:
     }
 
 
-def _numbers(c: Coefficient) -> dict[str, Any]:
+def _numbers(c: Estimate) -> dict[str, Any]:
     return {
         "value": _finite(c.value),
         "std": _finite(c.std),

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.names import called
 from allanjax.record.axes import Axis
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_COLUMNS: dict[str, Callable[[Coefficient], Any]] = {
+_COLUMNS: dict[str, Callable[[Estimate], Any]] = {
     "axis": lambda c: c.axis.name,
     "coefficient": lambda c: c.label,
     "value": lambda c: c.value,
@@ -48,13 +48,13 @@ class AxisEstimates:
     if TYPE_CHECKING:  # A property here would be taken for the default of a dataclass's field.
 
         @property
-        def coefficients(self) -> Mapping[str, Coefficient]: ...
+        def coefficients(self) -> Mapping[str, Estimate]: ...
 
     def verdict(self) -> str:
         """One line on how far the estimates can be trusted."""
         raise NotImplementedError
 
-    def __getitem__(self, name: str) -> Coefficient:
+    def __getitem__(self, name: str) -> Estimate:
         """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW" (`called`)."""
         label = called(name, self.coefficients)
         if label is None:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from allanjax.estimate.deterministic import Line, amplitude_quantile
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, ESTIMATE, Inference
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
@@ -30,10 +30,10 @@ _FALSE_LINE = 1.35e-3
 class Coefficients:
     """The coefficients of one axis by label, and their covariance [SI] in the same order."""
 
-    values: Mapping[str, Coefficient]
+    values: Mapping[str, Estimate]
     covariance: Float[np.ndarray, "params params"]
 
-    def with_values(self, values: Mapping[str, Coefficient]) -> Coefficients:
+    def with_values(self, values: Mapping[str, Estimate]) -> Coefficients:
         """A copy with these coefficients, uncorrelated with the others."""
         new = {**self.values, **values}
         covariance = self.covariance.copy()
@@ -143,11 +143,11 @@ def coefficients_of(
     Shapes that may be anywhere beyond what n samples at `rate` [Hz] can show have a limit, and no error.
     """
     estimates = estimates_of(model, active, solution, inference)
-    found: list[dict[str, Coefficient]] = [{} for _ in axes]
+    found: list[dict[str, Estimate]] = [{} for _ in axes]
     for row, p in enumerate(reported(model)):
         limited = p.free and p.parameter.kind == "amplitude"
         for k, axis in enumerate(axes):
-            c = Coefficient(
+            c = Estimate(
                 label=p.label,
                 term=p.term_label,
                 parameter=p.parameter,
@@ -160,13 +160,12 @@ def coefficients_of(
                 detected=bool(estimates.detected[k, row]),
                 held=not p.free,
             )
-            found[k][p.label] = c if limited or c.held else _within(c, n, rate)
+            found[k][p.label] = c if limited or c.held else _within(c, p.parameter, n, rate)
     return tuple(map(Coefficients, found, estimates.covariance))
 
 
-def _within(c: Coefficient, n: int, rate: float) -> Coefficient:
+def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
     """A shape; as a limit where its interval reaches beyond what the record can show."""
-    p = c.parameter
     if not (c.detected and c.std > 0.0):
         return c
     # Bounds are open, and searches keep a little away from them.
@@ -205,7 +204,7 @@ def deterministic_coefficients(
     line: Line | None,
     n: int,
     active: bool = True,
-) -> dict[str, Coefficient]:
+) -> dict[str, Estimate]:
     """The coefficients of a ramp or a line, by the noncentral χ² law of the square of its estimate.
 
     Args:
@@ -222,7 +221,7 @@ def deterministic_coefficients(
 
     searched = line is not None and line.frequency_std > 0.0
     chance = np.exp(-square / 2.0) * n if searched else 0.0
-    found: dict[str, Coefficient] = {}
+    found: dict[str, Estimate] = {}
     for p in reported(model):
         if p.term != term:
             continue
@@ -243,7 +242,7 @@ def deterministic_coefficients(
             value, std = line.frequency, line.frequency_std
             interval, interval_68 = ((value - z * std, value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68))
             detected = next(iter(found.values())).detected
-        found[p.label] = Coefficient(
+        found[p.label] = Estimate(
             label=p.label,
             term=p.term_label,
             parameter=p.parameter,

@@ -18,7 +18,7 @@ from allanjax.estimate.as_json import INFINITY, SCHEMA_VERSION
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit, fitted_model
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import term_classes
 from allanjax.noise.terms import NoiseTerm
@@ -129,7 +129,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         p, si = parameters[c["label"]].parameter, c["si"]
         limited = p.kind == "amplitude" and c["measured"] and not c["held"]
         limit = si["upper_limit_95"]
-        coefficients[c["label"]] = Coefficient(
+        coefficients[c["label"]] = Estimate(
             label=c["label"],
             term=c["term"],
             parameter=p,

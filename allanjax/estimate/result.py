@@ -22,7 +22,7 @@ from allanjax.base.tables import WIDTH
 from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.misfit import Misfit
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis, DeadAxis
 from allanjax.record.units import rate_unit_of
@@ -42,7 +42,7 @@ NEXT = (
 
 
 def fitted_model(
-    template: Model, coefficients: Mapping[str, Coefficient], inactive: Sequence[str] = ()
+    template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
 ) -> Model:
     """The template with these values, without the terms that are inactive or whose amplitude is zero."""
     values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
@@ -92,7 +92,7 @@ class AxisFit(ByValue, AxisEstimates):
     dof: int
     p_value: float
     discrepancy: float
-    _coefficients: Mapping[str, Coefficient]
+    _coefficients: Mapping[str, Estimate]
     _covariance: Float[np.ndarray, "params params"]
     _model: Model
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
@@ -123,7 +123,7 @@ class AxisFit(ByValue, AxisEstimates):
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
 
     @property
-    def coefficients(self) -> Mapping[str, Coefficient]:
+    def coefficients(self) -> Mapping[str, Estimate]:
         """Each coefficient by its label, detected or not. Raises FitError if the fit did not converge."""
         self._checked()
         return self._coefficients
@@ -149,7 +149,7 @@ class AxisFit(ByValue, AxisEstimates):
 
         Raises FitError if the fit did not converge.
         """
-        amplitudes = [c for c in self.coefficients.values() if c.parameter.kind == "amplitude"]
+        amplitudes = [c for c in self.coefficients.values() if c.is_amplitude]
         return tuple(c.term for c in amplitudes if np.isfinite(c.value) and c.value != 0.0)
 
     def __repr__(self) -> str:
@@ -235,7 +235,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return super().__getitem__(axis)
 
     @property
-    def coefficients(self) -> dict[str, Mapping[str, Coefficient]]:
+    def coefficients(self) -> dict[str, Mapping[str, Estimate]]:
         """Coefficients by axis and label. Raises FitError if an axis did not converge."""
         return {result.axis.name: result.coefficients for result in self.results}
 

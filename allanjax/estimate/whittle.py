@@ -25,7 +25,7 @@ from allanjax.estimate.inference import infer
 from allanjax.estimate.misfit import Misfit, spectral_misfit, widened
 from allanjax.estimate.spectral_design import SpectralDesign
 from allanjax.estimate.starts import best_starts, find_lines, shape_candidates
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import CosineBins, cosine_transform, term_column
@@ -223,7 +223,7 @@ def _deterministic(
     spectrum: AxisSpectrum,
     variance: Float[np.ndarray, " m"],
     active: bool,
-) -> dict[str, Coefficient]:
+) -> dict[str, Estimate]:
     """Coefficients of a ramp or a line, of their components' joint estimate."""
     own = np.array([owner == k for owner in spectrum.owners])
     regressors = np.array([isinstance(owner, str) for owner in spectrum.owners])

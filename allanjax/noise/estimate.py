@@ -1,13 +1,14 @@
-"""Estimates: numbers with the unit that they are in, and the coefficients of a fit."""
+"""Estimates: values with their uncertainty and the unit that they are in."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, Self
+from typing import Any, Literal
 
 import numpy as np
 
 from allanjax.base.equality import ByValue
+from allanjax.base.errors import UnitError
 from allanjax.base.plain import printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
@@ -17,47 +18,99 @@ from allanjax.record.units import Sensor, convert, default_coefficient_unit, si_
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(ByValue):
-    """A value with its error, in a unit.
+    """A value with its uncertainty, in a unit: a coefficient of a fit or of a spectrum, or what follows from it.
+
+    A fit's and a posterior's numbers are in SI; `in_unit` gives them in a unit for people.
 
     Attributes:
         axis: whose it is.
-        value: the estimate.
+        label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time"; or of what follows
+            from a model, e.g. "angle error after 60 s".
+        value: the estimate, of a posterior the median; zero for an amplitude that the data do not call for.
         std: its standard deviation.
-        interval: 95 % interval.
+        interval: 95 % interval; its lower end is zero where zero is not excluded.
         interval_68: 68 % interval.
         unit: the unit that all these numbers are in; the SI one if none is given.
+        usual_unit: the unit for people, e.g. "deg/√h"; a model's parameter knows its own.
+        source: where it comes from: "fit", "posterior" or "spectrum".
+        parameter: the parameter of a noise term that it is, and `term` the term's name; None for what follows
+            from a model.
+        upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
+            below, down to what a record of this length and rate shows nothing of: then `std` is nan.
+        lower_limit: the same of a parameter that may be anywhere above.
+        detected: whether zero is excluded.
+        held: whether the value was given and not estimated.
+        measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
+            `AxisFit.misfit`) it is not: the value is that of the curve; standard deviation and intervals are
+            nan, there is no limit, and nothing is detected.
+        remark: what to bear in mind, e.g. that it lies beyond the record.
+        bayes_factor: of an amplitude's posterior, see `posterior.marginals`; else None.
+        sampled: of a posterior, whether draws of it exist.
+        band, degrees_of_freedom, excess: of a spectrum's N, see `spectrum.flat_band`; else None.
     """
 
-    #: The fields that are in `unit`.
-    NUMBERS: ClassVar[tuple[str, ...]] = ("value", "std", "interval", "interval_68")
-
     axis: Axis
+    label: str
     value: float
     std: float
     interval: tuple[float, float]
     interval_68: tuple[float, float]
     unit: str = ""
+    usual_unit: str = ""
+    source: Literal["fit", "posterior", "spectrum"] = "fit"
+    parameter: Parameter | None = None
+    term: str = ""
+    upper_limit: float | None = None
+    lower_limit: float | None = None
+    detected: bool = True
+    held: bool = False
+    measured: bool = True
+    remark: str = ""
+    bayes_factor: float | None = None
+    sampled: bool = True
+    band: tuple[float, float] | None = None
+    degrees_of_freedom: float | None = None
+    excess: float | None = None
 
     def __post_init__(self) -> None:
+        if not self.usual_unit:
+            if self.parameter is None:
+                raise UnitError(f"{self.label}: an estimate of no parameter needs its usual_unit=")
+            object.__setattr__(self, "usual_unit", usual_unit(self.parameter, self.axis.sensor))
         if not self.unit:
             object.__setattr__(self, "unit", self.si_unit)
 
     @property
     def title(self) -> str:
-        """Name for people."""
-        raise NotImplementedError
-
-    @property
-    def usual_unit(self) -> str:
-        """The unit for people, e.g. "deg/√h"."""
-        raise NotImplementedError
+        """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
+        return title_of(self.label, self.axis)
 
     @property
     def si_unit(self) -> str:
         """The SI unit of such numbers, e.g. "rad/√s"."""
         return si_unit(self.usual_unit)
 
-    def in_unit(self, unit: str | None = None) -> Self:
+    @property
+    def median(self) -> float:
+        """The value, of a posterior: half of it lies below."""
+        return self.value
+
+    @property
+    def symbol(self) -> str:
+        """How the literature writes the parameter, e.g. "N"; "" for what follows from a model."""
+        return self.parameter.symbol if self.parameter else ""
+
+    @property
+    def kind(self) -> str:
+        """What kind of parameter it is, e.g. "amplitude"; "" for what follows from a model."""
+        return self.parameter.kind if self.parameter else ""
+
+    @property
+    def is_amplitude(self) -> bool:
+        """Whether this is a term's amplitude, and not its shape or what follows from a model."""
+        return self.kind == "amplitude"
+
+    def in_unit(self, unit: str | None = None) -> Estimate:
         """A copy in this unit (by default `usual_unit`): its numbers and its `unit` agree.
 
         Raises:
@@ -65,8 +118,24 @@ class Estimate(ByValue):
         """
         unit = self.usual_unit if unit is None else unit
         factor = convert(1.0, self.unit, unit, self.axis.sensor)
-        numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in self.NUMBERS}
+        numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
         return dataclasses.replace(self, unit=unit, **numbers)
+
+    def unmeasured(self) -> Estimate:
+        """A copy as the parameter of a curve only; what was held stays as it was given."""
+        if self.held:
+            return self
+        nowhere = (float("nan"), float("nan"))
+        return dataclasses.replace(
+            self,
+            std=float("nan"),
+            interval=nowhere,
+            interval_68=nowhere,
+            upper_limit=None,
+            lower_limit=None,
+            detected=False,
+            measured=False,
+        )
 
     def describe(self, unit: str | None = None) -> str:
         """The estimate in words, in the unit that it is in or the one asked for; see `in_unit`.
@@ -87,118 +156,59 @@ class Estimate(ByValue):
         return printable(f"{self.axis.name} {self.title}: {self._sentence(amount)}")
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self}>"
+        return f"<Estimate {self}>"
+
+    @property
+    def _shape_limit(self) -> float | None:
+        """The limit of a detected term's shape."""
+        if self.is_amplitude:
+            return None
+        return self.upper_limit if self.lower_limit is None else self.lower_limit
 
     def _amount(self) -> str:
         """The number that matters and the unit."""
-        return self._with_unit(format_with_error(self.value, self.std))
-
-    def _with_unit(self, number: str) -> str:
-        return number if self.unit == "1" else f"{number} {self.unit}"
+        if self.held:
+            number = plain(self.value)
+        elif not self.measured:
+            if not self.value > 0.0:
+                return "none"
+            number = significant(self.value)
+        elif not self.detected:
+            if self.upper_limit is None:
+                return ""
+            number = significant(self.upper_limit)
+        elif self._shape_limit is not None:
+            number = significant(self._shape_limit)
+        else:
+            number = format_with_error(self.value, self.std)
+        amount = number if self.unit == "1" else f"{number} {self.unit}"
+        return amount if self.parameter else f"{amount} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:
         """What is said of this amount."""
-        return amount
+        if self.held:
+            return f"{amount} (held)"
+        if not self.measured:
+            return f"not a measurement of this sensor (fitted: {amount})"
+        if not self.detected:
+            if self.upper_limit is None:
+                return "not determined: its term is not detectable"
+            return f"not detectable, below {amount} (95 %)"
+        if self._shape_limit is not None:
+            return f"{'below' if self.lower_limit is None else 'above'} {amount} (95 %)"
+        if self.parameter and not self.is_amplitude and np.isnan(self.std):
+            return "not determined by these data"
+        return f"{amount}; {self.remark}" if self.remark else amount
+
+
+#: The fields of an estimate that are in its `unit`.
+_NUMBERS = ("value", "std", "interval", "interval_68", "upper_limit", "lower_limit", "excess")
 
 
 def _times(numbers: float | tuple[float, float] | None, factor: float) -> Any:
     if isinstance(numbers, tuple):
         return tuple(x * factor for x in numbers)
     return None if numbers is None else numbers * factor
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Coefficient(Estimate):
-    """One estimated parameter of the model of one axis.
-
-    In a fit all numbers are in SI; `in_unit` gives them in a unit for people.
-
-    Attributes:
-        label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time".
-        term: name of its term.
-        parameter: what it is.
-        value: the estimate; zero for an amplitude that the data do not call for.
-        interval: 95 % interval; its lower end is zero where zero is not excluded.
-        upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
-            below, down to what a record of this length and rate shows nothing of: then `std` is nan.
-        lower_limit: the same of a parameter that may be anywhere above.
-        detected: whether zero is excluded.
-        held: whether the value was given and not estimated.
-        measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
-            `AxisFit.misfit`) it is not: the value is that of the curve; standard deviation and intervals are
-            nan, there is no limit, and nothing is detected.
-        axis, std, interval_68, unit: see `Estimate`.
-    """
-
-    NUMBERS: ClassVar[tuple[str, ...]] = (*Estimate.NUMBERS, "upper_limit", "lower_limit")
-
-    label: str
-    term: str
-    parameter: Parameter
-    upper_limit: float | None
-    detected: bool
-    held: bool = False
-    measured: bool = True
-    lower_limit: float | None = None
-
-    @property
-    def title(self) -> str:
-        """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
-        return title_of(self.label, self.axis)
-
-    @property
-    def usual_unit(self) -> str:
-        """The unit of such a coefficient for people, e.g. "deg/√h"."""
-        return usual_unit(self.parameter, self.axis.sensor)
-
-    def unmeasured(self) -> Coefficient:
-        """The same as the parameter of a curve only; what was held stays as it was given."""
-        if self.held:
-            return self
-        nowhere = (float("nan"), float("nan"))
-        return dataclasses.replace(
-            self,
-            std=float("nan"),
-            interval=nowhere,
-            interval_68=nowhere,
-            upper_limit=None,
-            lower_limit=None,
-            detected=False,
-            measured=False,
-        )
-
-    def _amount(self) -> str:
-        if self.held:
-            return self._with_unit(plain(self.value))
-        if not self.measured:
-            return self._with_unit(significant(self.value)) if self.value > 0.0 else "none"
-        if not self.detected:
-            return "" if self.upper_limit is None else self._with_unit(significant(self.upper_limit))
-        if self._limit is not None:
-            return self._with_unit(significant(self._limit))
-        return super()._amount()
-
-    @property
-    def _limit(self) -> float | None:
-        """That of a detected term's shape."""
-        if self.parameter.kind == "amplitude":
-            return None
-        return self.upper_limit if self.lower_limit is None else self.lower_limit
-
-    def _sentence(self, amount: str) -> str:
-        if self.held:
-            return f"{amount} (held)"
-        if not self.measured:
-            return f"not a measurement of this sensor (fitted: {amount})"
-        if self.detected and self._limit is not None:
-            return f"{'below' if self.lower_limit is None else 'above'} {amount} (95 %)"
-        if self.detected and self.parameter.kind != "amplitude" and np.isnan(self.std):
-            return "not determined by these data"
-        if self.detected:
-            return amount
-        if self.upper_limit is None:
-            return "not determined: its term is not detectable"
-        return f"not detectable, below {amount} (95 %)"
 
 
 def usual_unit(parameter: Parameter, sensor: Sensor) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from allanjax.record.units import SENSORS, Sensor
 
 if TYPE_CHECKING:
-    from allanjax.noise.estimate import Coefficient
+    from allanjax.noise.estimate import Estimate
 
 # Usual names of the basic terms, besides their own and their symbols.
 _CALLED: dict[str, dict[Sensor, str]] = {
@@ -21,7 +21,7 @@ _CALLED: dict[str, dict[Sensor, str]] = {
 }
 
 
-def called(name: str, coefficients: Mapping[str, Coefficient]) -> str | None:
+def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
     """The label of the one coefficient that people call so; None if there is none, or several.
 
     Labels themselves, in any case and with spaces; symbols such as "N"; abbreviations such as "ARW" of a gyro
@@ -30,7 +30,7 @@ def called(name: str, coefficients: Mapping[str, Coefficient]) -> str | None:
     """
     if name in coefficients:
         return name
-    by_symbol = [label for label, c in coefficients.items() if c.parameter.symbol == name]
+    by_symbol = [label for label, c in coefficients.items() if c.symbol == name]
     if len(by_symbol) == 1:
         return by_symbol[0]
     spelt = re.sub(r"[\s-]+", "_", name.strip().lower())

@@ -14,9 +14,9 @@ from jaxtyping import Int
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
+from allanjax.noise.estimate import Estimate
 from allanjax.posterior.likelihood import Likelihood, likelihood_of
 from allanjax.posterior.marginals import (
-    Marginal,
     absent_marginal,
     held_marginal,
     sampled_marginals,
@@ -164,7 +164,7 @@ class AxisSampler:
         marginals = {parameters[i].label: m for i, m in known.items()}
         held = {c.label: held_marginal(c) for c in fit.coefficients.values() if c.held}
         in_order = [p.label for p in self.fit.template.parameters]
-        every: dict[str, Marginal] = {x: (marginals | held)[x] for x in in_order if x in marginals | held}
+        every: dict[str, Estimate] = {x: (marginals | held)[x] for x in in_order if x in marginals | held}
         curve = self.fit.curve
         return AxisPosterior(
             axis=fit.axis,

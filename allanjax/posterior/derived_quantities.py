@@ -20,62 +20,24 @@ from allanjax.record.recording import Axis
 _AT_ONCE = 16
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Derived(Estimate):
-    """The posterior of something that follows from the coefficients, in SI; `in_unit` converts.
-
-    Attributes:
-        name: what it is.
-        value, std: median and standard deviation.
-        interval_68, interval: hold 68 and 95 % of the posterior, as much of the rest on either side.
-        usual: its `usual_unit`.
-        remark: what to bear in mind, e.g. that it lies beyond the record; "" if nothing.
-        axis, unit: see `Estimate`.
-    """
-
-    name: str
-    usual: str
-    remark: str = ""
-
-    @classmethod
-    def of(
-        cls, name: str, axis: Axis, usual_unit: str, draws: Float[np.ndarray, " draws"], remark: str = ""
-    ) -> Derived:
-        """From draws [SI]."""
-        low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
-        # Draws that agree to rounding do not scatter.
-        std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0
-        return cls(
-            name=name,
-            axis=axis,
-            value=median,
-            std=std,
-            interval=(low, high),
-            interval_68=(low_68, high_68),
-            usual=usual_unit,
-            remark=remark,
-        )
-
-    @property
-    def median(self) -> float:
-        """Half of the posterior lies below it."""
-        return self.value
-
-    @property
-    def title(self) -> str:
-        """Its name."""
-        return self.name
-
-    @property
-    def usual_unit(self) -> str:
-        """Its unit for people, e.g. "deg/h"."""
-        return self.usual
-
-    def _amount(self) -> str:
-        return f"{super()._amount()} (95 %: {self.describe_interval()})"
-
-    def _sentence(self, amount: str) -> str:
-        return f"{amount}; {self.remark}" if self.remark else amount
+def derived(
+    label: str, axis: Axis, usual_unit: str, draws: Float[np.ndarray, " draws"], remark: str = ""
+) -> Estimate:
+    """The posterior of what follows from the coefficients, from its draws [SI]: median, σ and intervals."""
+    low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
+    # Draws that agree to rounding do not scatter.
+    std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0
+    return Estimate(
+        label=label,
+        axis=axis,
+        value=median,
+        std=std,
+        interval=(low, high),
+        interval_68=(low_68, high_68),
+        usual_unit=usual_unit,
+        source="posterior",
+        remark=remark,
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -88,8 +50,8 @@ class BiasMinimum(ByValue):
         at_start, at_end: share of the draws whose curve is lowest at one sample, or at half the record.
     """
 
-    deviation: Derived
-    cluster_time: Derived
+    deviation: Estimate
+    cluster_time: Estimate
     at_start: float
     at_end: float
 
@@ -158,8 +120,8 @@ def lowest_point(
         remark_height = remark_place = "the curve rises from one sample on"
     names = "bias-instability minimum", "cluster time of the minimum"
     return BiasMinimum(
-        Derived.of(names[0], axis, deviation_unit, np.exp(height), remark_height),
-        Derived.of(names[1], axis, "s", np.exp(place), remark_place),
+        derived(names[0], axis, deviation_unit, np.exp(height), remark_height),
+        derived(names[1], axis, "s", np.exp(place), remark_place),
         at_start,
         at_end,
     )

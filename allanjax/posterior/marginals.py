@@ -1,4 +1,15 @@
-"""Posteriors of single parameters, written like the coefficients of a fit."""
+"""Marginal posteriors of single parameters, other parameters integrated out, as estimates.
+
+`value` is the median, `std` the standard deviation; the intervals hold 68 and 95 % of the posterior, as much of
+the rest on either side; `upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes factor is
+below 1/20; otherwise its intervals begin at zero, and `interval` ends at `upper_limit`.
+
+`bayes_factor`, of an amplitude, is the probability that the posterior gives to what cannot be told from zero (a
+third of the prior's scale; for terms not sampled zero itself) over that of the prior: how the data change the
+odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math. Stat. 42:204). Under the default prior
+1/20 is what a square of the amplitude 3.5 to 3.8 standard deviations above zero yields. A prior that excludes
+zero claims the term: 0. What has no draws (`sampled`) is the amplitude of a term that the fit did not find.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import ModelParameter
 from allanjax.record.recording import Axis
 
@@ -24,38 +35,12 @@ _CENTRAL_68 = (0.16, 0.84)
 _CENTRAL_95 = (0.025, 0.975)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Marginal(Coefficient):
-    """The posterior of one parameter, other parameters integrated out; a `Coefficient` in all else.
-
-    `value` is the median, `std` the standard deviation; the intervals hold 68 and 95 % of the posterior, as
-    much of the rest on either side; `upper_limit` is the 95 % quantile. An amplitude is `detected` if its
-    Bayes factor is below 1/20; otherwise its intervals begin at zero, and `interval` ends at `upper_limit`.
-
-    Attributes:
-        bayes_factor: of an amplitude, probability that the posterior gives to what cannot be told from zero
-            (a third of the knee; for terms not sampled zero itself) over that of the prior: how the data
-            change the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math. Stat.
-            42:204). Under the default prior 1/20 is what a square of the amplitude 3.5 to 3.8 standard
-            deviations above zero yields. A prior that excludes zero claims the term: 0.
-        sampled: whether draws of it exist; else it is the amplitude of a term that the fit did not find.
-    """
-
-    bayes_factor: float | None = None
-    sampled: bool = True
-
-    @property
-    def median(self) -> float:
-        """Half of the posterior lies below it."""
-        return self.value
-
-
 def sampled_marginals(
     posterior: LogPosterior, axis: Axis, chosen: list[int], draws: Float[np.ndarray, "draws sampled"]
-) -> dict[int, Marginal]:
+) -> dict[int, Estimate]:
     """Marginals of the parameters with these indices from their draws [SI], by index."""
     parameters = posterior.likelihood.parameters
-    found: dict[int, Marginal] = {}
+    found: dict[int, Estimate] = {}
     evidence = {
         i: bayes_factor(posterior, i, x)
         for i, x in zip(chosen, draws.T, strict=True)
@@ -69,7 +54,7 @@ def sampled_marginals(
     return found
 
 
-def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) -> Marginal:
+def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) -> Estimate:
     """Marginal of the amplitude of a term that was not sampled."""
     quantiles = np.array([grid.quantile(u) for u in (0.5, *_CENTRAL_68, *_CENTRAL_95, 0.68, 0.95)])
     detected = grid.bayes_factor < _DETECTED
@@ -78,10 +63,11 @@ def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) 
     )
 
 
-def undetermined(parameter: ModelParameter, axis: Axis) -> Marginal:
+def undetermined(parameter: ModelParameter, axis: Axis) -> Estimate:
     """Marginal of the shape of a term that was not sampled: of it these data say nothing."""
     nothing = (parameter.parameter.lower, parameter.parameter.upper)
-    return Marginal(
+    return Estimate(
+        source="posterior",
         label=parameter.label,
         term=parameter.term_label,
         parameter=parameter.parameter,
@@ -96,10 +82,9 @@ def undetermined(parameter: ModelParameter, axis: Axis) -> Marginal:
     )
 
 
-def held_marginal(coefficient: Coefficient) -> Marginal:
+def held_marginal(coefficient: Estimate) -> Estimate:
     """A held coefficient of the fit as it is."""
-    fields = {f.name: getattr(coefficient, f.name) for f in dataclasses.fields(Coefficient)}
-    return Marginal(**fields, sampled=False)
+    return dataclasses.replace(coefficient, source="posterior", sampled=False)
 
 
 def _marginal(
@@ -109,11 +94,12 @@ def _marginal(
     std: float,
     detected: bool,
     evidence: float | None,
-) -> Marginal:
+) -> Estimate:
     median, low_68, high_68, low_95, high_95, below_68, below_95 = (float(q) for q in quantiles)
     amplitude = p.parameter.kind == "amplitude"
     one_sided = amplitude and not detected
-    return Marginal(
+    return Estimate(
+        source="posterior",
         label=p.label,
         term=p.term_label,
         parameter=p.parameter,

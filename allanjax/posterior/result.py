@@ -17,9 +17,9 @@ from allanjax.base.presented import presented
 from allanjax.base.wording import duration
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.result import Fit
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.posterior.derived_quantities import BiasMinimum, Derived, curves, lowest_point, with_draw
-from allanjax.posterior.marginals import Marginal
+from allanjax.posterior.derived_quantities import BiasMinimum, curves, derived, lowest_point, with_draw
 from allanjax.posterior.priors import Prior
 from allanjax.record.recording import Axis
 from allanjax.record.units import default_coefficient_unit
@@ -83,7 +83,7 @@ class AxisPosterior(ByValue, AxisEstimates):
     draws: Float[np.ndarray, "draws params"]
     chain: Float[np.ndarray, "steps walkers params"]
     log_probability: Float[np.ndarray, "steps walkers"]
-    coefficients: Mapping[str, Marginal]
+    coefficients: Mapping[str, Estimate]
     priors: Mapping[str, Prior]
     converged: bool
     tau: Float[np.ndarray, " params"]
@@ -163,7 +163,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         unit = default_coefficient_unit(self.axis.sensor, 0.0)
         return lowest_point(self.axis, time, self.deviation_curves(time, _DERIVED_DRAWS), unit)
 
-    def predicted_drift(self, times: Sequence[float] = (60.0, 600.0, 3600.0)) -> dict[float, Derived]:
+    def predicted_drift(self, times: Sequence[float] = (60.0, 600.0, 3600.0)) -> dict[float, Estimate]:
         """1-σ error of the integrated rate (angle or velocity) after each time t [s].
 
         The bias is the mean rate over as long a time just before. The error is then the second difference of
@@ -180,7 +180,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         unit = _INTEGRAL_UNIT[self.axis.sensor]
         word = "angle" if self.axis.sensor == "gyro" else "velocity"
         return {
-            float(time): Derived.of(
+            float(time): derived(
                 f"{word} error after {duration(float(time))}",
                 self.axis,
                 unit,

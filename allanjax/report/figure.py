@@ -300,7 +300,7 @@ def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEnt
     found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
     amplitude, name = found[0], title_of(term, result.axis)
     if amplitude.detected and len(found) > 1:
-        text = f"{name}: " + ", ".join(f"{c.parameter.symbol} = {c.describe()}" for c in found)
+        text = f"{name}: " + ", ".join(f"{c.symbol} = {c.describe()}" for c in found)
     else:
         text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
     drawn = term in result.term_labels and not remark

@@ -88,7 +88,7 @@ def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None
         shown = c.in_unit()
         value = shown.describe().split(" ± ")[0].removesuffix(" (held)").removeprefix("(")
         value = value if value.endswith(shown.unit) else f"{value} {shown.unit}"
-        text = _WRITTEN[c.term].format(symbol=c.parameter.symbol, value=value)
+        text = _WRITTEN[c.term].format(symbol=c.symbol, value=value)
         own = _pixels(panel, line)
         place = _roomiest(panel, own, text, [x for x in others if not np.array_equal(x, own)], taken)
         if place is None:

@@ -156,7 +156,7 @@ def _entry(c: _Curve, name: str) -> KeyEntry:
         text += ": no result"
     elif result is not None:
         found = [x for x in result.coefficients.values() if x.detected]
-        values = ", ".join(f"{x.parameter.symbol} = {x.in_unit().describe()}" for x in found)
+        values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in found)
         text += f": {values or 'nothing detected'}"
     style = {"color": c.colour, "marker": c.marker, "markevery": [1], "markersize": 3.5, "linewidth": 1.2}
     return KeyEntry(wrapped(text), style)

@@ -13,7 +13,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import format_with_error, significant
 from allanjax.estimate.result import Fit
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.units import unit_scale
 from allanjax.report.figure import finished, literal
@@ -98,7 +98,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
         return finished(figure, path)
 
 
-def _label(panel: Axes, marginals: Sequence[Coefficient], row: int, column: int) -> None:
+def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) -> None:
     """Names with units at the outer edges only."""
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
@@ -119,10 +119,10 @@ def _label(panel: Axes, marginals: Sequence[Coefficient], row: int, column: int)
         panel.yaxis.set_label_coords(-0.36, 0.5)
 
 
-def _name(m: Coefficient) -> str:
+def _name(m: Estimate) -> str:
     """E.g. "bias instability\nB [deg/h]"."""
     unit = "" if m.usual_unit == "1" else f" [{m.usual_unit}]"
-    return f"{_wrapped(m.title)}\n{m.parameter.symbol}{unit}"
+    return f"{_wrapped(m.title)}\n{m.symbol}{unit}"
 
 
 def _wrapped(text: str) -> str:
@@ -131,7 +131,7 @@ def _wrapped(text: str) -> str:
     return "\n".join(textwrap.wrap(text, 22))
 
 
-def _heading(m: Coefficient) -> str:
+def _heading(m: Estimate) -> str:
     shown = m.in_unit()
     if m.detected:
         return format_with_error(shown.value, shown.std)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.estimate import title_of
+from allanjax.noise.estimate import Estimate, title_of
 from allanjax.report.figure import (
     Cells,
     KeyEntry,
@@ -33,7 +33,7 @@ from allanjax.report.figure import (
     term_style,
     wrapped,
 )
-from allanjax.spectrum.flat_band import SpectralRandomWalk, chi_squared_factors
+from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
     return fit[name]
 
 
-def _random_walk(spectrum: PowerSpectrum, k: int) -> SpectralRandomWalk | None:
+def _random_walk(spectrum: PowerSpectrum, k: int) -> Estimate | None:
     """N of the axis, unless its samples have no unit or its density is nowhere flat."""
     if spectrum.axes is None:
         return None
@@ -168,7 +168,7 @@ def _draw_row(
     spectrum: PowerSpectrum,
     fit: Fit | None,
     results: Mapping[int, AxisFit],
-    walks: Mapping[int, SpectralRandomWalk | None],
+    walks: Mapping[int, Estimate | None],
     keys: Mapping[int, list[KeyEntry]],
 ) -> None:
     panels: dict[int, Axes] = {}
@@ -180,7 +180,7 @@ def _draw_row(
         panels[k] = lowest = cells.panel(figure, row, column)
         panels[k].set_title(spectrum.names[k], loc="left", fontweight="bold")
         walk = walks[k]
-        if walk is not None:
+        if walk is not None and walk.band is not None:
             panels[k].axvspan(*walk.band, color=_BAND, linewidth=0.0, zorder=0, label="flat part")
         _draw_measured(panels[k], spectrum, k, unit)
         if fit is not None:
@@ -281,7 +281,7 @@ def _line_of(term: NoiseTerm) -> list[float]:
 
 
 def _key(
-    fit: Fit | None, result: AxisFit | None, walk: SpectralRandomWalk | None, spectrum: PowerSpectrum
+    fit: Fit | None, result: AxisFit | None, walk: Estimate | None, spectrum: PowerSpectrum
 ) -> list[KeyEntry]:
     """Every term with its coefficients, and N from the flat part."""
     entries = []
@@ -294,7 +294,7 @@ def _key(
                 shown = label in result.term_labels
                 remark = " (no density: not drawn)" if hidden and shown else ""
                 entries.append(term_entry(fit, result, label, remark))
-    if walk is not None:
+    if walk is not None and walk.band is not None:
         low, high = walk.band
         text = f"N by eq. (3.41): {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
         entries.append(KeyEntry(wrapped(text), {"color": _BAND, "linewidth": 7.0, "solid_capstyle": "butt"}))

@@ -5,14 +5,11 @@ frequency. Its mean is above the white noise's density by what these contribute,
 alone can tell. So a rough sum of white and other noise is fitted to the whole spectrum, to know how much.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.noise.estimate import Coefficient
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.recording import Axis
 
@@ -112,29 +109,19 @@ def flattest(
     return int(first[best]), int(last[best])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SpectralRandomWalk(Coefficient):
-    """N from a flat part of a power spectral density, Hou (2004) eq. (3.41); a `Coefficient` with its band.
-
-    Attributes:
-        band: lowest and highest frequency [Hz] averaged.
-        degrees_of_freedom: of the mean density in it.
-        excess: what other noise seems to add to N; part of `std` and of the intervals, not of `value`.
-    """
-
-    NUMBERS: ClassVar[tuple[str, ...]] = (*Coefficient.NUMBERS, "excess")
-
-    band: tuple[float, float] = (0.0, 0.0)
-    degrees_of_freedom: float = 0.0
-    excess: float = 0.0
-
-
 def spectral_random_walk(
     density: float, coloured: float, dof: float, axis: Axis, band: tuple[float, float]
-) -> SpectralRandomWalk:
-    """N = √(density / 2), from a mean density [SI] with its coloured part and its degrees of freedom.
+) -> Estimate:
+    """N = √(density / 2), Hou (2004) eq. (3.41), from a mean density [SI] and its coloured part.
 
-    Other noise can only add to the density. Its part is taken as known to within half of itself.
+    Other noise can only add to the density: `excess` is what it seems to add to N, which is part of `std` and
+    of the intervals but not of `value`, and is taken as known to within half of itself.
+
+    Args:
+        density, coloured: mean density in the band, and what is not white of it.
+        dof: degrees of freedom of that mean.
+        axis: whose it is.
+        band: lowest and highest frequency [Hz] averaged.
     """
     from scipy.stats import norm
 
@@ -146,7 +133,8 @@ def spectral_random_walk(
         uncertainty = norm.ppf((1.0 + level) / 2.0) * excess / 2.0
         return max(value - excess - float(np.hypot(value - lower, uncertainty)), 0.0), upper
 
-    return SpectralRandomWalk(
+    return Estimate(
+        source="spectrum",
         label=AngleRandomWalk.name(),
         term=AngleRandomWalk.name(),
         parameter=AngleRandomWalk.parameters()[0],
@@ -155,8 +143,6 @@ def spectral_random_walk(
         std=float(np.hypot(value / np.sqrt(2.0 * dof), excess)),
         interval=interval(0.95),
         interval_68=interval(0.68),
-        upper_limit=None,
-        detected=True,
         band=(float(band[0]), float(band[1])),
         degrees_of_freedom=dof,
         excess=excess,

@@ -17,12 +17,12 @@ from jaxtyping import ArrayLike, Float, Int
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
+from allanjax.noise.estimate import Estimate
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
 from allanjax.record.validation import Source, check_values
 from allanjax.spectrum.flat_band import (
-    SpectralRandomWalk,
     chi_squared_factors,
     coloured_density,
     flattest,
@@ -178,12 +178,12 @@ class PowerSpectrum(ByValue):
         edges = (np.append(0, np.cumsum(s.count)) + 0.5) * s.frequency[0]
         return float(edges[first]), float(edges[last + 1])
 
-    def random_walk(self, axis: str, band: tuple[float, float] | None = None) -> SpectralRandomWalk:
+    def random_walk(self, axis: str, band: tuple[float, float] | None = None) -> Estimate:
         """Angle (velocity) random walk N of an axis, Hou (2004) eq. (3.41): √(mean density in the band / 2).
 
         In (3.41) N is in deg/√h and the density in (deg/h)²/Hz; here both are SI, see `in_unit`. Intervals
         are those of the mean's χ² law, and reach below it by what flicker, rate random walk and quantization
-        seem to contribute to the band (see `SpectralRandomWalk.excess`).
+        seem to contribute to the band (see `flat_band.spectral_random_walk`).
 
         Args:
             axis: the axis's name.
