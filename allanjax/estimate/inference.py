@@ -98,20 +98,63 @@ def _infer(
     active: Bool[Array, " terms"],
     s: Solution,
 ) -> Inference:
-    terms = len(s.power)
-    owner = jnp.asarray([p.term for p in design.shapes], int)
-    means, products = design.means(s.shape), design.products(s.shape)
-    # [terms, m, shapes]
-    moving = design.movable.any()
-    by_shape = jax.jacfwd(design.means)(s.shape) if moving else jnp.zeros((*means.shape, len(s.shape)))
+    axis = _Axis.of(design, V, active, s)
+    owner, terms = axis.owner, len(s.power)
+    is_active = jnp.concatenate([active & free, axis.has_shape]).astype(float)
+    # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
+    alone = jnp.eye(terms, dtype=bool)
+    own_shape = alone[:, owner]
+    tested = jnp.concatenate([(active & free) | alone, axis.has_shape & ~own_shape], axis=1).astype(float)
+    every = jnp.concatenate([is_active[None], tested])
+    around = jax.vmap(lambda estimated: axis.linearized(s.power, estimated))(every)
+    found = jax.tree.map(lambda x: x[0], around)
+    power_at, pivot_at = jax.vmap(lambda *of_term: axis.hypotheses(active & free, *of_term))(
+        jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
+    )
+    highest = ceiling(design, V, axis.means, axis.products, s.discrepancy)
+    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
 
-    def at_hypothesis(power: Array, estimated: Array) -> _Linearized:
-        mean = power @ means
-        covariance = design.covariance(power, products)
-        raw = jnp.concatenate([means.T, jnp.einsum("k,kms->ms", power, by_shape)], axis=1) / mean[:, None]
+
+class _Axis(NamedTuple):
+    """One axis at its solution, and the distance of its data from hypotheses about a term's power.
+
+    Attributes:
+        design, V, active, s: the design, the estimates of power, the terms in use, and the solution.
+        owner: the term of each shape.
+        means, products: what unit powers contribute at the solution's shapes.
+        by_shape: derivatives of the means by the shapes, [terms, m, shapes].
+        has_shape: which shapes the data know: that of a term without power is nowhere in them.
+    """
+
+    design: Design
+    V: Float[Array, " m"]
+    active: Bool[Array, " terms"]
+    s: Solution
+    owner: Array
+    means: Float[Array, "terms m"]
+    products: Array
+    by_shape: Float[Array, "terms m shapes"]
+    has_shape: Bool[Array, " shapes"]
+
+    @classmethod
+    def of(cls, design: Design, V: Float[Array, " m"], active: Bool[Array, " terms"], s: Solution) -> "_Axis":
+        owner = jnp.asarray([p.term for p in design.shapes], int)
+        means, products = design.means(s.shape), design.products(s.shape)
+        moving = design.movable.any()
+        by_shape = jax.jacfwd(design.means)(s.shape) if moving else jnp.zeros((*means.shape, len(s.shape)))
+        has_shape = active[owner] & (s.power[owner] > 0.0) & design.movable
+        return cls(design, V, active, s, owner, means, products, by_shape, has_shape)
+
+    def linearized(self, power: Float[Array, " terms"], estimated: Float[Array, " params"]) -> _Linearized:
+        """One-step estimates at a hypothesis of those parameters that are estimated."""
+        design, V = self.design, self.V
+        mean = power @ self.means
+        covariance = design.covariance(power, self.products)
+        moved = jnp.einsum("k,kms->ms", power, self.by_shape)
+        raw = jnp.concatenate([self.means.T, moved], axis=1) / mean[:, None]
         raw = raw * estimated
         columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None], jnp.eye(len(V))], axis=1)
-        columns = design.whiten(covariance, mean, s.discrepancy, columns).values
+        columns = design.whiten(covariance, mean, self.s.discrepancy, columns).values
         D, residual, W = columns[:, : len(estimated)], columns[:, len(estimated)], columns[:, -len(V) :]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
@@ -126,20 +169,9 @@ def _infer(
             estimate_variance=design.variances(covariance),
         )
 
-    # The shape of a term without power is nowhere in the data.
-    has_shape = active[owner] & (s.power[owner] > 0.0) & design.movable
-    is_active = jnp.concatenate([active & free, has_shape]).astype(float)
-    # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
-    alone = jnp.eye(terms, dtype=bool)
-    own_shape = alone[:, owner]
-    tested = jnp.concatenate([(active & free) | alone, has_shape & ~own_shape], axis=1).astype(float)
-    every = jnp.concatenate([is_active[None], tested])
-    around = jax.vmap(lambda estimated: at_hypothesis(s.power, estimated))(every)
-    found = jax.tree.map(lambda x: x[0], around)
-
-    def score(term: Array, v: Array, at: Array, fitted: Array) -> Array:
-        """Distance of the data from these powers, of which that of the term is v."""
-        there = at_hypothesis(at, fitted)
+    def score(self, term: Array, v: Array, at: Array, fitted: Array) -> Float[Array, ""]:
+        """Distance of the data from these powers, of which that of the term is v, as a normal score."""
+        there = self.linearized(at, fitted)
         variance = there.covariance[term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
@@ -148,9 +180,27 @@ def _infer(
         skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
         return _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
 
+    def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
+        """The powers with those allowed to fitted to the data, weighted by the covariance at `power`."""
+        mean, covariance = power @ self.means, self.design.covariance(power, self.products)
+        W = self.design.whiten(covariance, mean, self.s.discrepancy, jnp.eye(len(self.V))).values
+        A = W @ (self.means / mean).T
+        target = W @ (self.V / mean) - A @ jnp.where(allowed, 0.0, power)
+        return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
+
     def hypotheses(
-        term: Array, alone: Array, own_shape: Array, estimated: Array, local: Array
-    ) -> tuple[Array, Array]:
+        self, fitted_too: Array, term: Array, alone: Array, own_shape: Array, estimated: Array, local: Array
+    ) -> tuple[Float[Array, " grid"], Float[Array, " grid"]]:
+        """Hypothetical powers of a term, and the data's distance from each.
+
+        Args:
+            fitted_too: terms that are fitted anew above the estimate.
+            term: the term's index, and `alone`, `own_shape` the same as flags of terms and of shapes.
+            estimated: flags of the parameters that are estimated with it.
+            local: covariance of these around the solution.
+        """
+        s, active, owner = self.s, self.active, self.owner
+        terms = len(s.power)
         sd = jnp.sqrt(local[term, term])
         # A term that is alone cannot vanish altogether.
         least = 1e-9 * s.power[term]
@@ -162,17 +212,17 @@ def _infer(
             v = jnp.maximum(down[k], least)
             others = jnp.maximum(s.power + slope * (v - s.power[term]), 0.05 * s.power)
             at = jnp.where(alone, v, jnp.where(active, others, 0.0))
-            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape)
+            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], self.has_shape)
             fitted = jnp.concatenate([estimated[:terms], shaped])
-            return scores.at[k].set(score(term, v, at, fitted))
+            return scores.at[k].set(self.score(term, v, at, fitted))
 
         def above(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             k, scores, others = state
             v = jnp.maximum(up[k], least)
-            at = profiled(jnp.where(alone, v, others), active & free & ~alone)
-            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], has_shape & (at[owner] > 0.0))
+            at = self.profiled(jnp.where(alone, v, others), fitted_too & ~alone)
+            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], self.has_shape & (at[owner] > 0.0))
             fitted = jnp.concatenate([estimated[:terms], shaped])
-            return k + 1, scores.at[k].set(score(term, v, at, fitted)), at
+            return k + 1, scores.at[k].set(self.score(term, v, at, fitted)), at
 
         def goes_on(state: tuple[Array, Array, Array]) -> Array:
             k, scores, _ = state
@@ -183,20 +233,6 @@ def _infer(
         pivots = jax.lax.fori_loop(0, len(_BELOW), below, jnp.zeros_like(down))
         _, further, _ = jax.lax.while_loop(goes_on, above, (jnp.asarray(0), nothing, s.power * active))
         return jnp.concatenate([down, up]), jnp.concatenate([pivots, further])
-
-    def profiled(power: Array, allowed: Array) -> Array:
-        """The powers with those allowed to fitted to the data, weighted by the covariance at `power`."""
-        mean, covariance = power @ means, design.covariance(power, products)
-        W = design.whiten(covariance, mean, s.discrepancy, jnp.eye(len(V))).values
-        A = W @ (means / mean).T
-        target = W @ (V / mean) - A @ jnp.where(allowed, 0.0, power)
-        return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
-
-    power_at, pivot_at = jax.vmap(hypotheses)(
-        jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
-    )
-    highest = ceiling(design, V, means, products, s.discrepancy)
-    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
 
 
 def ceiling(

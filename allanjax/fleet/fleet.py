@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.groups import Groups, group_names
 from allanjax.fleet.options import FitOptions
-from allanjax.fleet.store import earlier, key_of, store, stored
+from allanjax.fleet.store import Earlier, Key, earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import cells, judged, left_out
 from allanjax.fleet.table import rows_of, table_of, write_table
@@ -124,11 +124,10 @@ def characterize_fleet(
 
     A later run with the same `out` computes only what is not there yet: recordings whose file (path, size,
     time of its last change), options or version of allanjax are others, and those that failed. The table is
-    always of the files that are given: a note tells which recordings of an earlier run are not among them;
-    what was computed of them stays in `out/recordings`.
+    of the files that are given; a note names recordings of an earlier run that are not among them.
 
-    Units are compared with the others of their group (see `mark_outlying`). Where a coefficient shows that
-    the units of a group are of several grades, a note says so, and they are compared within these.
+    Units are compared with the others of their group, or of their grade where a group shows several (see
+    `fleet.table.mark_outlying`).
 
     The local cluster's workers are processes that import the calling script: in a script, call this below
     `if __name__ == "__main__":`.
@@ -138,9 +137,8 @@ def characterize_fleet(
             that all see under the same path. Files below `out` are left out.
         out: folder for the results.
         model, objective, regressors, as_is, vibrating: as for `fit`.
-        group: which units are alike: a regular expression whose parentheses match the group in a file's path
-            or recording's name, e.g. `logs/(\\w+)/`; a CSV file with the columns file and group; a mapping
-            from file to group; or a function of the path. See `fleet_groups.group_names`.
+        group: which units are alike: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
+            file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
         workers: processes of a local cluster that lives as long as this call; one a core by default.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: samples; longer recordings are divided.
@@ -155,9 +153,7 @@ def characterize_fleet(
             scheduler does not answer; `workers` is less than one or given with `scheduler`; a `piece` of less
             than 10⁵ samples.
     """
-    _check_workers(workers, scheduler)
-    if piece < _SHORTEST_PIECE:
-        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
+    _check_arguments(workers, scheduler, piece)
     out = Path(out)
     paths = matching_files(files, out)
     added = None if model is None else as_model(model)
@@ -168,40 +164,80 @@ def characterize_fleet(
     folder.mkdir(parents=True, exist_ok=True)
     keys = {name: key_of(path, options) for name, path in recordings.items()}
     before = earlier(folder, recordings, keys)
-    todo = {name: path.absolute() for name, path in recordings.items() if name not in before.done}
-    rows: dict[str, list[dict[str, Any]]] = {}
-    errors: dict[str, list[str]] = {}
-
-    def take(name: str, fit: Mapping[str, Any]) -> None:
-        rows[name] = rows_of(fit, name, str(recordings[name]), groups[name])
-        errors[name] = _axes_without_result(fit)
-
-    for name in before.done:
-        take(name, stored(folder, name))
+    done = _Done.of_earlier(recordings, groups, folder, before)
     tell = progress or (lambda done, failed, total: None)
-    tell(len(rows), sum(map(bool, errors.values())), len(paths))
+    tell(*done.counts, len(paths))
+    todo = [name for name in recordings if name not in before.done]
     if todo:
         with connected(scheduler, workers, len(todo)) as client:
-            calls = {name: _call_for(client, path, options, piece) for name, path in todo.items()}
+            calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
             for name, outcome in outcomes(client, calls):
-                if isinstance(outcome, Exception):
-                    errors[name] = [_reason(recordings[name], outcome)]
-                else:
-                    store(folder, name, {"key": keys[name], "fit": outcome})
-                    take(name, outcome)
-                tell(len(errors), sum(map(bool, errors.values())), len(paths))
-    # In the order of the recordings, whatever the order they ended in.
-    table, notes = judged(table_of([row for name in recordings for row in rows.get(name, ())]))
-    failures = tuple(
-        {"file": str(path), "message": message}
-        for name, path in recordings.items()
-        for message in errors.get(name, ())
-    )
+                done.take_new(name, outcome, keys[name])
+                tell(*done.counts, len(paths))
+    return _written(done, before, out)
+
+
+def _written(done: _Done, before: Earlier, out: Path) -> FleetResult:
+    """The result of all that is done, which is written to the folder `out`, too."""
+    table, notes = judged(done.table())
     if before.left_out:
-        notes = (left_out(before.left_out, folder), *notes)
-    result = FleetResult(table, failures, paths, len(before.done), notes)
+        notes = (left_out(before.left_out, done.folder), *notes)
+    paths = tuple(done.recordings.values())
+    result = FleetResult(table, done.failures(), paths, len(before.done), notes)
     _write(result, out)
     return result
+
+
+@dataclass(frozen=True)
+class _Done:
+    """What is known of a fleet so far, by the recordings' names: rows of the table, and errors."""
+
+    recordings: Mapping[str, Path]
+    groups: Mapping[str, str]
+    folder: Path
+    rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    errors: dict[str, list[str]] = field(default_factory=dict)
+
+    @classmethod
+    def of_earlier(
+        cls, recordings: Mapping[str, Path], groups: Mapping[str, str], folder: Path, before: Earlier
+    ) -> _Done:
+        """What an earlier run left in its folder."""
+        done = cls(recordings, groups, folder)
+        for name in before.done:
+            done.take(name, stored(folder, name))
+        return done
+
+    def take_new(self, name: str, outcome: dict[str, Any] | Exception, key: Key | None) -> None:
+        """Take in what has just been computed, and keep it for later runs."""
+        if not isinstance(outcome, Exception):
+            store(self.folder, name, {"key": key, "fit": outcome})
+        self.take(name, outcome)
+
+    def take(self, name: str, outcome: Mapping[str, Any] | Exception) -> None:
+        """Take in the fit of a recording, or why it has none."""
+        if isinstance(outcome, Exception):
+            self.errors[name] = [_reason(self.recordings[name], outcome)]
+        else:
+            self.rows[name] = rows_of(outcome, name, str(self.recordings[name]), self.groups[name])
+            self.errors[name] = _axes_without_result(outcome)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """How many recordings are done, and how many of these failed."""
+        return len(self.errors), sum(map(bool, self.errors.values()))
+
+    def table(self) -> pd.DataFrame:
+        """The table, in the order of the recordings, whatever the order they ended in."""
+        return table_of([row for name in self.recordings for row in self.rows.get(name, ())])
+
+    def failures(self) -> tuple[dict[str, str], ...]:
+        """What has no result, and why, in the same order."""
+        return tuple(
+            {"file": str(path), "message": message}
+            for name, path in self.recordings.items()
+            for message in self.errors.get(name, ())
+        )
 
 
 def characterize_recording(path: str | os.PathLike[str], options: FitOptions) -> Fit:
@@ -213,7 +249,9 @@ def characterize_recording(path: str | os.PathLike[str], options: FitOptions) ->
     return options.fit(read_recording(path, options.reading))
 
 
-def _check_workers(workers: int | None, scheduler: str | None) -> None:
+def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> None:
+    if piece < _SHORTEST_PIECE:
+        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
     if workers is not None and workers < 1:
         raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
     if workers is not None and scheduler is not None:
