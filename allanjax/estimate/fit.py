@@ -81,8 +81,20 @@ def fit(
     if model in get_args(Objective):
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
-    _regressors(recording, regressors, objective)
     seen = inspected(recording, model, regressors, as_is, vibrating)
+    return fit_inspected(recording, seen, model, objective, regressors)
+
+
+def fit_inspected(
+    recording: Recording,
+    seen: Inspection,
+    model: ModelLike | None,
+    objective: Objective,
+    regressors: Sequence[str] = (),
+) -> Fit:
+    """The fit of a recording that was looked at already; see `fit`."""
+    # What is wrong with them is said before anything is computed.
+    _regressors(recording, regressors, objective)
     if not seen.refusal:
         return with_what_was_seen(_fitted(seen.quiet(recording), model, objective, regressors), seen)
     template, _ = terms_to_fit(model, None, recording.axes, objective)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.estimate.fit import Objective, far_off, fit, inspected
+from allanjax.estimate.fit import Objective, far_off, fit, fit_inspected, inspected
 from allanjax.estimate.result import Fit
 from allanjax.fleet.stream import AllanAccumulator
 from allanjax.inspection import Inspection
@@ -36,12 +36,18 @@ class FitOptions:
         own = {option.name: getattr(self, option.name) for option in fields(self) if option.name != "reading"}
         return own | self.reading.given()
 
-    def fit(self, recording: Recording) -> Fit:
+    def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
         """The fit of a recording.
+
+        Args:
+            recording: what to fit.
+            seen: how it looks (`inspect`), if that is known already.
 
         Raises:
             AllanjaxError: as `fit`.
         """
+        if seen is not None:
+            return fit_inspected(recording, seen, self.model, self.objective, self.regressors)
         return fit(
             recording,
             self.model,

@@ -228,12 +228,13 @@ class AllanAccumulator:
         """
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
-        selection = select_stream_terms(spectra, axes, name=self.name) if model is None else None
+        seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()
+        choose = model is None and not seen.refusal
+        selection = select_stream_terms(spectra, axes, name=self.name) if choose else None
         template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template)
         check_length(curve, template, self.name)
         notes = ambiguities(selection)
-        seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()
         if seen.refusal:
             return without_coefficients(seen, curve, template, objective, notes, dead)
         if objective == "allan":
