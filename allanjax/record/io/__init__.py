@@ -16,15 +16,6 @@ from allanjax.record.recording import Recording
 
 __all__ = ["ChunkedRecording", "ReadOptions", "read", "read_chunks", "read_recording", "write"]
 
-_READERS = {
-    "parquet": read_parquet,
-    "npy": read_npy,
-    "npz": read_npz,
-    "hdf5": read_hdf5,
-    "mat": read_mat,
-    "text": read_text,
-}
-
 
 def read(
     path: str | os.PathLike[str],
@@ -75,4 +66,4 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: st
     """
     path = Path(path)
     label = str(path) if label is None else label
-    return assemble(_READERS[format_of(path, label)](path, label), name_of(path), options)
+    return assemble(format_of(path, label).read(path, label), name_of(path), options)

@@ -10,7 +10,7 @@ import numpy as np
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.columns import split_unit
-from allanjax.record.io.table import ChunkedTable, Table
+from allanjax.record.io.table import ChunkedTable, Format, Table
 from allanjax.record.validation import Source
 
 _RATES = re.compile(r"(?:sample_?|sampling_?)?(?:rate|freq|frequency)|fs|f_s", re.IGNORECASE)
@@ -215,3 +215,11 @@ def _columns_of(array: np.ndarray, name: str, source: Source) -> tuple[np.ndarra
             f"{name} has the shape {array.shape}, seemingly transposed; save its transpose (array.T)"
         )
     return tuple(array.T)
+
+
+PARQUET = Format("parquet", lambda magic, path: magic.startswith(b"PAR1"), read_parquet, chunked_parquet)
+NPY = Format("npy", lambda magic, path: magic.startswith(b"\x93NUMPY"), read_npy, chunked_npy)
+NPZ = Format("npz", lambda magic, path: magic.startswith(b"PK\x03\x04"), read_npz)
+MAT = Format(
+    "mat", lambda magic, path: magic.startswith(b"MATLAB") or path.suffix.lower() == ".mat", read_mat
+)

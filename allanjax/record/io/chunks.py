@@ -11,13 +11,10 @@ from jaxtyping import Float, Shaped
 
 from allanjax.record.axes import Axis, axes_of, scales_of
 from allanjax.record.io.assembly import check_stretch, no_rate_error, rows_of_times, stated_rate
-from allanjax.record.io.binary import chunked_npy, chunked_parquet
 from allanjax.record.io.formats import format_of, name_of
-from allanjax.record.io.hdf5 import chunked_hdf5
 from allanjax.record.io.layout import Layout, find_layout
 from allanjax.record.io.options import ReadOptions, TimeChoice
 from allanjax.record.io.table import ChunkedTable, as_float
-from allanjax.record.io.text import chunked_text
 from allanjax.record.io.timestamps import gap_in_stream, rate_from_times, seconds_from_first
 from allanjax.record.recording import rows_between
 from allanjax.record.validation import (
@@ -29,12 +26,6 @@ from allanjax.record.validation import (
     constant_error,
 )
 
-_READERS = {
-    "parquet": chunked_parquet,
-    "npy": chunked_npy,
-    "hdf5": chunked_hdf5,
-    "text": chunked_text,
-}
 # Time stamps of a chunk are judged together with so many before it.
 _BEFORE = 1024
 
@@ -156,12 +147,12 @@ def open_chunks(
     if chunk < 1:
         raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
     kind = format_of(path, label)
-    if kind not in _READERS:
+    if kind.chunked is None:
         raise source.error(
-            f"a file of this kind (.{kind}) can not be read in chunks; save it as .npy, Parquet, HDF5 or "
+            f"a file of this kind (.{kind.name}) can not be read in chunks; save it as .npy, Parquet, HDF5 or "
             "CSV, or read it as a whole by read()"
         )
-    table = _READERS[kind](path, label)
+    table = kind.chunked(path, label)
     first = next(table.rows(chunk), None)
     if first is None:
         raise source.error("the file has no rows; give a file with one row of numbers per sample")

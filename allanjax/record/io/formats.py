@@ -1,13 +1,15 @@
 """Which format a file has, by what it begins with, whatever its suffix."""
 
 from pathlib import Path
-from typing import Literal
 
+from allanjax.record.io.binary import MAT, NPY, NPZ, PARQUET
+from allanjax.record.io.hdf5 import HDF5
+from allanjax.record.io.table import Format
+from allanjax.record.io.text import TEXT
 from allanjax.record.validation import Source
 
-Format = Literal["parquet", "npy", "npz", "hdf5", "mat", "text"]
-
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+#: Formats in the order in which they are tried: the last one takes what no other knows.
+FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, TEXT)
 
 
 def format_of(path: Path, label: str) -> Format:
@@ -30,18 +32,7 @@ def format_of(path: Path, label: str) -> Format:
         ) from error
     if not magic:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
-    if magic.startswith(b"PAR1"):
-        return "parquet"
-    if magic.startswith(b"\x93NUMPY"):
-        return "npy"
-    if magic.startswith(b"PK\x03\x04"):
-        return "npz"
-    # MATLAB's -v7.3 has a text header of 512 bytes before the HDF5 file.
-    if _HDF5_MAGIC in (magic[:8], magic[512:520]):
-        return "hdf5"
-    if magic.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        return "mat"
-    return "text"
+    return next(kind for kind in FORMATS if kind.begins(magic, path))
 
 
 def name_of(path: Path) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from allanjax.record.io.binary import from_named
-from allanjax.record.io.table import ChunkedTable, Table
+from allanjax.record.io.table import ChunkedTable, Format, Table
 from allanjax.record.validation import Source
 
 _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save it as CSV, Parquet or .npz"
@@ -107,3 +107,11 @@ def _row_axis(dataset: Any) -> int:
         return 0
     axis = int("MATLAB_class" in dataset.attrs)
     return 1 - axis if dataset.shape[axis] == 1 else axis
+
+
+def _begins(magic: bytes, path: Path) -> bool:
+    # MATLAB's -v7.3 has a text header of 512 bytes before the HDF5 file.
+    return b"\x89HDF\r\n\x1a\n" in (magic[:8], magic[512:520])
+
+
+HDF5 = Format("hdf5", _begins, read_hdf5, chunked_hdf5)

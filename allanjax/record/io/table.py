@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Shaped
@@ -53,6 +54,23 @@ class ChunkedTable:
     def head(self, columns: tuple[Shaped[np.ndarray, " samples"], ...]) -> Table:
         """The table of its first rows."""
         return Table(columns, self.labels, self.source, self.rate, self.notes)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of file: how it is recognised and read.
+
+    Attributes:
+        name: what messages call it, a usual suffix.
+        begins: whether a file with these first 520 bytes and this path is of the kind.
+        read: its table; the second argument is what messages name the file.
+        chunked: its table some rows at a time; None if it is read as a whole only.
+    """
+
+    name: str
+    begins: Callable[[bytes, Path], bool]
+    read: Callable[[Path, str], Table]
+    chunked: Callable[[Path, str], ChunkedTable] | None = None
 
 
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.record.columns import recognise
-from allanjax.record.io.table import ChunkedTable, Table
+from allanjax.record.io.table import ChunkedTable, Format, Table
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -299,3 +299,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+TEXT = Format("text", lambda magic, path: True, read_text, chunked_text)
