@@ -5,12 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from allanjax.record.io.assembly import assemble
-from allanjax.record.io.binary import read_mat, read_npy, read_npz, read_parquet
 from allanjax.record.io.chunks import ChunkedRecording, read_chunks
 from allanjax.record.io.formats import format_of, name_of
-from allanjax.record.io.hdf5 import read_hdf5
 from allanjax.record.io.options import ReadOptions, TimeChoice
-from allanjax.record.io.text import read_text
 from allanjax.record.io.writers import write
 from allanjax.record.recording import Recording
 
