@@ -69,7 +69,8 @@ class PerAxis(Mapping[str, _T]):
 
     def get(self, axis: str, default: Any = None) -> Any:
         """The result of one axis, or the default if there is no such axis."""
-        return self[axis] if axis in self else default
+        # Not `Mapping.get`, which waits for a KeyError.
+        return self[axis] if axis in self else default  # noqa: SIM401
 
     def to_dataframe(self) -> pd.DataFrame:
         """The tables of all axes, one below the other."""

@@ -137,7 +137,7 @@ class _Axis(NamedTuple):
     has_shape: Bool[Array, " shapes"]
 
     @classmethod
-    def of(cls, design: Design, V: Float[Array, " m"], active: Bool[Array, " terms"], s: Solution) -> "_Axis":
+    def of(cls, design: Design, V: Float[Array, " m"], active: Bool[Array, " terms"], s: Solution) -> _Axis:
         owner = jnp.asarray([p.term for p in design.shapes], int)
         means, products = design.means(s.shape), design.products(s.shape)
         moving = design.movable.any()

@@ -1,4 +1,4 @@
-"""The design of a fit to levels of the cosine spectrum: their expectations, scatter and cost under a model."""
+"""Design of a fit to levels of the cosine spectrum: their expectations and scatter under a model."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from allanjax.record.units import Sensor, convert, default_coefficient_unit, si_
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(ByValue):
-    """A value with its uncertainty, in a unit: a coefficient of a fit or of a spectrum, or what follows from it.
+    """A value with its uncertainty, in a unit: a coefficient of a model, or what follows from one.
 
     A fit's and a posterior's numbers are in SI; `in_unit` gives them in a unit for people.
 

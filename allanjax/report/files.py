@@ -4,7 +4,7 @@ import csv
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +73,15 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
 
 
+#: What is written of every fit: the end of the file's name, and what writes it.
+FILES: tuple[tuple[str, Callable[[Fit, Path], object]], ...] = (
+    (".json", write_json),
+    ("_allan.csv", write_curve_csv),
+    ("_coefficients.csv", write_coefficients_csv),
+    ("_allan.png", lambda fit, path: fit.plot(path=path)),
+)
+
+
 def write_results(
     fit: Fit, spectrum: PowerSpectrum | None, directory: str | os.PathLike[str], name: str
 ) -> tuple[Path, ...]:
@@ -80,21 +89,17 @@ def write_results(
 
     Without a spectrum, as of a recording that was read in chunks, there is no NAME_psd.png.
     """
-    from allanjax.report.allan_figure import plot_allan
     from allanjax.report.spectrum_figure import plot_psd
 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    suffixes = [".json", "_allan.csv", "_coefficients.csv", "_allan.png"]
-    suffixes += [] if spectrum is None else ["_psd.png"]
-    paths = tuple(directory / f"{name}{suffix}" for suffix in suffixes)
-    write_json(fit, paths[0])
-    write_curve_csv(fit, paths[1])
-    write_coefficients_csv(fit, paths[2])
-    plot_allan(fit, path=paths[3])
+    paths = [directory / f"{name}{suffix}" for suffix, _ in FILES]
+    for path, (_, write) in zip(paths, FILES, strict=True):
+        write(fit, path)
     if spectrum is not None:
-        plot_psd(spectrum, fit, path=paths[4])
-    return paths
+        paths.append(directory / f"{name}_psd.png")
+        plot_psd(spectrum, fit, path=paths[-1])
+    return tuple(paths)
 
 
 def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

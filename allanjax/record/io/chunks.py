@@ -149,8 +149,8 @@ def open_chunks(
     kind = format_of(path, label)
     if kind.chunked is None:
         raise source.error(
-            f"a file of this kind (.{kind.name}) can not be read in chunks; save it as .npy, Parquet, HDF5 or "
-            "CSV, or read it as a whole by read()"
+            f"a file of this kind (.{kind.name}) can not be read in chunks; save it as .npy, Parquet, HDF5 "
+            "or CSV, or read it as a whole by read()"
         )
     table = kind.chunked(path, label)
     first = next(table.rows(chunk), None)
