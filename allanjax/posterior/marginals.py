@@ -1,15 +1,15 @@
 """Marginal posteriors of single parameters, other parameters integrated out, as estimates.
 
 `value` is the median, `std` the standard deviation; the intervals hold 68 and 95 % of the posterior, as much
-of the rest on either side; `upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes factor
-is below 1/20; otherwise its intervals begin at zero, and `interval` ends at `upper_limit`.
+of the rest on either side; `upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes
+factor is below 1/20; otherwise its intervals begin at zero, and `interval` ends at `upper_limit`.
 
 `bayes_factor`, of an amplitude, is the probability that the posterior gives to what cannot be told from zero
 (a third of the prior's scale; for terms not sampled zero itself) over that of the prior: how the data change
-the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math. Stat. 42:204). Under the default
-prior 1/20 is what a square of the amplitude 3.5 to 3.8 standard deviations above zero yields. A prior that
-excludes zero claims the term: 0. What has no draws (`sampled`) is the amplitude of a term that the fit did not
-find.
+the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math. Stat. 42:204). Under the
+default prior 1/20 is what a square of the amplitude 3.5 to 3.8 standard deviations above zero yields. A
+prior that excludes zero claims the term: 0. What has no draws (`sampled`) is the amplitude of a term that
+the fit did not find.
 """
 
 from __future__ import annotations
