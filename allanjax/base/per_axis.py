@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 class AxisResult(Protocol):
-    """What is known of one axis."""
+    """Result of one axis, as `PerAxis` holds it."""
 
     @property
     def axis(self) -> Any:
-        """Whose it is; its `name` is the key."""
+        """The axis, whose `name` is the key."""
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The axis's rows of the table of all."""
+        """Rows of this axis in the table of all axes."""
 
 
 _T = TypeVar("_T", bound=AxisResult)
@@ -48,7 +48,7 @@ class PerAxis(Mapping[str, _T]):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes' names."""
+        """Names of the axes."""
         return tuple(result.axis.name for result in self.results)
 
     def __iter__(self) -> Iterator[str]:
@@ -73,13 +73,13 @@ class PerAxis(Mapping[str, _T]):
         return self[axis] if axis in self else default  # noqa: SIM401
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The tables of all axes, one below the other."""
+        """Table of all axes, one below the other."""
         import pandas as pd
 
         return pd.concat([result.to_dataframe() for result in self.results], ignore_index=True)
 
     def _title(self) -> str:
-        """What stands above the printed table."""
+        """Title of the printed table."""
         raise NotImplementedError
 
     def _cells(self) -> Sequence[Sequence[str]]:

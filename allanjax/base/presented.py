@@ -18,7 +18,7 @@ _FUNCTIONS: dict[str, str] = {}
 
 
 def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Decorator of a method without a body: calls go to the function that `present` was told."""
+    """Decorator of a method without a body: a call goes to the function registered by `present`."""
 
     @functools.wraps(method)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
@@ -28,7 +28,7 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def present(functions: Mapping[str, str]) -> None:
-    """Say which functions are the methods of results: {"Fit.plot": "package.module.function"}."""
+    """Register the functions that are methods of results: {"Fit.plot": "package.module.function"}."""
     _FUNCTIONS.update(functions)
 
 

@@ -56,7 +56,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
 
 
 def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
-    """As that of an axis without result."""
+    """Entry of a dead axis, which has no result."""
     axis = dead.axis
     return {
         "name": axis.name,
@@ -201,5 +201,5 @@ def _numbers(c: Estimate) -> dict[str, Any]:
 
 
 def _finite(x: float) -> float | None:
-    """JSON has no NaN and no infinity, and an empty cell is the CSV for neither."""
+    """A finite number, or None: JSON has no NaN and no infinity, and a CSV cell is empty for either."""
     return float(x) if math.isfinite(x) else None

@@ -31,7 +31,7 @@ _COLUMNS: dict[str, Callable[[Estimate], Any]] = {
 
 
 class AxisEstimates:
-    """What an axis's fit and its posterior have in common.
+    """Base of the fit and of the posterior of one axis: estimates by name, as a table, and in two lines.
 
     Attributes:
         axis: whose the estimates are.

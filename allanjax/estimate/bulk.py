@@ -1,4 +1,4 @@
-"""Many axes at once: one model, fitted to the Allan variances of hundreds of units of equal length.
+"""Fits of one model to the Allan variances of many axes of equal length at once.
 
 The solver and the inference are those of `fit`, compiled once for blocks of a fixed number of axes, whatever
 their number; the blocks share the cores.
@@ -82,7 +82,7 @@ class BulkFit(ByValue):
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """Their labels, in the order of the arrays' columns."""
+        """Labels of the coefficients, in the order of the arrays' columns."""
         return tuple(p.label for p in reported(self.template))
 
     @property
@@ -240,7 +240,7 @@ def _bulk_fit(
     inference: Inference,
     near: Bool[np.ndarray, " axes"],
 ) -> BulkFit:
-    """What the solutions mean."""
+    """The result made of solutions and inferences."""
     from scipy.stats import chi2
 
     active = np.ones((len(solution.power), len(template)), bool)

@@ -1,4 +1,4 @@
-"""From a solution and its inference to named coefficients with their intervals."""
+"""Named coefficients and their intervals, from a solution and its inference."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Coefficients:
 
 
 def reported(model: Model) -> tuple[ModelParameter, ...]:
-    """The parameters that are coefficients: infinite ones are none, nor those held without a value."""
+    """Parameters of a model that are reported as coefficients: not infinite ones, nor held ones without a value."""
     return tuple(p for p in model.parameters if p.free or (p.start is not None and np.isfinite(p.start)))
 
 
@@ -138,7 +138,7 @@ def coefficients_of(
     n: int,
     rate: float,
 ) -> tuple[Coefficients, ...]:
-    """The coefficients of these axes, as `estimates_of` finds them, by their labels.
+    """Coefficients of several axes by their labels, from `estimates_of`.
 
     Shapes that may be anywhere beyond what n samples at `rate` [Hz] can show have a limit, and no error.
     """
@@ -165,7 +165,7 @@ def coefficients_of(
 
 
 def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
-    """A shape; as a limit where its interval reaches beyond what the record can show."""
+    """Estimate of a shape, turned into a limit where its interval reaches beyond what the record can show."""
     if not (c.detected and c.std > 0.0):
         return c
     # Bounds are open, and searches keep a little away from them.

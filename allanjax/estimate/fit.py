@@ -1,4 +1,4 @@
-"""Fit a noise model to a recording, by its Allan variances or by Whittle's likelihood."""
+"""Fits of a noise model to a recording, by its Allan variances or by Whittle's likelihood."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def fit_inspected(
     objective: Objective,
     regressors: Sequence[str] = (),
 ) -> Fit:
-    """The fit of a recording that was looked at already; see `fit`."""
+    """Fit of a recording whose inspection is known already; see `fit`."""
     # What is wrong with them is said before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:
@@ -109,7 +109,7 @@ def inspected(
     as_is: bool,
     vibrating: bool,
 ) -> Inspection:
-    """How the recording looks to a fit of this model, which may say that the mean moves."""
+    """Inspection of a recording for a fit of this model, which may say that the mean moves."""
     terms = () if model is None else as_model(model, recording.axes).terms
     timed = any(isinstance(term, Transient) for term in terms)
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
@@ -123,7 +123,7 @@ def _fitted(
     objective: Objective,
     regressors: Sequence[str],
 ) -> Fit:
-    """The fit of all of a recording."""
+    """Fit of all samples of a recording."""
     given = _regressors(recording, regressors, objective)
     release_programs(0.75)
     selection = select_terms(recording) if model is None else None
@@ -148,7 +148,7 @@ def without_coefficients(
     notes: tuple[str, ...],
     dead: tuple[DeadAxis, ...],
 ) -> Fit:
-    """The curve of a recording that no coefficients can be of, and why."""
+    """A fit without coefficients: the curve of a recording, and why it has none."""
     nothing = np.zeros((0, 0))
     results = tuple(
         AxisFit(axis, False, seen.refusal, np.nan, 0, np.nan, np.nan, {}, nothing, template)
@@ -158,7 +158,7 @@ def without_coefficients(
 
 
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
-    """The fit with the warnings, the stretch, and the level of each axis; in motion, nothing is measured."""
+    """A fit completed by its inspection: warnings, stretch, levels; what moved is no measurement."""
     levels = zip(found.results, seen.mean, seen.rms, strict=True)
     results = tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in levels)
     moving = [seen.axes[k].name for k in seen.moving]
@@ -175,7 +175,7 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
 
 
 def far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
-    """For people: which axes have a curve that their model does not follow, and what to do."""
+    """Warning that names the axes whose model does not follow the curve, and the remedy; none if there are none."""
     names = [result.axis.name for result in results if result.is_far_off]
     if not names:
         return ()
@@ -190,7 +190,7 @@ def terms_to_fit(
     axes: Sequence[Axis],
     objective: Objective,
 ) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
-    """The model to fit, given or chosen, and which of its terms each axis has.
+    """Model to fit, given or chosen, and which of its terms each axis has.
 
     Raises:
         FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
@@ -250,7 +250,7 @@ def _with_known_transients(template: Model, objective: Objective) -> Model:
 def _regressors(
     recording: Recording, names: Sequence[str], objective: Objective
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """The auxiliary channels of these names, without their means."""
+    """Auxiliary channels of these names, their means subtracted."""
     if names and objective != "whittle":
         raise AllanjaxError(
             'regressors are profiled out of the spectrum only: give objective="whittle" (--objective whittle)'
@@ -272,7 +272,7 @@ def _regressors(
 
 
 def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
-    """For people: which terms the data could not tell apart."""
+    """Notes on terms that the data could not tell apart."""
     notes = []
     for axis in selection.values() if selection else ():
         if found := axis.ambiguities():

@@ -1,4 +1,4 @@
-"""What estimates of power say about each coefficient around its estimate."""
+"""Covariance of the estimates, and the distance of the data from hypothetical powers of each term."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from allanjax.estimate.gls import Solution
 
 
 class Inference(NamedTuple):
-    """What the data say about one axis around its estimate.
+    """Covariance and hypothesis tests of one axis around its estimate.
 
     `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
     and the data's distance from each as a normal score, positive where the data want more: up to `ESTIMATE`
@@ -181,7 +181,7 @@ class _Axis(NamedTuple):
         return _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
 
     def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
-        """The powers with those allowed to fitted to the data, weighted by the covariance at `power`."""
+        """Powers of which the allowed ones are fitted to the data, weighted by the covariance at `power`."""
         mean, covariance = power @ self.means, self.design.covariance(power, self.products)
         W = self.design.whiten(covariance, mean, self.s.discrepancy, jnp.eye(len(self.V))).values
         A = W @ (self.means / mean).T
@@ -238,7 +238,7 @@ class _Axis(NamedTuple):
 def ceiling(
     design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, discrepancy: Array
 ) -> Float[Array, " terms"]:
-    """For each term a power beyond which one of the estimates would be too small, whatever else there is.
+    """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
     Other terms can only add to an estimate, so that V ≥ v·mean·e^(discrepancy·z)·χ²/ν, with a normal z. With
     m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those

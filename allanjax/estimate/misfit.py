@@ -1,4 +1,4 @@
-"""How far a fitted curve is from the measured one, beyond what the measured one scatters.
+"""Deviation of the measured curve from the fitted one, beyond the scatter of the measured one.
 
 The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals rightly
 while it is small. Of a model that misses by a factor it says nothing: it is counted in units of the model,
@@ -67,7 +67,7 @@ class Misfit:
 
     @property
     def curve(self) -> str:
-        """What is off."""
+        """Name of the curve that the misfit is of."""
         return "Allan deviation" if self.unit == "s" else "root PSD"
 
     def __str__(self) -> str:
@@ -89,7 +89,7 @@ def misfit_of(
     edf: Float[np.ndarray, " m"],
     unit: Literal["s", "Hz"],
 ) -> Misfit:
-    """The misfit of estimates of deviation.
+    """Misfit of estimated deviations.
 
     Args:
         place: cluster times [s] or frequencies [Hz], increasing.
@@ -141,7 +141,7 @@ def spectral_misfit(
     mean: Float[np.ndarray, " m"],
     dof: Float[np.ndarray, " m"],
 ) -> Misfit:
-    """The misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
+    """Misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
 
     Args:
         frequency: middle of each bin [Hz].
@@ -158,7 +158,7 @@ def spectral_misfit(
 
 
 def deviation(relative: float) -> str:
-    """E.g. "47 %"; of large ones the factor, whichever way, e.g. "a factor 18"."""
+    """A relative deviation in words: "47 %", or of large ones the factor, whichever way: "a factor 18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
         return f"{100.0 * abs(relative):.2g} %"

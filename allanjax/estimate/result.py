@@ -1,4 +1,4 @@
-"""What a fit found: coefficients with their intervals, one axis at a time."""
+"""Results of a fit: coefficients with their intervals, one axis at a time."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class AxisFit(ByValue, AxisEstimates):
         return self.misfit is not None and self.misfit.excessive
 
     def unmeasured(self, **why: Any) -> AxisFit:
-        """The same without standard deviations, intervals and limits; `why` are the fields that say why."""
+        """A copy without standard deviations, intervals and limits; `why` are fields that give the reason."""
         coefficients = {label: c.unmeasured() for label, c in self.coefficients.items()}
         nothing = np.full_like(self.covariance, np.nan)
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
@@ -156,7 +156,7 @@ class AxisFit(ByValue, AxisEstimates):
         return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict()}>"
 
     def level(self) -> str:
-        """E.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if they are not known."""
+        """Mean and rms of the samples in words, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if not known."""
         if not np.isfinite(self.mean):
             return ""
         unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
@@ -223,7 +223,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     @property
     def without_result(self) -> dict[str, str]:
-        """Why an axis has no result, by the names of those that have none."""
+        """Reason for each axis without a result, by its name."""
         failed = {result.axis.name: result.reason for result in self.results if not result.converged}
         return failed | {dead.axis.name: dead.reason for dead in self.dead}
 

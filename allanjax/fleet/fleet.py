@@ -71,7 +71,7 @@ class FleetResult(ByValue):
         return self.table[self.table["outlying"]]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table, as the other results give theirs."""
+        """Table of the coefficients, `table` itself."""
         return self.table
 
     @presented
@@ -178,7 +178,7 @@ def characterize_fleet(
 
 
 def _written(done: _Done, before: Earlier, out: Path) -> FleetResult:
-    """The result of all that is done, which is written to the folder `out`, too."""
+    """Result of all that is done, written to the folder `out` as well."""
     table, notes = judged(done.table())
     if before.left_out:
         notes = (left_out(before.left_out, done.folder), *notes)
@@ -190,7 +190,7 @@ def _written(done: _Done, before: Earlier, out: Path) -> FleetResult:
 
 @dataclass(frozen=True)
 class _Done:
-    """What is known of a fleet so far, by the recordings' names: rows of the table, and errors."""
+    """Progress of a fleet by the recordings' names: rows of the table, and errors."""
 
     recordings: Mapping[str, Path]
     groups: Mapping[str, str]
@@ -202,7 +202,7 @@ class _Done:
     def of_earlier(
         cls, recordings: Mapping[str, Path], groups: Mapping[str, str], folder: Path, before: Earlier
     ) -> _Done:
-        """What an earlier run left in its folder."""
+        """Progress that an earlier run left in its folder."""
         done = cls(recordings, groups, folder)
         for name in before.done:
             done.take(name, stored(folder, name))
@@ -228,11 +228,11 @@ class _Done:
         return len(self.errors), sum(map(bool, self.errors.values()))
 
     def table(self) -> pd.DataFrame:
-        """The table, in the order of the recordings, whatever the order they ended in."""
+        """Table in the order of the recordings, whatever the order they ended in."""
         return table_of([row for name in self.recordings for row in self.rows.get(name, ())])
 
     def failures(self) -> tuple[dict[str, str], ...]:
-        """What has no result, and why, in the same order."""
+        """Files and axes without a result, and why, in the order of the recordings."""
         return tuple(
             {"file": str(path), "message": message}
             for name, path in self.recordings.items()
@@ -262,12 +262,12 @@ def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> 
 
 
 def _characterize(path: Path, options: FitOptions) -> dict[str, Any]:
-    """What a worker does with a recording."""
+    """Task of a worker: one recording."""
     return to_dict(characterize_recording(path, options))
 
 
 def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
-    """What to call for a recording: one function, or that which puts the pieces of a long one together."""
+    """Task for a recording: one function, or the one that puts the pieces of a long recording together."""
     stretches = _pieces(path, options, piece)
     if not stretches:
         return _characterize, (path, options)
@@ -302,12 +302,12 @@ def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, Read
 
 
 def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulator:
-    """What a worker does with a piece of a recording."""
+    """Task of a worker: one piece of a recording."""
     return accumulate(open_chunks(path, reading), start=first)
 
 
 def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> dict[str, Any]:
-    """What a worker does with all pieces of a recording."""
+    """Task of a worker: all pieces of a recording together."""
     return to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))
 
 
@@ -331,7 +331,7 @@ def _reason(path: Path, error: Exception) -> str:
 
 
 def _write(result: FleetResult, out: Path) -> None:
-    """The table, the errors and the picture."""
+    """Write the table, the errors, the notes and the picture."""
     write_table(result.table, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])

@@ -1,4 +1,4 @@
-"""How a recording is read and fitted: one object that commands and fleets hand on as a whole."""
+"""Options of reading and fitting, in one object that commands and fleets hand on as a whole."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -17,7 +17,7 @@ from allanjax.record.recording import Recording
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How recordings are read and fitted.
+    """Options of reading and fitting recordings.
 
     Attributes:
         reading: how they are read.
@@ -37,7 +37,7 @@ class FitOptions:
         return own | self.reading.given()
 
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
-        """The fit of a recording.
+        """Fit of a recording with these options.
 
         Args:
             recording: what to fit.
@@ -58,7 +58,7 @@ class FitOptions:
         )
 
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
-        """The fit of what was accumulated, which has no channels to regress on.
+        """Fit of an accumulated stream, which has no channels to regress on.
 
         Args:
             accumulator: of a recording, or of the stretch of it that `seen` says.
@@ -74,7 +74,7 @@ class FitOptions:
         return replace(found, warnings=warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
-        """What a recording, or what was accumulated of one, looks like, as its fit will see it."""
+        """Inspection of a recording, or of what was accumulated of one, as its fit will see it."""
         if isinstance(of, AllanAccumulator):
             return of.inspect(as_is=self.as_is, vibrating=self.vibrating)
         return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
@@ -85,7 +85,7 @@ class FitOptions:
 
 
 def _plain(value: Any) -> Any:
-    """A value in JSON's types: of an object, its type and all its fields; numbers as text, for infinity."""
+    """A value in JSON's types: an object as its type and all its fields, numbers as text, for infinity."""
     if value is None or isinstance(value, bool | str):
         return value
     if is_dataclass(value) and not isinstance(value, type):

@@ -82,36 +82,36 @@ class Estimate(ByValue):
 
     @property
     def title(self) -> str:
-        """Name for people: of an accelerometer, the angle random walk is a velocity random walk."""
+        """Name of the quantity for people; an accelerometer's angle random walk is a velocity random walk."""
         return title_of(self.label, self.axis)
 
     @property
     def si_unit(self) -> str:
-        """The SI unit of such numbers, e.g. "rad/√s"."""
+        """SI unit that corresponds to the usual unit, e.g. "rad/√s"."""
         return si_unit(self.usual_unit)
 
     @property
     def median(self) -> float:
-        """The value, of a posterior: half of it lies below."""
+        """Median of a posterior, which is its `value`."""
         return self.value
 
     @property
     def symbol(self) -> str:
-        """How the literature writes the parameter, e.g. "N"; "" for what follows from a model."""
+        """Symbol of the parameter in the literature, e.g. "N"; "" for what follows from a model."""
         return self.parameter.symbol if self.parameter else ""
 
     @property
     def kind(self) -> str:
-        """What kind of parameter it is, e.g. "amplitude"; "" for what follows from a model."""
+        """Kind of the parameter, e.g. "amplitude"; "" for what follows from a model."""
         return self.parameter.kind if self.parameter else ""
 
     @property
     def is_amplitude(self) -> bool:
-        """Whether this is a term's amplitude, and not its shape or what follows from a model."""
+        """Whether the estimate is a term's amplitude, and not its shape or what follows from a model."""
         return self.kind == "amplitude"
 
     def in_unit(self, unit: str | None = None) -> Estimate:
-        """A copy in this unit (by default `usual_unit`): its numbers and its `unit` agree.
+        """A copy of the estimate in this unit, by default its `usual_unit`.
 
         Raises:
             UnitError: for an unknown unit or one of another dimension.
@@ -122,7 +122,7 @@ class Estimate(ByValue):
         return dataclasses.replace(self, unit=unit, **numbers)
 
     def unmeasured(self) -> Estimate:
-        """A copy as the parameter of a curve only; what was held stays as it was given."""
+        """A copy without uncertainty, for a fitted curve that does not follow the data; held values stay."""
         if self.held:
             return self
         nowhere = (float("nan"), float("nan"))
@@ -166,7 +166,7 @@ class Estimate(ByValue):
         return self.upper_limit if self.lower_limit is None else self.lower_limit
 
     def _amount(self) -> str:
-        """The number that matters and the unit."""
+        """The number to be shown, value or limit, with its unit."""
         if self.held:
             number = plain(self.value)
         elif not self.measured:
@@ -185,7 +185,7 @@ class Estimate(ByValue):
         return amount if self.parameter else f"{amount} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:
-        """What is said of this amount."""
+        """The phrase in which an amount is told, e.g. "not detectable, below 3.2 deg/h (95 %)"."""
         if self.held:
             return f"{amount} (held)"
         if not self.measured:

@@ -1,4 +1,4 @@
-"""What people call the coefficients."""
+"""Usual names of coefficients, such as ARW and VRW."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CALLED: dict[str, dict[Sensor, str]] = {
 
 
 def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
-    """The label of the one coefficient that people call so; None if there is none, or several.
+    """Label of the coefficient with this usual name; None if there is none, or several.
 
     Labels themselves, in any case and with spaces; symbols such as "N"; abbreviations such as "ARW" of a gyro
     and "VRW" of an accelerometer (whose "ARW" is the angle random walk for some, the acceleration random

@@ -1,4 +1,4 @@
-"""What follows from a posterior of coefficients: curves, the bias-instability minimum, predicted drift."""
+"""Quantities that follow from a posterior of coefficients: curves, the bias-instability minimum, predicted drift."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AT_ONCE = 16
 def derived(
     label: str, axis: Axis, usual_unit: str, draws: Float[np.ndarray, " draws"], remark: str = ""
 ) -> Estimate:
-    """The posterior of what follows from the coefficients, from its draws [SI]: median, σ and intervals."""
+    """Estimate of a derived quantity from its posterior draws [SI]: median, σ and intervals."""
     low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
     # Draws that agree to rounding do not scatter.
     std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0

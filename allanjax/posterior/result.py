@@ -103,7 +103,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         return pd.DataFrame(matrix, index=self.labels, columns=self.labels)
 
     def verdict(self) -> str:
-        """One line on how the chain ended."""
+        """One line on the convergence of the chain."""
         state = "converged" if self.converged else "NOT CONVERGED"
         text = (
             f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
@@ -128,11 +128,11 @@ class AxisPosterior(ByValue, AxisEstimates):
         )
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
-        """So many draws, evenly spaced; some of them repeatedly if there are fewer."""
+        """An evenly spaced choice of draws; some of them repeatedly if there are fewer."""
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
 
     def models(self, count: int = 100) -> list[Model]:
-        """So many draws as models, without the terms not sampled."""
+        """Models of an evenly spaced choice of draws, without the terms not sampled."""
         draws = self._some_draws(count).tolist()
         return [with_draw(self._template, self.labels, self._absent, x) for x in draws]
 
@@ -220,7 +220,7 @@ class AxisPosterior(ByValue, AxisEstimates):
 
     @presented
     def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the marginal and joint posteriors; see `allanjax.plot_posterior.plot_corner`."""
+        """Draw the marginal and joint posteriors; see `report.posterior_figure.plot_corner`."""
         raise NotImplementedError
 
 
@@ -241,7 +241,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
 
     @property
     def converged(self) -> bool:
-        """Whether every axis has."""
+        """Whether the chains of every axis have converged."""
         return all(result.converged for result in self.results)
 
     def to_arviz(self) -> dict[str, Any]:
@@ -256,7 +256,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         path: str | os.PathLike[str] | None = None,
         spectrum: Any = None,
     ) -> Figure:
-        """Draw Allan deviation and PSD with the posterior's bands; see `allanjax.plot_posterior`."""
+        """Draw Allan deviation and PSD with the posterior's bands; see `report.posterior_figure.plot_posterior`."""
         raise NotImplementedError
 
     def _title(self) -> str:

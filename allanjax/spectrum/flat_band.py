@@ -1,4 +1,4 @@
-"""Where a power spectral density is flat, and what else than white noise is in it there.
+"""The flat band of a power spectral density, and the noise in it that is not white.
 
 The flat part of real spectra is a shallow valley between noises that fall and noises that rise with
 frequency. Its mean is above the white noise's density by what these contribute, which no test on the valley
@@ -33,7 +33,7 @@ def coloured_density(
     dof: Float[np.ndarray, " m"],
     rate: float,
 ) -> Float[np.ndarray, " m"]:
-    """What flicker, random walk and quantization contribute to the density [its unit] at each frequency [Hz].
+    """Contribution of flicker, random walk and quantization to the density [its unit] at each frequency [Hz].
 
     That is c₁/f + c₂/f² + c₃ sin²(πf/rate) of their sum with a constant, fitted with coefficients that are
     not negative, weighted with the degrees of freedom at the sum itself, robust to lines.
@@ -152,7 +152,7 @@ def spectral_random_walk(
 def chi_squared_factors(
     dof: ArrayLike, level: float
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Ends of the interval of a variance whose estimate is one."""
+    """Confidence limits of a variance relative to its estimate, by the χ² law."""
     from scipy.stats import chi2
 
     if not 0 < level < 1:

@@ -1,4 +1,4 @@
-"""How a recording is read: one object, so that no reader and no command can leave an option out."""
+"""Options of reading, in one object, so that no reader and no command can leave one out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -46,7 +46,7 @@ class ReadOptions:
             )
 
     def within(self, stretch: tuple[float, float]) -> "ReadOptions":
-        """For a stretch of what is read with these, in s from its first sample."""
+        """Options for a stretch [s] of what these read, from its first sample."""
         origin = self.start or 0.0
         return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
 
