@@ -45,7 +45,7 @@ class Coefficients:
 
 
 def reported(model: Model) -> tuple[ModelParameter, ...]:
-    """Parameters of a model that are reported as coefficients: not infinite ones, nor held ones without a value."""
+    """Parameters of a model that are coefficients: not infinite ones, nor held ones without a value."""
     return tuple(p for p in model.parameters if p.free or (p.start is not None and np.isfinite(p.start)))
 
 

@@ -175,7 +175,7 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
 
 
 def far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
-    """Warning that names the axes whose model does not follow the curve, and the remedy; none if there are none."""
+    """Warning about axes whose model does not follow the curve, with the remedy; none if there are none."""
     names = [result.axis.name for result in results if result.is_far_off]
     if not names:
         return ()

@@ -1,4 +1,4 @@
-"""Quantities that follow from a posterior of coefficients: curves, the bias-instability minimum, predicted drift."""
+"""Derived quantities of a posterior: curves, the bias-instability minimum, predicted drift."""
 
 from __future__ import annotations
 

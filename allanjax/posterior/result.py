@@ -256,7 +256,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         path: str | os.PathLike[str] | None = None,
         spectrum: Any = None,
     ) -> Figure:
-        """Draw Allan deviation and PSD with the posterior's bands; see `report.posterior_figure.plot_posterior`."""
+        """Draw Allan deviation and PSD with bands; see `report.posterior_figure.plot_posterior`."""
         raise NotImplementedError
 
     def _title(self) -> str:
