@@ -2,11 +2,11 @@
 
 import gzip
 import math
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from places import DATA
 from scipy.io import savemat
 
 from allanjax.record.columns import recognise
@@ -19,7 +19,6 @@ RATE = 100.0
 SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 HEADER = ("gyro_x [deg/s]", "gyro_y [deg/s]", "gyro_z [deg/s]", "accel_x [g]", "accel_y [g]", "accel_z [g]")
 UNITS = {"gyro_unit": "deg/s", "accel_unit": "g"}
-DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
 @pytest.fixture(scope="module")
@@ -370,7 +369,7 @@ def test_written_recordings_read_back_without_arguments(tmp_path, noise, suffix)
     np.testing.assert_array_equal(again.auxiliary["temperature"], noise[:, 5])
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings in shared/data are not here")
+@pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not here")
 def test_real_recording():
     recording = read(DATA / "adis16405_unit1.parquet", rate=100, **UNITS)
     assert recording.names == SIX

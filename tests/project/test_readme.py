@@ -2,11 +2,11 @@
 
 import re
 import shlex
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from places import ROOT
 from typer.testing import CliRunner
 
 import allanjax as aj
@@ -16,7 +16,7 @@ from allanjax.noise.notation import parse_model
 from allanjax.noise.simulate import simulate_recording
 from allanjax.record.io import write
 
-README = Path(__file__).parent.parent / "README.md"
+README = ROOT / "README.md"
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 

@@ -1,19 +1,19 @@
 """Allan deviation against allantools, published values, and the defining equations written out."""
 
 import os
-from pathlib import Path
 
 import allantools
 import jax
 import numpy as np
 import pytest
+from places import DATA
 from scipy import stats
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation, allan_variance_estimates, cluster_sizes
 from allanjax.base.errors import AllanjaxError
 from allanjax.record.recording import Axis, Recording
 
-RECORDING = Path(__file__).parents[2] / "shared" / "data" / "adis16405_unit1.parquet"
+RECORDING = DATA / "adis16405_unit1.parquet"
 
 ESTIMATORS = {
     "adev": ("allan", False),

@@ -6,18 +6,15 @@ nothing, such as a sample rate, the expression is `True`.
 """
 
 import difflib
-import os
 import re
-from pathlib import Path
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from places import DATA, ROOT
 
-ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-# Real recordings, which some of the notebooks read; they are not part of the repository.
-DATA = Path(os.environ.get("ALLANJAX_DATA", ROOT.parent / "shared" / "data")).resolve()
+# The real recordings that some of the notebooks read.
 UNITS = ("adis16405_unit1.parquet", "adis16405_unit2.parquet")
 RECORDINGS = {"02_uncertainty": UNITS, "03_what_the_simulation_gets_wrong": UNITS}
 # What is no prose: code, formulas and links.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from hidden_effects import draw
+from places import DATA
 
 import allanjax as aj
 from allanjax.estimate.fit import inspected
@@ -20,7 +21,6 @@ DEG = np.pi / 180.0
 # White noise of a consumer sensor from sample to sample at 100 Hz, and gravity.
 SIGMA = np.array([0.1 * DEG] * 3 + [0.02] * 3)
 LEVEL = np.array([0.1 * DEG, -0.2 * DEG, 0.3 * DEG, 0.05, -0.05, 9.80665])
-REAL = Path(__file__).parents[2] / "shared" / "data"
 
 
 def values(seed: int, n: int = 30_000) -> np.ndarray:
@@ -261,12 +261,12 @@ def test_motion_is_said_and_may_be_meant() -> None:
     assert aj.inspect(moved, vibrating=True).warnings == ()
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the real recordings are not here")
+@pytest.mark.skipif(not DATA.exists(), reason="the real recordings are not here")
 def test_a_flight_and_a_hand_are_not_static() -> None:
-    flight = np.genfromtxt(REAL / "euroc_slice.csv", delimiter=",", skip_header=1)[:, 1:]
+    flight = np.genfromtxt(DATA / "euroc_slice.csv", delimiter=",", skip_header=1)[:, 1:]
     flown = Recording.from_array(flight, 200.0, names=NAMES, gyro_unit="rad/s", accel_unit="m/s²")
     assert "static" in aj.inspect(flown).warnings[0]
-    hand = np.genfromtxt(REAL / "xio_sensor_data.csv", delimiter=",", skip_header=1)[:, 1:7]
+    hand = np.genfromtxt(DATA / "xio_sensor_data.csv", delimiter=",", skip_header=1)[:, 1:7]
     moved = Recording.from_array(hand, 100.0, names=NAMES, gyro_unit="deg/s", accel_unit="g")
     assert "static" in aj.inspect(moved).warnings[0]
     # Before it was picked up: at rest.

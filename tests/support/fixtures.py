@@ -1,0 +1,42 @@
+"""Small recordings and their fits, made once."""
+
+import dataclasses
+from collections.abc import Callable
+
+import pytest
+from gamma_levels import with_likelihood
+
+from allanjax.estimate.fit import fit
+from allanjax.estimate.result import Fit
+from allanjax.noise.notation import parse_model
+from allanjax.noise.simulate import simulate_recording
+from allanjax.record.recording import Recording
+
+
+@pytest.fixture(scope="session")
+def small_recording() -> Recording:
+    """Three gyros in deg/s and an accelerometer in g, 200 s at 100 Hz."""
+    gyro = parse_model("N=0.2 deg/√h + B=20 deg/h", "gyro")
+    accel = parse_model("N=0.05 m/s/√h + K=200 m/s/h/√h", "accel")
+    models = {"gyro_x": gyro, "gyro_y": gyro, "gyro_z": gyro, "accel_z": accel}
+    return simulate_recording(models, 20_000, 100.0, 1, bias={"accel_z": 9.8}, accel_unit="g", name="small")
+
+
+@pytest.fixture(scope="session")
+def small_fit(small_recording: Recording) -> Fit:
+    """Its fit with the five basic terms."""
+    return fit(small_recording)
+
+
+@pytest.fixture(scope="session")
+def half_failed_fit(small_fit: Fit) -> Fit:
+    """The same, had the second axis not converged."""
+    first, second, *others = small_fit.results
+    failed = dataclasses.replace(second, converged=False, reason="the start was hopeless")
+    return dataclasses.replace(small_fit, results=(first, failed, *others))
+
+
+@pytest.fixture
+def two_terms(small_fit: Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Fit]:
+    """What makes a fit of angle and rate random walk with a likelihood of one's own."""
+    return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
