@@ -57,7 +57,7 @@ def test_rmse_is_near_the_cramer_rao_bound_and_intervals_cover_the_truth(truth):
     rmse_limit = 1.10 * (1.0 + 3.0 / np.sqrt(2.0 * RECORDS))
     slack = 4.0 * np.sqrt(0.95 * 0.05 / RECORDS)
     for symbol, sd in zip(truth, bound, strict=True):
-        found = [axis[LABELS[symbol]] for axis in fit]
+        found = [axis[LABELS[symbol]] for axis in fit.values()]
         error = np.array([c.value for c in found]) - truth[symbol]
         inside = np.mean([c.interval[0] <= truth[symbol] <= c.interval[1] for c in found])
         assert np.sqrt(np.mean(error**2)) <= rmse_limit * sd, symbol

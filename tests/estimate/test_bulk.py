@@ -72,9 +72,9 @@ def test_each_axis_gets_what_a_fit_of_it_gives(truth: aj.Model, model: aj.Model)
         many.to_dataframe(), fit.to_dataframe().astype({"upper_limit_95": float}), **close
     )
     for name in ("chi2", "p_value", "discrepancy"):
-        np.testing.assert_allclose(getattr(many, name), [getattr(r, name) for r in fit], **close)
-    assert {many.dof} == {r.dof for r in fit}
-    assert many.measured.tolist() == [r.measured for r in fit] == [k != 3 for k in range(5)]
+        np.testing.assert_allclose(getattr(many, name), [getattr(r, name) for r in fit.values()], **close)
+    assert {many.dof} == {r.dof for r in fit.values()}
+    assert many.measured.tolist() == [r.measured for r in fit.values()] == [k != 3 for k in range(5)]
 
 
 def test_absent_terms_have_limits_and_intervals_cover() -> None:

@@ -97,11 +97,11 @@ def test_upper_limits_hold_for_a_random_walk_below_detection() -> None:
         recording(WHITE + aj.RateRandomWalk(K), 8192, axes=80, seed=8),
         aj.AngleRandomWalk() + aj.RateRandomWalk(),
     )
-    limits = np.array([result["rate_random_walk"].upper_limit for result in fit])
+    limits = np.array([result["rate_random_walk"].upper_limit for result in fit.values()])
     assert np.sum(limits > K) >= 68
     # And they say something: a walk ten times as strong is excluded in nearly all of them.
     assert np.median(limits) < 10.0 * K
-    assert np.mean([result["rate_random_walk"].detected for result in fit]) < 0.5
+    assert np.mean([result["rate_random_walk"].detected for result in fit.values()]) < 0.5
 
 
 def test_axes_fitted_together_equal_axes_fitted_alone() -> None:

@@ -191,7 +191,7 @@ def fit(recording):
 @pytest.mark.parametrize("objective", ["allan", "whittle"])
 def test_a_curve_that_is_far_off_is_no_measurement(recording, fit, objective):
     found = fit if objective == "allan" else aj.fit(recording, BASIC, "whittle", as_is=True, vibrating=True)
-    assert [result.measured for result in found] == [False, False, True, True]
+    assert [result.measured for result in found.values()] == [False, False, True, True]
     assert found["gyro_z"].misfit is None
     N = found["gyro_z"]["angle_random_walk"]
     assert N.interval[0] < WHITE < N.interval[1]

@@ -247,12 +247,12 @@ LONG_NAMES = NAMES | {"Q": "quantization"}
 
 @pytest.mark.parametrize("k", range(4))
 def test_the_true_set_is_chosen(known, k):
-    chosen = known[1].axes[k].chosen.terms
+    chosen = known[1].results[k].chosen.terms
     assert set(chosen) == {LONG_NAMES[t] for t in TRUTHS[k]}
 
 
 def test_probabilities_sum_to_one_and_follow_the_evidence(known):
-    for axis in known[1]:
+    for axis in known[1].values():
         assert len(axis.ranking) == 30  # all subsets of five but none, and the ramp alone
         p = np.array([s.probability for s in axis.ranking])
         evidence = np.array([s.log_evidence for s in axis.ranking])
@@ -267,7 +267,7 @@ def test_units_and_a_bias_do_not_matter(known):
     again = aj.select_terms(
         dataclasses.replace(known[0], values=1e-7 * known[0].values + 3e-7), aj.basic_terms()
     )
-    for one, other in zip(known[1], again, strict=True):
+    for one, other in zip(known[1].values(), again.values(), strict=True):
         found = {s.terms: s.probability for s in other.ranking}
         for s in one.ranking:
             assert found[s.terms] == pytest.approx(s.probability, rel=1e-4, abs=1e-9)
@@ -303,7 +303,7 @@ def test_a_short_record_says_what_it_cannot_tell_apart():
     records = [noise(60 + k, SHORT, N=N, B=0.1) for k in range(4)]
     candidates = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
     selection = aj.select_terms(recording(records), candidates)
-    said = [" ".join(axis.ambiguities()) for axis in selection]
+    said = [" ".join(axis.ambiguities()) for axis in selection.values()]
     assert sum("bias instability" in text and "rate random walk" in text for text in said) >= 2
 
 

@@ -160,7 +160,7 @@ def test_what_was_simulated_is_found(pairs):
     """
     above = []
     for other, (_, c) in OTHERS.items():
-        for result in pairs[other][1]:
+        for result in pairs[other][1].values():
             first, second = result.coefficients.values()
             assert abs(first.value - N) < K_SIGMA * first.std
             if second.detected:

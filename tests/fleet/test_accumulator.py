@@ -142,7 +142,9 @@ def test_a_stream_has_the_coefficients_of_the_recording(x, objective):
 def test_terms_are_chosen_without_the_record(x):
     chosen = filled(x, np.full(5, 60_000)).fit().selection
     assert chosen is not None
-    assert all(set(axis.chosen.terms) == {"angle_random_walk", "rate_random_walk"} for axis in chosen)
+    assert all(
+        set(axis.chosen.terms) == {"angle_random_walk", "rate_random_walk"} for axis in chosen.values()
+    )
 
 
 def test_what_needs_the_record_says_so(x):

@@ -354,7 +354,7 @@ def test_what_moves_is_no_measurement_of_the_sensor():
     for moving, measured in (([1, 1, 0], [False] * 3), ([1, 0, 0], [False, True, True])):
         recording = aj.Recording.from_array(white + moving * swing, 100.0, gyro_unit="rad/s", names=names)
         found = aj.fit(recording, "N + K")
-        assert [result.measured for result in found] == measured
+        assert [result.measured for result in found.values()] == measured
         assert "this does not look like a static recording" in found.warnings[0]
         assert np.isnan(found["gyro_x"]["N"].std)
         assert "not a measurement of this sensor" in str(found["gyro_x"]["N"])

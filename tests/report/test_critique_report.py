@@ -160,7 +160,7 @@ def test_every_finding_has_its_own_before_and_after():
 
 
 def test_what_has_no_cause_is_said_to_be_unexplained_and_once():
-    first, clean = critique_of(()).axes
+    first, clean = critique_of(()).results
     bare = dataclasses.replace(first, after=())
     told = words(Critique("bench", RATE, None, (bare, clean), (), ()))
     assert told.startswith("bench: nothing found in 2 axes")
