@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 
-pytest_plugins = ["fixtures"]
+pytest_plugins = ["shared_fixtures"]
 
 # Before JAX is imported. The processes that pytest, the notebooks and the commands start inherit it: half of
 # the tests' time would go into compiling the same programs again.

@@ -10,20 +10,12 @@ import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from commands import run
 
 from allanjax.base.cache import enable_compilation_cache
-from allanjax.cli.app import app
 from allanjax.record.io import read, write
 
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch):
-    """Commands run in an empty folder, and leave the user's cache alone."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ALLANJAX_CACHE", "off")
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("MPLBACKEND", "agg")
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 @pytest.fixture
@@ -31,10 +23,6 @@ def recorded(small_recording, tmp_path):
     path = tmp_path / "small.csv"
     write(small_recording, path)
     return path
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
 
 
 def names(folder):

@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+from critic_views import view_of
 from hidden_effects import draw
 from scipy.fft import dct
 from scipy.linalg import toeplitz
@@ -23,18 +24,11 @@ from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critic.pair import best_pair
 from allanjax.critic.search import _grouped, search
 from allanjax.critic.step import Step
-from allanjax.critic.view import EVERYTHING, View, in_time
+from allanjax.critic.view import EVERYTHING, in_time
 from allanjax.estimate.evidence import evidences
-from allanjax.record.recording import Axis
 
-AXIS = Axis("gyro_x", "gyro", "rad/s")
 # One length for most: one compilation.
 N, RATE = 30_000, 50.0
-
-
-def view_of(x, allowed=EVERYTHING):
-    n = len(x)
-    return View(AXIS, 1.0, RATE, x, x, None, {}, allowed, family_of(n, RATE), np.zeros(n, bool))
 
 
 def quantized(n, rng, white=0.3):
@@ -86,8 +80,8 @@ def test_two_shapes_are_the_best_of_all_pairs():
 def test_a_step_remains_where_a_second_one_does_not_hold():
     """A second step gains just enough beside the one that there is, but not on held-out data."""
     hidden = draw(16, "bias_step", 2.0, duration=600.0, rate=100.0)
-    x, n = hidden.values[:, 0], len(hidden.values)
-    view = View(AXIS, 1.0, 100.0, x, x, None, {}, EVERYTHING, family_of(n, 100.0), np.zeros(n, bool))
+    x = hidden.values[:, 0]
+    view = view_of(x, rate=100.0)
     found = BiasStep().detect(view)
     assert found is not None
     assert found.held_out() > 0.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from critic_views import view_of
 from scipy.special import gammaincc
 from scipy.stats import kstest
 
@@ -10,18 +11,11 @@ from allanjax.critic.causes.disturbance import Disturbance
 from allanjax.critic.causes.outliers import Outliers
 from allanjax.critic.causes.sinusoid import Sinusoid
 from allanjax.critic.causes.temperature import Temperature
-from allanjax.critic.noise import family_of
 from allanjax.critic.search import Accepted, _chosen
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, View
-from allanjax.record.recording import Axis
+from allanjax.critic.view import FALSE_ALARMS, Candidate
 
-AXIS = Axis("gyro_x", "gyro", "rad/s")
 RATE = 50.0
-
-
-def view_of(x, auxiliary=None, allowed=("angle_random_walk",), rate=RATE):
-    n = len(x)
-    return View(AXIS, 1.0, rate, x, x, None, auxiliary or {}, allowed, family_of(n, rate), np.zeros(n, bool))
+WHITE = ("angle_random_walk",)
 
 
 def smooth(rng, n):
@@ -44,7 +38,7 @@ def test_the_p_value_on_records_without_an_effect_is_uniform(cause, channels, re
     found = []
     for _ in range(records):
         channels_of = {f"channel_{k}": smooth(rng, 512) for k in range(channels)}
-        found.append(cause.p_value(view_of(rng.standard_normal(512), channels_of)))
+        found.append(cause.p_value(view_of(rng.standard_normal(512), WHITE, channels_of)))
     assert kstest(found, "uniform").pvalue > 1e-3
     assert np.mean(np.array(found) < 0.05) < 0.05 + 4.0 * np.sqrt(0.05 * 0.95 / records)
 
@@ -75,7 +69,7 @@ def test_the_p_value_of_a_disturbance_counts_its_windows(monkeypatch):
     x = np.random.default_rng(23).standard_normal(n)
     x[900:1100] += 8.0 * np.sin(np.arange(200) / 30.0)
     monkeypatch.setattr(disturbance, "gammaincc", lambda shape, level: 1e-9)
-    assert Disturbance().detect(view_of(x)).p_value == pytest.approx(1e-9 * len(windows), rel=1e-9)
+    assert Disturbance().detect(view_of(x, WHITE)).p_value == pytest.approx(1e-9 * len(windows), rel=1e-9)
 
 
 # --- Margins and held-out data ------------------------------------------------------------------------------
@@ -108,7 +102,7 @@ def test_margins_are_those_that_false_findings_were_counted_for():
     ids=["sound", "fails on held-out data", "not significant", "odds too short"],
 )
 def test_a_finding_is_significant_beyond_its_margin_and_holds_on_other_data(gain, p_value, held_out, found):
-    view = view_of(np.random.default_rng(24).standard_normal(512))
+    view = view_of(np.random.default_rng(24).standard_normal(512), WHITE)
     cause = Outliers()
     candidate = Candidate("outliers", {}, gain, p_value, view, lambda: held_out, (0.0, 1.0), "time")
     step = _chosen([(cause, candidate)], view, Accepted.of(FALSE_ALARMS, [cause]))
@@ -116,7 +110,7 @@ def test_a_finding_is_significant_beyond_its_margin_and_holds_on_other_data(gain
 
 
 def test_the_next_best_is_taken_where_the_best_does_not_hold():
-    view = view_of(np.random.default_rng(25).standard_normal(512))
+    view = view_of(np.random.default_rng(25).standard_normal(512), WHITE)
     cause = Outliers()
     best, second = (
         Candidate("outliers", {}, gain, 1e-9, view, lambda held=held: held, (0.0, 1.0), "time")
@@ -144,7 +138,7 @@ def test_a_temperature_is_taken_out_with_its_lag(lag):
     channel = np.sin(2.0 * np.pi * t / period)
     rng = np.random.default_rng(26)
     x = rng.standard_normal(n) + 5.0 * np.sin(2.0 * np.pi * np.maximum(t - lag, 0.0) / period)
-    found = Temperature().detect(view_of(x, {"temperature": channel}, EVERYTHING, rate))
+    found = Temperature().detect(view_of(x, auxiliary={"temperature": channel}, rate=rate))
     q = found.parameters["lag"]
     assert q.value == pytest.approx(lag, abs=4.0 * q.std)
     inside = t > lag

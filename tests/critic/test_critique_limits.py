@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from critic_views import view_of
 from scipy.signal import butter, lfilter, sosfilt
 
 from allanjax.critic.causes.additive import shape_parameter
@@ -23,19 +24,13 @@ from allanjax.critic.causes.telegraph import two_levels
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange, _ratio
 from allanjax.critic.causes.warm_up import WarmUp
-from allanjax.critic.noise import MARKOV, family_of
-from allanjax.critic.view import EVERYTHING, Quantity, View
+from allanjax.critic.noise import MARKOV
+from allanjax.critic.view import EVERYTHING, Quantity
 from allanjax.record.recording import Axis
 from allanjax.report.critique_json import _quantity
 from allanjax.report.critique_words import parameters, quantity
 
-AXIS = Axis("gyro_x", "gyro", "rad/s")
 N, RATE = 30_000, 50.0
-
-
-def view_of(x, allowed=EVERYTHING, auxiliary=None):
-    n = len(x)
-    return View(AXIS, 1.0, RATE, x, x, None, auxiliary or {}, allowed, family_of(n, RATE), np.zeros(n, bool))
 
 
 def white(seed):

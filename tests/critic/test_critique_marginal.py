@@ -4,17 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from dense_records import POWERS, RATE, N, covariances, simulated, view_of
 from scipy.fft import dct
 from scipy.stats import kstest
-from test_critique_parts import AXIS, POWERS, RATE, N, covariances, simulated, view_of
 
 from allanjax.critic.bank import step_bank
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.variance_change import VarianceChange
 from allanjax.critic.marginal import _products, log_evidence
-from allanjax.critic.noise import family_of
 from allanjax.critic.search import Accepted
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, View
+from allanjax.critic.view import FALSE_ALARMS, Candidate
 from allanjax.critic.weighing import Sets
 
 DECADES = np.log1p(1e4)
@@ -113,7 +112,7 @@ def test_the_p_value_of_a_change_of_variance_is_uniform():
     found = []
     for _ in range(200):
         x = rng.standard_normal(n)
-        view = View(AXIS, 1.0, rate, x, x, None, {}, EVERYTHING, family_of(n, rate), np.zeros(n, bool))
+        view = view_of(x, rate=rate)
         found.append(VarianceChange().p_value(view))
     # One in a thousand sets of uniform values is rejected.
     assert kstest(found, "uniform").pvalue > 1e-3

@@ -6,8 +6,8 @@ import types
 
 import numpy as np
 import pytest
+from dense_records import POWERS, RATE, N, covariances, dense, simulated, view_of
 from scipy.fft import dct
-from scipy.linalg import toeplitz
 from scipy.stats import kstest, norm
 
 from allanjax.critic.bank import Bank, extrapolated, step_coefficients
@@ -22,48 +22,7 @@ from allanjax.critic.filling import filled
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critic.step import Step
-from allanjax.critic.view import EVERYTHING, Candidate, View
-from allanjax.record.recording import Axis
-
-AXIS = Axis("accel_x", "accel", "m/s²")
-N, RATE = 128, 4.0
-POWERS = {"angle_random_walk": 0.8**2, "rate_random_walk": 0.3**2}
-
-
-def view_of(x, kind=View):
-    n = len(x)
-    return kind(AXIS, 1.0, RATE, x, x, None, {}, EVERYTHING, family_of(n, RATE), np.zeros(n, bool))
-
-
-def generalized(G, n):
-    """Covariance of means over intervals, −δ²G/h², right for filters that sum to zero."""
-    g = np.array([G(abs(k) / RATE) for k in range(-1, n + 1)])
-    return toeplitz(-(g[2:] - 2.0 * g[1:-1] + g[:-2]) * RATE**2)
-
-
-def covariances(n, T_c=1.0):
-    """In time, of terms of unit coefficient."""
-    return {
-        "quantization": RATE**2 * toeplitz([2.0, -1.0, *np.zeros(n - 2)]),
-        "angle_random_walk": RATE * np.eye(n),
-        "bias_instability": generalized(lambda t: t**2 * np.log(t or 1.0) / (2.0 * np.pi), n),
-        "rate_random_walk": generalized(lambda t: t**3 / 12.0, n),
-        MARKOV: generalized(lambda t: -(T_c**3) / 2.0 * (np.exp(-t / T_c) - 1.0 + t / T_c), n),
-    }
-
-
-def dense(n):
-    """Covariance in time of white noise and a random walk."""
-    return sum(POWERS[name] * covariances(n)[name] for name in POWERS)
-
-
-def simulated(n, records, rng):
-    """Records [records, n] of white noise and a random walk, means over intervals up to a shift."""
-    fine = 8
-    steps = rng.standard_normal((records, n * fine)) * np.sqrt(POWERS["rate_random_walk"] / RATE / fine)
-    walk = np.cumsum(steps, axis=1).reshape(records, n, fine).mean(axis=2)
-    return walk + np.sqrt(POWERS["angle_random_walk"] * RATE) * rng.standard_normal((records, n))
-
+from allanjax.critic.view import Candidate, View
 
 # --- Noise --------------------------------------------------------------------------------------------------
 
@@ -140,7 +99,7 @@ def test_filled_samples_have_the_conditional_law(monkeypatch):
     x = simulated(N, 1, rng)[0]
     missing = np.zeros(N, bool)
     missing[[0, 20, 21, 22, 70, 127]] = True
-    view = view_of(np.where(missing, 50.0, x), Known)
+    view = view_of(np.where(missing, 50.0, x), kind=Known)
     # Every draw of a record takes the same seed otherwise.
     monkeypatch.setattr(np.random, "default_rng", lambda seed=None: rng)
     draws = np.array([filled(view, missing).x for _ in range(1500)])

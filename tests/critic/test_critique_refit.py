@@ -3,27 +3,20 @@
 import numpy as np
 import pytest
 import scipy.signal
+from critic_views import view_of
 
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.low_pass import LowPass
 from allanjax.critic.causes.outliers import Outliers
 from allanjax.critic.causes.resonance import Resonance
 from allanjax.critic.causes.warm_up import WarmUp
-from allanjax.critic.noise import family_of
 from allanjax.critic.refit import refitted
 from allanjax.critic.search import search
 from allanjax.critic.step import Step, strung
-from allanjax.critic.view import EVERYTHING, View
-from allanjax.record.recording import Axis
 
-AXIS = Axis("gyro_x", "gyro", "rad/s")
 # One length for all: one compilation.
 N, RATE = 30_000, 50.0
 TIME = np.arange(N) / RATE
-
-
-def view_of(x):
-    return View(AXIS, 1.0, RATE, x, x, None, {}, EVERYTHING, family_of(N, RATE), np.zeros(N, bool))
 
 
 def searched(x, *causes):

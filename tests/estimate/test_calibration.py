@@ -8,27 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 from scipy.stats import kstest
+from white_and_walk import RATE, N, records, walk
 
 import allanjax as aj
 
-RATE = 100.0
-N = 2048
 RECORDS = 240
 MODEL = aj.AngleRandomWalk() + aj.RateRandomWalk()
-
-
-def walk(K: float, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Means of a random walk over sample intervals: middle of two ends, and the bridge between them."""
-    steps = rng.standard_normal(shape) / np.sqrt(RATE)
-    bridge = rng.standard_normal(shape) / np.sqrt(12.0 * RATE)
-    return K * (np.cumsum(steps, axis=0) - steps / 2.0 + bridge)
-
-
-def records(N_coefficient: float, K: float, count: int, seed: int) -> aj.Recording:
-    rng = np.random.default_rng(seed)
-    values = N_coefficient * np.sqrt(RATE) * rng.standard_normal((N, count)) + walk(K, (N, count), rng)
-    axes = tuple(aj.Axis(f"gyro_{k}", "gyro", "rad/s") for k in range(count))
-    return aj.Recording(values, RATE, axes)
 
 
 def bound(N_coefficient: float, K: float) -> np.ndarray:
@@ -59,7 +44,7 @@ def test_intervals_cover_and_estimates_are_efficient(clear, objective) -> None:
     # Of so many axes at once, one that looks touched by chance would cut them all.
     fit = aj.fit(clear, MODEL, objective, as_is=True, vibrating=True)
     for label, truth, best in zip(MODEL.term_labels, (1.0, 5.0), bound(1.0, 5.0), strict=True):
-        found = [result[label] for result in fit]
+        found = [result[label] for result in fit.values()]
         assert rate_is(sum(c.interval[0] <= truth <= c.interval[1] for c in found), 0.95), label
         assert rate_is(sum(c.interval_68[0] <= truth <= c.interval_68[1] for c in found), 0.68), label
         rmse = np.sqrt(np.mean([(c.value - truth) ** 2 for c in found]))

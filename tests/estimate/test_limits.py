@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from scipy.stats import ncx2, norm
-from test_calibration import RATE, N, records, walk
+from white_and_walk import RATE, N, records, walk
 
 import allanjax as aj
 from allanjax.estimate.axis_fits import solve_and_infer
@@ -21,7 +21,7 @@ COUNT = 120
 
 
 def limits(fit: aj.Fit, label: str) -> np.ndarray:
-    return np.array([result[label].upper_limit for result in fit])
+    return np.array([result[label].upper_limit for result in fit.values()])
 
 
 def is_finite(c: aj.Coefficient) -> bool:

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from imu_columns import HEADER, SIX, UNITS
 from places import DATA
 from scipy.io import savemat
 
@@ -16,9 +17,6 @@ from allanjax.record.recording import Recording
 DEG = math.pi / 180
 G0 = 9.80665
 RATE = 100.0
-SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-HEADER = ("gyro_x [deg/s]", "gyro_y [deg/s]", "gyro_z [deg/s]", "accel_x [g]", "accel_y [g]", "accel_z [g]")
-UNITS = {"gyro_unit": "deg/s", "accel_unit": "g"}
 
 
 @pytest.fixture(scope="module")

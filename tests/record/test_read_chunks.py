@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from imu_columns import HEADER, SIX, UNITS
 
 import allanjax as aj
 from allanjax.record.io import read, read_chunks
@@ -14,9 +15,6 @@ from allanjax.record.io import read, read_chunks
 h5py = pytest.importorskip("h5py")
 
 RATE, ROWS = 100.0, 3007
-SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-HEADER = ("gyro_x [deg/s]", "gyro_y [deg/s]", "gyro_z [deg/s]", "accel_x [g]", "accel_y [g]", "accel_z [g]")
-UNITS = {"gyro_unit": "deg/s", "accel_unit": "g"}
 SIZES = (1000, 999, 3006, 10**6)
 
 

@@ -29,11 +29,7 @@ ENCODINGS = ("ascii", "cp1252", "latin-1", "cp437", "utf-8")
 mpl.use("agg")
 
 
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ALLANJAX_CACHE", "off")
-    monkeypatch.setenv("COLUMNS", "200")
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from figures import panels, texts
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
@@ -13,30 +14,11 @@ from allanjax.noise.notation import parse_model
 from allanjax.noise.simulate import simulate, simulate_recording
 from allanjax.report.allan_figure import plot_allan
 
-
-def panels(figure):
-    """Axes by the name above them."""
-    return {axes.get_title(loc="left"): axes for axes in figure.axes if axes.get_title(loc="left")}
-
-
-def texts(figure):
-    return [text.get_text() for axes in figure.axes for text in axes.texts] + [
-        t.get_text() for t in figure.texts
-    ]
+pytestmark = pytest.mark.usefixtures("no_windows")
 
 
 def labels_of(figure):
     return [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
-
-
-@pytest.fixture(autouse=True)
-def no_windows(monkeypatch):
-    import matplotlib
-    from matplotlib import pyplot as plt
-
-    matplotlib.use("Agg")
-    yield
-    plt.close("all")
 
 
 def test_every_axis_has_a_panel_with_units_and_the_gyros_are_above(small_fit):

@@ -13,19 +13,11 @@ from allanjax.posterior.priors import LogUniform, ModifiedLogUniform
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.report.posterior_figure import plot_corner, plot_posterior
 
+pytestmark = pytest.mark.usefixtures("no_windows")
+
 N, Q, TIME = 5e-5, 2e-4, 20.0
 LABELS = ("angle_random_walk", "markov_amplitude", "markov_correlation_time")
 MICRO_G = 9.80665e-6
-
-
-@pytest.fixture(autouse=True)
-def no_windows():
-    import matplotlib
-    from matplotlib import pyplot as plt
-
-    matplotlib.use("Agg")
-    yield
-    plt.close("all")
 
 
 @pytest.fixture(scope="module")

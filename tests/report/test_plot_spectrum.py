@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from figures import panels, texts
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import allanjax as aj
@@ -13,31 +14,14 @@ from allanjax.report.allan_figure import plot_allan
 from allanjax.report.spectrum_figure import plot_psd
 from allanjax.spectrum.psd import power_spectrum
 
+pytestmark = pytest.mark.usefixtures("no_windows")
+
 MICRO_G = 9.80665e-6
 DEG_PER_H = np.pi / 180 / 3600
 
 
-def panels(figure):
-    """Axes by the name above them."""
-    return {axes.get_title(loc="left"): axes for axes in figure.axes if axes.get_title(loc="left")}
-
-
-def texts(figure):
-    return [text.get_text() for axes in figure.axes for text in axes.texts]
-
-
 def lines_of(panel):
     return {line.get_label(): line for line in panel.get_lines()}
-
-
-@pytest.fixture(autouse=True)
-def no_windows(monkeypatch):
-    import matplotlib
-    from matplotlib import pyplot as plt
-
-    matplotlib.use("Agg")
-    yield
-    plt.close("all")
 
 
 @pytest.fixture(scope="module")

@@ -8,23 +8,14 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import run
 
 import allanjax as aj
-from allanjax.cli.app import app
 from allanjax.fleet import store as fleet_store
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io import write
 
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ALLANJAX_CACHE", "off")
-
-
-def run(*words):
-    return CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def validator(name):

@@ -1,7 +1,8 @@
-"""Small recordings and their fits, made once."""
+"""Small recordings and their fits, made once; an empty folder for commands; figures that are closed again."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from gamma_levels import with_likelihood
@@ -40,3 +41,23 @@ def half_failed_fit(small_fit: Fit) -> Fit:
 def two_terms(small_fit: Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Fit]:
     """What makes a fit of angle and rate random walk with a likelihood of one's own."""
     return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands run in an empty folder, and leave the user's cache alone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ALLANJAX_CACHE", "off")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("MPLBACKEND", "agg")
+
+
+@pytest.fixture
+def no_windows() -> Iterator[None]:
+    """Figures that pyplot shows nowhere, and forgets after the test."""
+    import matplotlib
+    from matplotlib import pyplot as plt
+
+    matplotlib.use("Agg")
+    yield
+    plt.close("all")
