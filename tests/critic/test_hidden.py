@@ -13,12 +13,8 @@ from hidden_effects import TERMS, draw
 from hidden_verdict import compared, model_without, others, recording_of, right
 
 import allanjax as aj
-from allanjax.critic import Candidate, Cause, View
-from allanjax.critic.bank import Bank
-from allanjax.critic.causes import CAUSES
-from allanjax.critic.causes.additive import additive
+from allanjax.critic import CAUSES, Bank, Candidate, Cause, View, additive, centred
 from allanjax.critic.critique import critique
-from allanjax.critic.noise import centred
 
 SMALL = {"duration": 600.0, "rate": 50.0}
 SHOWN = (

@@ -1,0 +1,59 @@
+"""What users import is there under the name that they know, and hides no module."""
+
+import importlib
+import pkgutil
+from operator import attrgetter
+
+import pytest
+
+import allanjax as aj
+
+# Taking one of these away breaks the programs of others.
+NAMES = """
+    AllanAccumulator AllanDeviation AllanjaxError AngleRandomWalk Axis AxisFit AxisPosterior
+    AxisSelection BiasInstability BiasStep BulkFit Cause ChunkedRecording Coefficient Critique
+    DriftRamp Finding Fit FitError FleetResult Inspection LogNormal LogUniform LowPass Markov Model
+    ModifiedLogUniform NoiseTerm Posterior PosteriorWarning PowerLaw PowerSpectrum Quantization
+    RateRandomWalk Recording RecordingError Resonance SENSORS SensorPreset Sinusoid Telegraph
+    TermSelection TermSet Uniform UnitError WarmUp accumulate allan_deviation basic_terms
+    characterize_fleet convert critic critique enable_compilation_cache fit fit_many inspect load
+    parameter plot_allan plot_psd power_spectrum read read_chunks sample select_terms simulate
+    simulate_recording to_dict write write_coefficients_csv write_curve_csv write_json
+"""
+MODULES = sorted(module.name for module in pkgutil.walk_packages(aj.__path__, "allanjax."))
+
+
+def test_public_names_stay():
+    assert set(NAMES.split()) - set(dir(aj)) == set()
+
+
+@pytest.mark.parametrize("package", [aj, aj.critic], ids=lambda package: package.__name__)
+def test_all_is_sorted_and_exists(package):
+    """Constants, classes and what has a small letter, each by the alphabet."""
+    names = package.__all__
+    assert names == sorted(names, key=lambda name: (not name.isupper(), name[0].islower(), name))
+    assert [name for name in names if not hasattr(package, name)] == []
+
+
+def test_no_name_of_a_package_hides_a_module():
+    """`allanjax.fit` is a function, so no module may be called so: its import would give the function."""
+    hidden = []
+    for module in MODULES:
+        found = importlib.import_module(module)
+        package, _, name = module.rpartition(".")
+        if getattr(importlib.import_module(package), name) is not found:
+            hidden.append(module)
+    assert hidden == []
+
+
+AUTHORS = {
+    "a term": "NoiseTerm parameter Model AllanjaxError",
+    "a cause": "Cause Finding critic.View critic.Candidate critic.Quantity critic.Bank critic.CAUSES "
+    "critic.additive critic.centred",
+}
+
+
+@pytest.mark.parametrize("names", AUTHORS.values(), ids=AUTHORS)
+def test_what_one_of_the_users_own_needs_is_there(names):
+    for name in names.split():
+        assert attrgetter(name)(aj) is not None
