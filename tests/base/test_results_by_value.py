@@ -11,26 +11,12 @@ import pytest
 
 import allanjax as aj
 from allanjax.base.equality import equal
-from allanjax.critic.causes import CAUSES
 
 
 @pytest.fixture(scope="module")
-def posterior(small_fit):
-    return aj.sample(small_fit, ["gyro_x"], max_steps=400, min_length=5.0, absent_draws=64)
-
-
-@pytest.fixture(scope="module")
-def critique():
-    noise = np.random.default_rng(4).normal(size=2048)
-    line = 0.7 * np.sin(2.0 * np.pi * 7.3 * np.arange(2048) / 100.0)
-    recording = aj.Recording.from_array(noise + line, 100.0, gyro_unit="deg/s", name="bench")
-    causes = [cause for cause in CAUSES if cause.name == "sinusoid"]
-    return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()), causes=causes)
-
-
-@pytest.fixture(scope="module")
-def objects(small_recording, small_fit, posterior, critique):
+def objects(small_recording, small_fit, small_posterior, small_critique):
     """One of every public kind, by the name of its class."""
+    posterior, critique = small_posterior, small_critique
     curve, spectrum = aj.allan_deviation(small_recording), aj.power_spectrum(small_recording)
     draws = posterior["gyro_x"]
     accumulator = aj.AllanAccumulator(100.0, ["gyro_x"])
@@ -112,21 +98,21 @@ def test_objects_are_told_in_two_lines_and_tables_as_tables(objects):
             assert repr(x) == str(x) or not isinstance(x, tables)
 
 
-def test_an_axis_is_told_by_its_coefficients_in_usual_units(small_fit, half_failed_fit, posterior):
+def test_an_axis_is_told_by_its_coefficients_in_usual_units(small_fit, half_failed_fit, small_posterior):
     told = repr(small_fit["gyro_x"])
     for c in small_fit["gyro_x"].coefficients.values():
         assert (f"{c.title} {c.in_unit().describe()}" if c.detected else c.title) in told
     assert "χ² = " in told
     assert "velocity random walk" in repr(small_fit["accel_z"])
     assert repr(half_failed_fit["gyro_y"]) == "<AxisFit gyro_y: no result: the start was hopeless>"
-    draws = posterior["gyro_x"]
+    draws = small_posterior["gyro_x"]
     assert draws["angle_random_walk"].in_unit().describe() in repr(draws)
     assert draws.verdict() in repr(draws)
     walk = small_fit["gyro_x"]["angle_random_walk"]
     assert repr(walk) == f"<Estimate {walk}>"
 
 
-def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, posterior):
+def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, small_posterior):
     table = pd.concat([result.to_dataframe() for result in small_fit.results], ignore_index=True)
     pd.testing.assert_frame_equal(table, small_fit.to_dataframe())
     walk = small_fit["accel_z"]["angle_random_walk"]
@@ -140,10 +126,10 @@ def test_tables_of_axes_are_the_rows_of_the_whole(small_fit, posterior):
     limits = with_held.to_dataframe()["upper_limit_95"]
     assert limits.dtype == float
     assert np.isnan(limits[0])
-    draws = posterior["gyro_x"]
+    draws = small_posterior["gyro_x"]
     row = draws.to_dataframe().set_index("coefficient").loc["angle_random_walk"]
     assert row["median"] == pytest.approx(np.median(draws.draws[:, 0]) * 180.0 / np.pi * 60.0)
-    pd.testing.assert_frame_equal(draws.to_dataframe(), posterior.to_dataframe())
+    pd.testing.assert_frame_equal(draws.to_dataframe(), small_posterior.to_dataframe())
 
 
 def test_a_model_is_told_as_it_is_written():
@@ -156,7 +142,7 @@ def test_a_model_is_told_as_it_is_written():
     assert eval(repr(model), vars(aj)) == model
 
 
-def test_tables_of_results_hold_their_numbers_in_the_units_they_name(small_recording, critique):
+def test_tables_of_results_hold_their_numbers_in_the_units_they_name(small_recording, small_critique):
     table = small_recording.to_dataframe()
     assert list(table)[:2] == ["time [s]", "gyro_x [deg/s]"]
     np.testing.assert_allclose(table["accel_z [g]"], small_recording.values[:, 3] / 9.80665)
@@ -168,8 +154,8 @@ def test_tables_of_results_hold_their_numbers_in_the_units_they_name(small_recor
     np.testing.assert_allclose(table["accel_z lower_68 [µg]"], lower[:, 3] / 9.80665e-6)
     np.testing.assert_allclose(table["gyro_x upper_68 [deg/h]"], upper[:, 0] / hour)
     assert list(aj.allan_deviation(np.arange(99.0) ** 2, 1.0).to_dataframe())[2] == "0"
-    table = critique.to_dataframe().set_index(["cause", "parameter"])
-    finding = critique.findings[0]
+    table = small_critique.to_dataframe().set_index(["cause", "parameter"])
+    finding = small_critique.findings[0]
     assert finding.cause == "sinusoid"
     frequency = table.loc[("sinusoid", "frequency")]
     assert (frequency["value"], frequency["unit"]) == (finding.parameters["frequency"].value, "Hz")

@@ -4,41 +4,57 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from gamma_levels import with_likelihood
 
-from allanjax.estimate.fit import fit
-from allanjax.estimate.result import Fit
+import allanjax as aj
 from allanjax.noise.notation import parse_model
-from allanjax.noise.simulate import simulate_recording
-from allanjax.record.recording import Recording
 
 
 @pytest.fixture(scope="session")
-def small_recording() -> Recording:
+def small_recording() -> aj.Recording:
     """Three gyros in deg/s and an accelerometer in g, 200 s at 100 Hz."""
     gyro = parse_model("N=0.2 deg/√h + B=20 deg/h", "gyro")
     accel = parse_model("N=0.05 m/s/√h + K=200 m/s/h/√h", "accel")
     models = {"gyro_x": gyro, "gyro_y": gyro, "gyro_z": gyro, "accel_z": accel}
-    return simulate_recording(models, 20_000, 100.0, 1, bias={"accel_z": 9.8}, accel_unit="g", name="small")
+    return aj.simulate_recording(
+        models, 20_000, 100.0, 1, bias={"accel_z": 9.8}, accel_unit="g", name="small"
+    )
 
 
 @pytest.fixture(scope="session")
-def small_fit(small_recording: Recording) -> Fit:
+def small_fit(small_recording: aj.Recording) -> aj.Fit:
     """Its fit with the five basic terms."""
-    return fit(small_recording)
+    return aj.fit(small_recording)
 
 
 @pytest.fixture(scope="session")
-def half_failed_fit(small_fit: Fit) -> Fit:
+def half_failed_fit(small_fit: aj.Fit) -> aj.Fit:
     """The same, had the second axis not converged."""
     first, second, *others = small_fit.results
     failed = dataclasses.replace(second, converged=False, reason="the start was hopeless")
     return dataclasses.replace(small_fit, results=(first, failed, *others))
 
 
+@pytest.fixture(scope="session")
+def small_posterior(small_fit: aj.Fit) -> aj.Posterior:
+    """The posterior of one of its axes, from a short run of the sampler."""
+    return aj.sample(small_fit, ["gyro_x"], max_steps=400, min_length=5.0, absent_draws=64)
+
+
+@pytest.fixture(scope="session")
+def small_critique() -> aj.Critique:
+    """What is found in an axis of white noise and a line when only lines are looked for."""
+    noise = np.random.default_rng(4).normal(size=2048)
+    line = 0.7 * np.sin(2.0 * np.pi * 7.3 * np.arange(2048) / 100.0)
+    recording = aj.Recording.from_array(noise + line, 100.0, gyro_unit="deg/s", name="bench")
+    causes = [cause for cause in aj.critic.CAUSES if cause.name == "sinusoid"]
+    return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()), causes=causes)
+
+
 @pytest.fixture
-def two_terms(small_fit: Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Fit]:
+def two_terms(small_fit: aj.Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., aj.Fit]:
     """What makes a fit of angle and rate random walk with a likelihood of one's own."""
     return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
 
