@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import jsonschema
@@ -80,7 +81,7 @@ def test_json_is_all_of_stdout_and_the_other_files_go_on(recorded):
     assert "error: missing.csv: no such file" in result.stderr
     assert "1 of 2 files failed: missing.csv" in result.stderr
     assert not Path("allanjax-results").exists()
-    schema = json.loads((Path(sys.modules["allanjax"].__path__[0]) / "fit.schema.json").read_text("utf-8"))
+    schema = json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text("utf-8"))
     fit = {key: value for key, value in document["fits"][0].items() if key != "file"}
     jsonschema.validate(fit, schema)
 
