@@ -163,7 +163,7 @@ def test_any_split_merges_to_the_whole(seed):
 def test_long_records_are_merged_from_parts(monkeypatch):
     x = noise(50_000)
     whole = Pyramid.of(x, 3)
-    monkeypatch.setattr("allanjax.pyramid._PART", 7001)
+    monkeypatch.setattr("allanjax.allan.pyramid._PART", 7001)
     assert_same(Pyramid.of(x, 3), whole)
 
 

@@ -1,7 +1,7 @@
 """One record of each effect, made by an independent generator: the critic names it, and nothing else.
 
 The critic is handed the samples, what was recorded beside them, and units. Seeds are not chosen.
-`benchmarks/critic.py` does the same for many records.
+`benchmarks/studies/critic.py` does the same for many records.
 """
 
 import dataclasses

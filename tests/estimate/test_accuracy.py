@@ -1,6 +1,7 @@
 """Coefficients are as accurate as the record allows, and intervals hold what they promise.
 
-Records and the Cramér-Rao bound come from NumPy alone; benchmarks/accuracy.py has more models and records.
+Records and the Cramér-Rao bound come from NumPy alone; benchmarks/studies/accuracy.py has more models and
+records.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Intervals mean what they say: short versions of `benchmarks/coverage.py` and `detection_edge.py`.
+"""Intervals mean what they say: short versions of `benchmarks/studies/coverage.py` and `detection_edge.py`.
 
 Records are simulated with NumPy alone, many at once as the axes of one recording. Rates are compared within
 four binomial standard errors, so that one comparison in 16,000 fails by chance.

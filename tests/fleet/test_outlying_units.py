@@ -97,7 +97,7 @@ def test_the_probability_is_the_integral_over_centre_and_scatter():
 
 @pytest.mark.parametrize("units", [3, 4, 6, 12, 24])
 def test_fleets_of_like_units_are_marked_at_most_as_often_as_they_say(units):
-    """At one mark in ten fleets; at one in a hundred see benchmarks/fleet_outliers.py."""
+    """At one mark in ten fleets; at one in a hundred see benchmarks/studies/fleet_outliers.py."""
     rng = np.random.default_rng(units)
     fleets, alarms = 150, 0
     for _ in range(fleets):
