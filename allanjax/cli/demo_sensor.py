@@ -27,7 +27,7 @@ _TRUTH = {
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TruthComparison:
     """A coefficient that was found, beside the one that was put in.
 
     Attributes:
@@ -58,18 +58,18 @@ def demo_recording() -> Recording:
     return simulate_recording(demo_models(), n, RATE, _SEED, bias={"accel_z": 9.80665}, name="demo")
 
 
-def compare(fit: Fit) -> list[Comparison]:
+def compare(fit: Fit) -> list[TruthComparison]:
     """Every coefficient of a fit of `demo_recording` beside the truth."""
     models = demo_models()
     return [
-        Comparison(c, models[result.axis.name].values.get(c.label) or 0.0)
+        TruthComparison(c, models[result.axis.name].values.get(c.label) or 0.0)
         for result in fit.results
         if result.converged
         for c in result.coefficients.values()
     ]
 
 
-def comparison_table(comparisons: Iterable[Comparison]) -> str:
+def comparison_table(comparisons: Iterable[TruthComparison]) -> str:
     """The comparisons for a terminal, each coefficient in its usual unit."""
     rows = []
     for comparison in comparisons:

@@ -53,13 +53,13 @@ class Scan:
         return int(np.argmax(abs(self.snr)))
 
     @property
-    def search_price(self) -> float:
+    def log_trials_factor(self) -> float:
         """What not knowing the shape costs [nats]: the best likelihood over their mean."""
         half = 0.5 * self.snr**2
         return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
 
 
-def amplitude_price(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
+def log_occam_factor(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
     """What an unknown amplitude costs [nats], with the prior of `evidence` for either sign."""
     return np.log((np.abs(snr) + 1.0) * 2.0 * np.log1p(1e4) / np.sqrt(2.0 * np.pi))
 
@@ -73,7 +73,7 @@ class Matched:
     Attributes:
         shapes: cosine coefficients, one row a shape.
         root: standard deviation of the coefficients.
-        e: the record, whitened.
+        whitened: the record, whitened.
         free: orthonormal directions that are projected out.
         common: products of the whitened shapes with these.
         lengths: of the whitened shapes, what is free being projected out.
@@ -81,7 +81,7 @@ class Matched:
 
     shapes: Float[np.ndarray, "shapes slow"]
     root: Float[np.ndarray, " slow"]
-    e: Float[np.ndarray, " slow"]
+    whitened: Float[np.ndarray, " slow"]
     free: Float[np.ndarray, "slow k"]
     common: Float[np.ndarray, "shapes k"]
     lengths: Float[np.ndarray, " shapes"]
@@ -119,7 +119,7 @@ class Bank:
         J = self.shapes.shape[1]
         v = view.lowest(noise, J)
         root = np.sqrt(v)
-        e, own = view.c[:J] / root, self.squares @ (1.0 / v)
+        e, own = view.coefficients[:J] / root, self.squares @ (1.0 / v)
         others = [view.family.ramp] if noise.ramp else []
         columns = [shape[:J] / root for shape in (*others, *view.beside)]
         free = np.zeros((J, 0))
@@ -132,7 +132,7 @@ class Bank:
     def scan(self, view: View, noise: Noise) -> Scan:
         """Every shape's matched filter."""
         matched = self.matched(view, noise)
-        projected, norms = matched.products(matched.e), matched.lengths
+        projected, norms = matched.products(matched.whitened), matched.lengths
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
@@ -143,7 +143,7 @@ class Bank:
         """
         noise = noise or after.noise
         matched = self.matched(view, noise)
-        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (matched.rows(), matched.e))
+        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (matched.rows(), matched.whitened))
         parts = folds(len(e), _FOLD_BLOCK)
         projected = np.stack([bank[:, part] @ e[part] for part in parts], axis=1)
         squares = np.stack([np.sum(bank[:, part] ** 2, axis=1) for part in parts], axis=1)
@@ -154,7 +154,7 @@ class Bank:
             best = int(np.argmax(p**2 / np.maximum(s, 1e-300)))
             a = p[best] / max(s[best], 1e-300)
             gain += float(a * projected[best, k] - 0.5 * a**2 * squares[best, k])
-        return view.gained(after, 0.5 * float(whole.max()), gain)
+        return view.held_out_gain(after, 0.5 * float(whole.max()), gain)
 
     def p_value(self, view: View, noise: Noise, snr: float | None = None) -> float:
         """Probability that noise alone has an output as large as this, or as the largest in this view."""
@@ -163,8 +163,8 @@ class Bank:
         matched = self.matched(view, noise)
         # Seven digits are plenty for draws, and half the work. Each record has draws of its own: with the
         # same for all, their p-values would all be wrong alike.
-        rng = np.random.default_rng(view.c[:_FOLD_BLOCK].view(np.uint64))
-        draws = rng.standard_normal((len(matched.e), _DRAWS), np.float32)
+        rng = np.random.default_rng(view.coefficients[:_FOLD_BLOCK].view(np.uint64))
+        draws = rng.standard_normal((len(matched.whitened), _DRAWS), np.float32)
         outputs = matched.rows().astype(np.float32) @ draws
         return extrapolated(np.max(abs(outputs) / matched.lengths[:, None], axis=0), abs(snr))
 

@@ -36,14 +36,14 @@ _CURVE_PER_OCTAVE = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Whitened:
+class StageResiduals:
     """An axis at one stage of the critique, and what its model expects of it.
 
     Attributes:
         axis, scale: whose it is; factor from its own unit to SI.
         rate: sample rate [Hz].
-        x: the samples without what was found and without a ramp [SI].
-        c: their cosine coefficients.
+        samples: the samples without what was found and without a ramp [SI].
+        coefficients: their cosine coefficients.
         variance: expected squares of these.
         stage: where it comes from.
     """
@@ -51,13 +51,13 @@ class Whitened:
     axis: Axis
     scale: float
     rate: float
-    x: Float[np.ndarray, " n"]
-    c: Float[np.ndarray, " n-1"]
+    samples: Float[np.ndarray, " n"]
+    coefficients: Float[np.ndarray, " n-1"]
     variance: Float[np.ndarray, " n-1"]
     stage: Snapshot
 
     @classmethod
-    def of(cls, axis: Axis, scale: float, rate: float, stage: Snapshot) -> Whitened:
+    def of(cls, axis: Axis, scale: float, rate: float, stage: Snapshot) -> StageResiduals:
         """The ramp that the model has is taken out of the measurement as it is of the simulation."""
         x = stage.x
         if stage.ramp and np.isfinite(stage.ramp):
@@ -67,17 +67,17 @@ class Whitened:
     @property
     def n(self) -> int:
         """Number of samples."""
-        return len(self.x)
+        return len(self.samples)
 
     @functools.cached_property
-    def z(self) -> Float[np.ndarray, " n-1"]:
+    def whitened_coefficients(self) -> Float[np.ndarray, " n-1"]:
         """Whitened coefficients, independent and standard normal if the model is right."""
-        return self.c / np.sqrt(self.variance)
+        return self.coefficients / np.sqrt(self.variance)
 
     @functools.cached_property
-    def e(self) -> Float[np.ndarray, " n"]:
+    def whitened(self) -> Float[np.ndarray, " n"]:
         """The same in time order."""
-        return in_time(self.z)
+        return in_time(self.whitened_coefficients)
 
     @functools.cached_property
     def _spectra(self) -> list[Float[np.ndarray, " n-1"]]:
@@ -163,13 +163,13 @@ def degrees_of_freedom(covariance: Float[np.ndarray, "m m"]) -> Float[np.ndarray
     return 2.0 / np.diag(covariance)
 
 
-def allan_law(record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+def allan_law(record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
     """Of clusters of so many samples."""
     (law,) = allan_laws([record], sizes)
     return law
 
 
-def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
+def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
     """Of several records of one length: the weights are computed once."""
     n = records[0].n
     sums = [_Sums.zero(len(sizes), len(record.stage.powers)) for record in records]
@@ -189,7 +189,7 @@ def allan_laws(records: Sequence[Whitened], sizes: Int[np.ndarray, " m"]) -> lis
         rows[fast, -1] = 0.75 / sizes[fast] ** 2.0
         for record, total in zip(records, sums, strict=True):
             v = record.variance[part]
-            c2, v2 = (np.add.reduceat(y**2, edges) for y in (record.c[part], v))
+            c2, v2 = (np.add.reduceat(y**2, edges) for y in (record.coefficients[part], v))
             total.measured += rows @ (weight @ c2)
             total.mean += rows @ (weight @ np.add.reduceat(v, edges))
             total.square += rows @ ((weight * v2) @ weight.T) @ rows.T
@@ -210,7 +210,7 @@ class _Sums:
     def zero(cls, m: int, terms: int) -> _Sums:
         return cls(np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms)))
 
-    def law(self, record: Whitened, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+    def law(self, record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
         slope = self.slope / self.mean[:, None]
         known = 2.0 * self.square / np.outer(self.mean, self.mean)
         L = record.level_covariance
@@ -249,7 +249,7 @@ def octave_bins(n: int) -> Int[np.ndarray, " bins+1"]:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Comparison:
+class SimulationEnvelope:
     """A measured curve and where 95 % of simulations lie.
 
     Attributes:
@@ -268,14 +268,14 @@ class Comparison:
     high: Float[np.ndarray, " m"]
 
 
-def summaries(record: Whitened) -> tuple[Comparison, Comparison]:
+def summaries(record: StageResiduals) -> tuple[SimulationEnvelope, SimulationEnvelope]:
     """Allan deviation and power spectral density, beside their simulations."""
     n = record.n
     sizes = np.unique(
         np.rint(2.0 ** (np.arange(_CURVE_PER_OCTAVE * np.log2(n // 2) + 1) / _CURVE_PER_OCTAVE))
     )
     law = allan_law(record, sizes.astype(int))
-    allan = Comparison(
+    allan = SimulationEnvelope(
         "allan_deviation",
         law.time,
         np.sqrt(law.measured),
@@ -291,5 +291,5 @@ def summaries(record: Whitened) -> tuple[Comparison, Comparison]:
     density = 2.0 / record.rate / count
     low, median, high = (density * expected * chi2.ppf(p, dof) / dof for p in (0.025, 0.5, 0.975))
     middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * n)
-    measured = density * np.add.reduceat(record.c**2, first)
-    return allan, Comparison("psd", middle, measured, low, median, high)
+    measured = density * np.add.reduceat(record.coefficients**2, first)
+    return allan, SimulationEnvelope("psd", middle, measured, low, median, high)

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.common_mode import common_mode
-from allanjax.critic.comparison import Whitened
+from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import discrepancies, mended
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
@@ -24,7 +24,7 @@ from allanjax.critic.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critic.search import Accepted, Search, basic_model, extended, search, view_of
+from allanjax.critic.search import AcceptanceRule, Search, basic_model, extended, search, view_of
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, Quantity, View
 from allanjax.estimate.fit import fit as fit_recording
@@ -90,7 +90,7 @@ def criticize(
     stages = [_stages(s) for s in searches]
     first, last = (
         [
-            Whitened.of(s.start.axis, s.start.scale, s.start.rate, of_axis[i])
+            StageResiduals.of(s.start.axis, s.start.scale, s.start.rate, of_axis[i])
             for s, of_axis in zip(searches, stages, strict=True)
         ]
         for i in (0, -1)
@@ -98,19 +98,19 @@ def criticize(
     shared = tuple(
         common_mode(
             recording.names,
-            [w.z for w in last],
+            [w.whitened_coefficients for w in last],
             [w.share(WHITE) for w in last],
             recording.rate,
-            Accepted.of(per_axis, causes).share,
+            AcceptanceRule.of(per_axis, causes).share,
         )
     )
 
     def judged(k: int) -> AxisCritique:
         s = searches[k]
         before = _compared(k, first, s.start.raw, recording)
-        after = _compared(k, last, s.end.x if s.restored else s.start.raw, recording)
+        after = _compared(k, last, s.end.samples if s.restored else s.start.raw, recording)
         tell(f"{s.start.axis.name}: measuring the gain")
-        middle = [Whitened.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
+        middle = [StageResiduals.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]
         pairs = [
             (*of_step, *_of_samples(step, before, after))
@@ -173,11 +173,11 @@ def _stages(s: Search) -> tuple[Snapshot, ...]:
 
 def _snapshot(view: View) -> Snapshot:
     noise = view.noise
-    return Snapshot(view.x, view.variance(), noise.terms, noise.power, noise.shape, view.slope)
+    return Snapshot(view.samples, view.variance(), noise.terms, noise.power, noise.shape, view.slope)
 
 
 def _compared(
-    k: int, records: Sequence[Whitened], raw: np.ndarray, recording: Recording
+    k: int, records: Sequence[StageResiduals], raw: np.ndarray, recording: Recording
 ) -> tuple[Discrepancy, ...]:
     others = {w.axis.name: w for i, w in enumerate(records) if i != k}
     return discrepancies(records[k], raw, others, recording.auxiliary)
@@ -204,7 +204,7 @@ def _finding(
         evidence=float(candidate.gain),
         gain=float(step.gain),
         rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
-        span=(float(candidate.span[0]), float(candidate.span[1])),
+        span=(float(candidate.support[0]), float(candidate.support[1])),
         domain=candidate.domain,
         coefficients=coefficient_changes(step),
         drift=drift,

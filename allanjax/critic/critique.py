@@ -37,7 +37,7 @@ def critique(
             are causes too; if they were chosen, the choice is made anew with every finding.
         causes: what to look for; by default `allanjax.critic.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding; it is shared by its
-            axes. Basic terms that a given model lacks come on top (`Cause.margin`, as often again).
+            axes. Basic terms that a given model lacks come on top (`Cause.min_log_odds`, as often again).
         progress: is told what is being done.
         rate, gyro_unit, accel_unit, names: of an array, see `allanjax.fit`.
 

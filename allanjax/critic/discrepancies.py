@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.stats import binom
 
 from allanjax.critic.causes.rounding import HARMLESS, lattice
-from allanjax.critic.comparison import AllanLaw, Whitened, allan_laws, octave_sizes
+from allanjax.critic.comparison import AllanLaw, StageResiduals, allan_laws, octave_sizes
 from allanjax.critic.noise import centred
 from allanjax.critic.profiles import (
     TINY,
@@ -30,9 +30,9 @@ from allanjax.critic.result import Discrepancy
 
 
 def discrepancies(
-    record: Whitened,
+    record: StageResiduals,
     raw: Float[np.ndarray, " n"],
-    others: Mapping[str, Whitened] | None = None,
+    others: Mapping[str, StageResiduals] | None = None,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
     seed: int = 0,
 ) -> tuple[Discrepancy, ...]:
@@ -61,7 +61,7 @@ def discrepancies(
 
 
 def mended(
-    records: Sequence[Whitened], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
+    records: Sequence[StageResiduals], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
 ) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
     """What each finding mended: statistics before it and after, where the finding improved them most.
 
@@ -86,7 +86,7 @@ def mended(
 
 
 def _cheap(
-    record: Whitened, law: AllanLaw, channels: Mapping[str, Float[np.ndarray, " n-1"]]
+    record: StageResiduals, law: AllanLaw, channels: Mapping[str, Float[np.ndarray, " n-1"]]
 ) -> list[Profile]:
     """Profiles that cost little beside the transforms."""
     profiles = [
@@ -108,7 +108,7 @@ def _varying(
     return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
 
 
-def _lattice(record: Whitened, raw: Float[np.ndarray, " n"]) -> Discrepancy:
+def _lattice(record: StageResiduals, raw: Float[np.ndarray, " n"]) -> Discrepancy:
     """Share of the samples on a lattice; one finer than the noise is the file's way to write numbers."""
     q = lattice(raw)
     if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
@@ -116,7 +116,7 @@ def _lattice(record: Whitened, raw: Float[np.ndarray, " n"]) -> Discrepancy:
     return Discrepancy("lattice", 0.0, "", 1.0, 0.0, "1", TINY)
 
 
-def _repeated(record: Whitened, raw: Float[np.ndarray, " n"], seed: int) -> Discrepancy:
+def _repeated(record: StageResiduals, raw: Float[np.ndarray, " n"], seed: int) -> Discrepancy:
     """Share of samples equal to the one before; simulations have the recording's resolution."""
     gaps = np.diff(np.unique(raw))
     q = float(gaps.min()) if len(gaps) else 0.0

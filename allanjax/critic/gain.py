@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.critic.model_evidence import SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
 from allanjax.critic.result import CoefficientChange, DriftChange
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
-from allanjax.critic.weighing import Behind
 from allanjax.estimate.selection import basic_terms
 from allanjax.noise.terms import Markov
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -48,7 +48,7 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
 
     def predicted(view: View) -> Float[np.ndarray, "halves m"]:
         # What is after one finding is before the next, if only as the same samples behind the same spectrum.
-        key = id(view.x), id(view.factor), tuple(view.allowed)
+        key = id(view.samples), id(view.factor), tuple(view.allowed)
         if key not in known:
             known[key] = _predicted(view)
         return known[key]
@@ -66,8 +66,12 @@ def _drift_change(
     rows = []
     for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
         # What is in the spectrum alone has no path of its own.
-        effect = 0.0 if after.x is before.x else _mean_squares((before.x - after.x)[mine], m)
-        rows.append((_mean_squares(before.x[mine], m), old, new + effect))
+        effect = (
+            0.0
+            if after.samples is before.samples
+            else _mean_squares((before.samples - after.samples)[mine], m)
+        )
+        rows.append((_mean_squares(before.samples[mine], m), old, new + effect))
     measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
     unit = ANGLE[before.axis.sensor]
@@ -103,11 +107,11 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
     family = family_of(half, view.rate)
     # Every other coefficient of the whole record has a half's frequency.
     factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
-    behind = Behind.of(family, factor)
+    mask = SpectralMask.of(family, factor)
     found = []
     for rows in _halves(view):
-        c = centred(view.x[rows])
-        noise = behind.weigh(c).roughly(view.allowed, view.weighing)
+        c = centred(view.samples[rows])
+        noise = mask.evidence(c).approximate_map(view.allowed, view.model_evidence)
         v = noise.variance if factor is None else noise.variance * factor
         ramp = family.slope(c, v)[0] if noise.ramp else 0.0
         variances = _weights(half, tuple(int(k) for k in m)) @ v

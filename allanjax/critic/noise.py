@@ -2,7 +2,7 @@
 
 An effect that is not in the model is taken for noise: a step for a random walk, a temperature's influence for
 a Markov process. So no cause can be judged against noise estimated with the effect still in it. Each
-hypothesis gets the noise that suits it best (`Weighing.best`), and what is compared is their evidence.
+hypothesis gets the noise that suits it best (`ModelEvidence.best`), and what is compared is their evidence.
 """
 
 from __future__ import annotations

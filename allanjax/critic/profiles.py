@@ -20,7 +20,7 @@ from scipy.stats import chi2, kurtosistest, norm
 from allanjax.critic.bank import any_of, extrapolated
 from allanjax.critic.comparison import (
     AllanLaw,
-    Whitened,
+    StageResiduals,
     allan_laws,
     degrees_of_freedom,
     octave_bins,
@@ -108,7 +108,7 @@ def _one(statistic: str, measured: float, simulated: float, unit: str, p: float)
 # --- Slow noise: cluster times ------------------------------------------------------------------------------
 
 
-def cluster_times(record: Whitened) -> list[Profile]:
+def cluster_times(record: StageResiduals) -> list[Profile]:
     """Allan deviation at octaves; and the drift of the integrated rate.
 
     That one, less the drift at the mean rate of a stretch of equal length before, is √2·T times the Allan
@@ -125,7 +125,7 @@ def cluster_times(record: Whitened) -> list[Profile]:
     return [allan_deviation(record, allan), _of_law("drift", drift, factors, angle)]
 
 
-def allan_deviation(record: Whitened, law: AllanLaw) -> Profile:
+def allan_deviation(record: StageResiduals, law: AllanLaw) -> Profile:
     return _of_law("allan_deviation", law, np.full(len(law.time), 1.0 / record.scale), record.axis.unit)
 
 
@@ -145,11 +145,11 @@ def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile
 # --- Frequencies --------------------------------------------------------------------------------------------
 
 
-def psd(record: Whitened) -> Profile:
+def psd(record: StageResiduals) -> Profile:
     """Power in logarithmic bins, one-sided."""
     edges = octave_bins(record.n)
     first, count = edges[:-1] - 1, np.diff(edges)
-    squares = np.add.reduceat(record.z**2, first)
+    squares = np.add.reduceat(record.whitened_coefficients**2, first)
     z = _chi2_score(squares, count)
     level = 2.0 / record.rate * np.add.reduceat(record.variance, first) / count / record.scale**2
     middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * record.n)
@@ -158,10 +158,10 @@ def psd(record: Whitened) -> Profile:
     return Profile("psd", middle, "Hz", measured, simulated, unit, z, _independent(len(z)))
 
 
-def line(record: Whitened) -> Profile:
+def line(record: StageResiduals) -> Profile:
     """Amplitude at single frequencies: those of whole periods, where white noise is independent."""
     n = record.n
-    spectrum = rfft(record.e, workers=-1)[1 : (n + 1) // 2]
+    spectrum = rfft(record.whitened, workers=-1)[1 : (n + 1) // 2]
     power = (spectrum.real**2 + spectrum.imag**2) / n
     count = len(power)
     noise = np.sqrt(record.variance[1 : 2 * count : 2]) / record.scale
@@ -180,13 +180,13 @@ def line(record: Whitened) -> Profile:
     )
 
 
-def autocorrelation(record: Whitened) -> Profile:
+def autocorrelation(record: StageResiduals) -> Profile:
     """Of the whitened residuals: that of the record continued by its mirror image, at all lags at once.
 
     (1/n) Σ z_j² cos(a_j k), of variance 1/n.
     """
     n = record.n
-    squares = np.concatenate([[1.0], record.z**2 - 1.0, [0.0]])
+    squares = np.concatenate([[1.0], record.whitened_coefficients**2 - 1.0, [0.0]])
     squares[0] = 0.0
     lags = min(_LAGS, n // 10)
     r = dct(squares, type=1, workers=-1)[1 : lags + 1] / (2.0 * n)
@@ -197,15 +197,15 @@ def autocorrelation(record: Whitened) -> Profile:
 # --- Values -------------------------------------------------------------------------------------------------
 
 
-def tails(record: Whitened) -> Profile:
+def tails(record: StageResiduals) -> Profile:
     """Excess kurtosis of the whitened residuals (Anscombe & Glynn 1983)."""
-    squares = record.e**2
+    squares = record.whitened**2
     excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
-    p = max(float(kurtosistest(record.e).pvalue), TINY)
+    p = max(float(kurtosistest(record.whitened).pvalue), TINY)
     return _one("tails", excess, 0.0, "1", p)
 
 
-def largest_residual(record: Whitened) -> Profile:
+def largest_residual(record: StageResiduals) -> Profile:
     """Magnitudes of the whitened residuals."""
     n = record.n
     typical = float(norm.isf(-0.5 * np.expm1(np.log(0.5) / n)))
@@ -213,10 +213,10 @@ def largest_residual(record: Whitened) -> Profile:
         "largest_residual",
         np.arange(n) / record.rate,
         "s",
-        abs(record.e),
+        abs(record.whitened),
         np.full(n, typical),
         "σ",
-        record.e,
+        record.whitened,
         _independent(n),
     )
 
@@ -224,9 +224,9 @@ def largest_residual(record: Whitened) -> Profile:
 # --- Time ---------------------------------------------------------------------------------------------------
 
 
-def windows(record: Whitened) -> list[Profile]:
+def windows(record: StageResiduals) -> list[Profile]:
     """Mean and mean square of the whitened residuals in 2, 4, … 64 windows."""
-    n, e = record.n, record.e
+    n, e = record.n, record.whitened
     finest = 2 ** int(np.log2(np.clip(n / _SHORTEST, 2, _WINDOWS)))
     edges = np.rint(np.linspace(0.0, n, finest + 1)).astype(int)
     sums, squares = (np.add.reduceat(x, edges[:-1]) for x in (e, e**2))
@@ -274,23 +274,30 @@ def _window_null(finest: int, without_mean: bool) -> Float[np.ndarray, " draws"]
 # --- Other channels -----------------------------------------------------------------------------------------
 
 
-def cross_correlation(record: Whitened, others: Mapping[str, Whitened]) -> Profile:
+def cross_correlation(record: StageResiduals, others: Mapping[str, StageResiduals]) -> Profile:
     """With the whitened residuals of other axes."""
-    score = np.array([_matched(record.z, other.z)[0] for other in others.values()])
+    score = np.array(
+        [_matched(record.whitened_coefficients, other.whitened_coefficients)[0] for other in others.values()]
+    )
     none, r = np.zeros(len(score)), score / np.sqrt(record.n)
     return Profile(
         "cross_correlation", none, "", r, none, "1", score, _independent(len(score)), tuple(others)
     )
 
 
-def auxiliary_correlation(record: Whitened, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> Profile:
+def auxiliary_correlation(
+    record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]
+) -> Profile:
     """With other channels, given as cosine coefficients: the output of the filter matched to each.
 
     It is an rms in the axis's unit. A slow channel has few independent samples; the noise at its frequencies
     says how few.
     """
     root = np.sqrt(record.variance)
-    found = [(*_matched(record.z, h / root), float(np.linalg.norm(h))) for h in channels.values()]
+    found = [
+        (*_matched(record.whitened_coefficients, h / root), float(np.linalg.norm(h)))
+        for h in channels.values()
+    ]
     score = np.array([z for z, _, _ in found])
     error = np.array([rms / length for _, length, rms in found]) / np.sqrt(record.n) / record.scale
     typical = float(norm.isf(0.25)) * error

@@ -36,28 +36,28 @@ def refitted(
     Args:
         steps: all findings.
         view: without them.
-        causes: those that are `joint` are fitted again.
+        causes: those that are `refit` are fitted again.
         last: whether nothing else is to be found; else nothing is done until one is to be fitted `at once`.
     """
-    again = {cause.name: cause for cause in causes if cause.joint}
+    again = {cause.name: cause for cause in causes if cause.refit}
     found = [s if s.beside is not None else dataclasses.replace(s, beside=_levels(s, view)) for s in steps]
     end, lost = view, set()
     for _ in range(_ROUNDS):
         stale = [k for k in range(len(found)) if found[k].candidate.cause in again and _stale(k, found, end)]
-        if not (last or any(again[found[k].candidate.cause].joint == "at once" for k in stale)):
+        if not (last or any(again[found[k].candidate.cause].refit == "at once" for k in stale)):
             break
         for k in stale:
             cause = found[k].candidate.cause
             without = _without(found[k], end)
-            beside = without.having(*without.found, beside=_shapes(found, k))
+            beside = without.with_findings(*without.found, beside=_shapes(found, k))
             candidate = again[cause].again(beside, found[k].candidate)
             if candidate is None or not candidate.gain > 0.0:
                 lost.add(k)
                 continue
             lost.discard(k)
             # What overlaps in time shares what it gains; what is in the spectrum has been measured once.
-            gain = candidate.held_out() if candidate.shaped else found[k].gain
-            end = candidate.after.having(*without.found, cause)
+            gain = candidate.held_out() if candidate.has_waveform else found[k].gain
+            end = candidate.after.with_findings(*without.found, cause)
             candidate = dataclasses.replace(candidate, after=end)
             step = Step.of(candidate, gain, found[k].rivals, without)
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
@@ -76,7 +76,7 @@ def _without(step: Step, end: View) -> View:
     """The view as it would be had this step not been made."""
     names = list(end.found)
     names.remove(step.candidate.cause)
-    return step.change.put_back(end).having(*names)
+    return step.change.put_back(end).with_findings(*names)
 
 
 def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
@@ -98,22 +98,22 @@ def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]
 
 def _levels(step: Step, view: View) -> Float[np.ndarray, " places"]:
     """Logarithms of the spectrum over the model's where the finding is; of low noise, if it has a shape."""
-    if step.candidate.shaped:
+    if step.candidate.has_waveform:
         places = np.geomspace(1.0, min(SLOW, view.n - 1.0), _PLACES)
         return np.log(view.variance()[np.unique(np.rint(places).astype(int)) - 1]) / _LEVEL
     low, high = 1.0, view.n - 1.0
     if step.candidate.domain == "frequency":
-        low, high = (2.0 * view.n * f / view.rate for f in step.candidate.span)
+        low, high = (2.0 * view.n * f / view.rate for f in step.candidate.support)
     places = np.geomspace(np.clip(low / 2.0, 1.0, view.n / 2.0), min(high, view.n - 1.0), _PLACES + 1)
     edges = np.unique(np.rint(places).astype(int)) - 1
-    squares = (view.c**2 / view.variance())[: edges[-1]]
+    squares = (view.coefficients**2 / view.variance())[: edges[-1]]
     return np.log(np.add.reduceat(squares, edges[:-1]) / np.diff(edges)) / _LEVEL
 
 
 def _others(k: int, steps: Sequence[Step]) -> list[Step]:
     """Others with a shape, if this step has one."""
-    mine = steps[k].candidate.shaped
-    return [s for i, s in enumerate(steps) if mine and i != k and s.candidate.shaped]
+    mine = steps[k].candidate.has_waveform
+    return [s for i, s in enumerate(steps) if mine and i != k and s.candidate.has_waveform]
 
 
 def _shapes(steps: Sequence[Step], k: int) -> tuple[Float[np.ndarray, " slow"], ...]:

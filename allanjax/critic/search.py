@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.refit import refitted
-from allanjax.critic.step import Step, strung
+from allanjax.critic.step import Step, replay
 from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, Quantity, View, in_time
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.model import Model
@@ -25,7 +25,7 @@ _MOST = 8
 _CERTAIN = 1e-6
 # What gains so much [nats], and so many times what a cause offered before the last finding in the spectrum,
 # is before it whatever has become of that.
-_AHEAD, _TIMES = 30.0, 4.0
+_EARLY_STOP_NATS, _EARLY_STOP_RATIO = 30.0, 4.0
 _TOO_MANY = 0.5
 
 
@@ -50,7 +50,7 @@ class Search:
     restored: bool = False
 
 
-class Accepted(NamedTuple):
+class AcceptanceRule(NamedTuple):
     """False findings that are accepted in one axis.
 
     Attributes:
@@ -62,15 +62,15 @@ class Accepted(NamedTuple):
     ratio: float
 
     @classmethod
-    def of(cls, false_alarms: float, causes: Sequence[Cause]) -> Accepted:
+    def of(cls, false_alarms: float, causes: Sequence[Cause]) -> AcceptanceRule:
         """One share for each kind of cause, and one for what axes have in common."""
         kinds = len({type(cause) for cause in causes}) + 1
         return cls(false_alarms / kinds, false_alarms / FALSE_ALARMS)
 
-    def by(self, candidate: Candidate, cause: Cause) -> bool:
+    def accepts(self, candidate: Candidate, cause: Cause) -> bool:
         """Whether that is significant: with fewer accepted, the odds for it must be so much longer."""
-        level = self.share if cause.level is None else cause.level * self.ratio
-        return bool(candidate.gain >= cause.margin - np.log(self.ratio) and candidate.p_value < level)
+        level = self.share if cause.max_p is None else cause.max_p * self.ratio
+        return bool(candidate.gain >= cause.min_log_odds - np.log(self.ratio) and candidate.p_value < level)
 
 
 def search(
@@ -84,9 +84,9 @@ def search(
         false_alarms: probability of a false finding.
         progress: is told what is being done.
     """
-    accepted = Accepted.of(false_alarms, causes)
+    accepted = AcceptanceRule.of(false_alarms, causes)
     start, steps = view, []
-    for cause in (c for c in causes if c.of_samples):
+    for cause in (c for c in causes if c.is_preprocessing):
         candidate = cause.detect(view)
         if (
             candidate is not None
@@ -97,7 +97,7 @@ def search(
             view = candidate.after
     restored = bool(steps)
     # Of a record that was mostly filled in nothing else is said.
-    others = [c for c in causes if not c.of_samples and np.mean(view.restored) < _TOO_MANY]
+    others = [c for c in causes if not c.is_preprocessing and np.mean(view.restored) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
     notes: tuple[str, ...] = ()
     # What those that may not have to be asked again offered last.
@@ -120,7 +120,7 @@ def search(
             gain = part.held_out() if step.candidate.parts else step.gain
             steps.append(Step.of(part, gain, step.rivals, view))
             # Of two at once the second one does not know of the first.
-            view = part.after.having(*view.found, part.cause)
+            view = part.after.with_findings(*view.found, part.cause)
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]
@@ -137,8 +137,10 @@ def search(
     known = steps
     steps, view = refitted(known, view, others, last=True)
     if anew or [s.candidate for s in steps] != [s.candidate for s in known]:
-        steps = strung(start, steps)
-    return Search(start.light(), tuple(_grouped(steps)), view.light(), tests, notes, restored)
+        steps = replay(start, steps)
+    return Search(
+        start.without_caches(), tuple(_grouped(steps)), view.without_caches(), tests, notes, restored
+    )
 
 
 def _candidates(
@@ -148,7 +150,7 @@ def _candidates(
     left = sorted(causes, key=lambda cause: -offered.get(cause, np.inf))
     candidates: list[tuple[Cause, Candidate]] = []
     most = 0.0
-    while left and most < max(_AHEAD, _TIMES * offered.get(left[0], np.inf)):
+    while left and most < max(_EARLY_STOP_NATS, _EARLY_STOP_RATIO * offered.get(left[0], np.inf)):
         cause = left.pop(0)
         progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
         if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
@@ -166,12 +168,14 @@ def _undecided(candidate: Candidate, view: View) -> str:
     return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
 
 
-def _chosen(candidates: Sequence[tuple[Cause, Candidate]], view: View, accepted: Accepted) -> Step | None:
+def _chosen(
+    candidates: Sequence[tuple[Cause, Candidate]], view: View, accepted: AcceptanceRule
+) -> Step | None:
     """The candidate that explains most, if it is significant and holds on data that it has not seen."""
     by_gain = sorted(candidates, key=lambda pair: -pair[1].gain)
     ranked = [candidate for _, candidate in by_gain]
     for cause, candidate in by_gain:
-        if not accepted.by(candidate, cause):
+        if not accepted.accepts(candidate, cause):
             continue
         gain = candidate.held_out()
         if not gain > 0.0:
@@ -245,16 +249,16 @@ def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
 def _together(step: Step, others: Sequence[Step], parameters: Mapping[str, Quantity]) -> Step:
     """Several findings as one, with these parameters changed or added."""
 
-    def extend(model: Model) -> Model:
+    def add_to_model(model: Model) -> Model:
         for s in (step, *others):
-            model = s.candidate.extend(model)
+            model = s.candidate.add_to_model(model)
         return model
 
     candidate = dataclasses.replace(
         step.candidate,
         parameters={**step.candidate.parameters, **parameters},
         gain=step.candidate.gain + sum(s.candidate.gain for s in others),
-        extend=extend,
+        add_to_model=add_to_model,
     )
     return dataclasses.replace(step, candidate=candidate, gain=step.gain + sum(s.gain for s in others))
 
@@ -332,5 +336,5 @@ def extended(search: Search) -> Model:
     """The model of an axis with all findings in it."""
     model = basic_model(search.end)
     for step in search.steps:
-        model = step.candidate.extend(model)
+        model = step.candidate.add_to_model(model)
     return model

@@ -1,4 +1,4 @@
-"""A finding as the search made it, and what it changes in a view: taken out, put back, strung together."""
+"""A finding as the search made it, and what it changes in a view: taken out, put back, replay together."""
 
 from __future__ import annotations
 
@@ -32,8 +32,10 @@ class Step:
     @classmethod
     def of(cls, candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
         """A step that keeps no more than is needed of it."""
-        candidate = dataclasses.replace(candidate, after=candidate.after.light(), held_out=lambda: gain)
-        return cls(candidate, gain, tuple(rivals), view.light())
+        candidate = dataclasses.replace(
+            candidate, after=candidate.after.without_caches(), held_out=lambda: gain
+        )
+        return cls(candidate, gain, tuple(rivals), view.without_caches())
 
     @property
     def change(self) -> Change:
@@ -67,7 +69,7 @@ class Change:
         if after.factor is not None and after.factor is not before.factor:
             factor = after.factor if before.factor is None else after.factor / before.factor
         return cls(
-            None if after.x is before.x else before.x - after.x,
+            None if after.samples is before.samples else before.samples - after.samples,
             factor,
             None if after.passes is before.passes else after.passes,
             [t for t in after.allowed if t not in before.allowed],
@@ -77,8 +79,8 @@ class Change:
 
     def taken_out(self, view: View) -> View:
         """The view without the finding."""
-        after = view if self.path is None else view.with_x(view.x - self.path)
-        after = after if self.factor is None else after.behind(self.factor)
+        after = view if self.path is None else view.with_samples(view.samples - self.path)
+        after = after if self.factor is None else after.with_factor(self.factor)
         after = after if self.passes is None else dataclasses.replace(after, passes=self.passes)
         after = _with_terms(after, self.added, self.removed)
         if self.restored is None:
@@ -87,8 +89,8 @@ class Change:
 
     def put_back(self, view: View) -> View:
         """The view as it would be had the finding not been made."""
-        before = view if self.path is None else view.with_x(view.x + self.path)
-        before = before if self.factor is None else before.behind(1.0 / self.factor)
+        before = view if self.path is None else view.with_samples(view.samples + self.path)
+        before = before if self.factor is None else before.with_factor(1.0 / self.factor)
         before = before if self.passes is None else dataclasses.replace(before, passes=None)
         before = _with_terms(before, self.removed, self.added)
         if self.restored is None:
@@ -100,11 +102,11 @@ def _with_terms(view: View, more: Collection[str], less: Collection[str]) -> Vie
     return view.allowing([*(t for t in view.allowed if t not in less), *more]) if more or less else view
 
 
-def strung(start: View, steps: Iterable[Step]) -> list[Step]:
+def replay(start: View, steps: Iterable[Step]) -> list[Step]:
     """The steps one after the other, each in the view that the one before has left."""
     view, found = start, []
     for step in steps:
-        after = step.change.taken_out(view).having(*view.found, step.candidate.cause)
+        after = step.change.taken_out(view).with_findings(*view.found, step.candidate.cause)
         candidate = dataclasses.replace(step.candidate, after=after)
         found.append(Step.of(candidate, step.gain, step.rivals, view))
         view = after

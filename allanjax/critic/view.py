@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
 from allanjax.base.equality import ByValue
+from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
-from allanjax.critic.weighing import Behind, Weighing
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 
@@ -61,7 +61,7 @@ class View:
         axis, scale: whose it is; factor from its own unit to SI.
         rate: sample rate [Hz].
         raw: the samples as recorded [SI].
-        x: the samples without what was found before.
+        samples: the samples without what was found before.
         factor: ratio of the spectrum to that of the basic terms, 1 if there is nothing else.
         noise: the best set of basic terms for x.
         auxiliary: other channels.
@@ -77,7 +77,7 @@ class View:
     scale: float
     rate: float
     raw: Float[np.ndarray, " n"]
-    x: Float[np.ndarray, " n"]
+    samples: Float[np.ndarray, " n"]
     factor: Float[np.ndarray, " n-1"] | None
     auxiliary: Mapping[str, Float[np.ndarray, " n"]]
     allowed: Collection[str]
@@ -90,7 +90,7 @@ class View:
     @property
     def n(self) -> int:
         """Number of samples."""
-        return len(self.x)
+        return len(self.samples)
 
     @property
     def duration(self) -> float:
@@ -98,55 +98,55 @@ class View:
         return self.n / self.rate
 
     @functools.cached_property
-    def c(self) -> Float[np.ndarray, " n-1"]:
+    def coefficients(self) -> Float[np.ndarray, " n-1"]:
         """Cosine coefficients of x."""
-        return centred(self.x)
+        return centred(self.samples)
 
     @functools.cached_property
-    def weighing(self) -> Weighing:
+    def model_evidence(self) -> ModelEvidence:
         """Of the sets of basic terms, for x."""
-        return self._behind.weigh(self.c)
+        return self._mask.evidence(self.coefficients)
 
-    def weighed(
+    def model_evidence_of(
         self, fold: Bool[np.ndarray, " n-1"] | None, factor: Float[np.ndarray, " n-1"] | None = None
-    ) -> Weighing:
+    ) -> ModelEvidence:
         """The same of the coefficients in a fold, behind a further factor of the spectrum."""
         factor = self.factor if factor is None else self.combined(factor)
-        return Behind.of(self.family, factor, fold).weigh(self.c)
+        return SpectralMask.of(self.family, factor, fold).evidence(self.coefficients)
 
     @functools.cached_property
-    def total(self) -> float:
+    def log_evidence(self) -> float:
         """Log-evidence of x whichever allowed basic terms there are."""
-        return self.weighing.sets(self.allowed).total
+        return self.model_evidence.sets(self.allowed).total
 
     @functools.cached_property
-    def basic_total(self) -> float:
+    def log_evidence_all_terms(self) -> float:
         """The same whichever basic terms there are, also those that the model lacks."""
-        return self.weighing.sets({*EVERYTHING, *self.allowed}).total
+        return self.model_evidence.sets({*EVERYTHING, *self.allowed}).total
 
     @functools.cached_property
-    def _behind(self) -> Behind:
-        return Behind.of(self.family, self.factor)
+    def _mask(self) -> SpectralMask:
+        return SpectralMask.of(self.family, self.factor)
 
     @functools.cached_property
     def noise(self) -> Noise:
         """The best set of basic terms."""
-        return self.weighing.best(self.allowed)
+        return self.model_evidence.best(self.allowed)
 
     @functools.cached_property
     def squares(self) -> Float[np.ndarray, " n-1"]:
         """Squared coefficients, as if all that was found before were not there."""
-        return self.c**2 if self.factor is None else self.c**2 / self.factor
+        return self.coefficients**2 if self.factor is None else self.coefficients**2 / self.factor
 
     @property
     def slope(self) -> float:
         """Of the ramp in the noise [rate/s], 0 if there is none."""
-        return self.family.slope(self.c, self.variance())[0] if self.noise.ramp else 0.0
+        return self.family.slope(self.coefficients, self.variance())[0] if self.noise.ramp else 0.0
 
     @functools.cached_property
     def basic(self) -> Noise:
         """The best set of any basic terms, also of those that the model lacks."""
-        return self.weighing.best([*EVERYTHING, *self.allowed])
+        return self.model_evidence.best([*EVERYTHING, *self.allowed])
 
     def combined(self, spectrum: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
         """A spectrum, or a factor of it, with the factor of what was found before."""
@@ -172,21 +172,21 @@ class View:
         for allowed in _STEADY:
             if not set(allowed) & set(self.allowed) - {"quantization"}:
                 continue
-            other = self.weighing.best([t for t in allowed if t in self.allowed])
+            other = self.model_evidence.best([t for t in allowed if t in self.allowed])
             if all(set(other.terms) != set(known.terms) for known in found):
                 found.append(other)
         return tuple(found)
 
     @functools.cached_property
-    def foretold(self) -> float:
+    def cv_log_likelihood(self) -> float:
         """Log-likelihood of half of the coefficients under the best basic noise of the others, both ways."""
-        return self.foretold_by(self.allowed)
+        return self.cv_log_likelihood_with(self.allowed)
 
-    def foretold_by(self, allowed: Collection[str]) -> float:
+    def cv_log_likelihood_with(self, allowed: Collection[str]) -> float:
         """The same with these basic terms to choose from."""
         total = 0.0
         for fold in coefficient_folds(self.n):
-            noise = self.weighed(fold).roughly(allowed, self.weighing)
+            noise = self.model_evidence_of(fold).approximate_map(allowed, self.model_evidence)
             total += self.log_likelihood(noise, ~fold)
         return total
 
@@ -202,7 +202,11 @@ class View:
         foretell that one.
         """
         v = self.variance(noise) if factor is None else self.variance(noise) * factor
-        c = self.c - self.family.slope(self.c, v, some)[0] * self.family.ramp if noise.ramp else self.c
+        c = (
+            self.coefficients - self.family.slope(self.coefficients, v, some)[0] * self.family.ramp
+            if noise.ramp
+            else self.coefficients
+        )
         each = np.log(v) + c**2 / v
         return -0.5 * float(np.sum(each if some is None else each[some]))
 
@@ -212,7 +216,7 @@ class View:
         shaped = bool(np.isfinite(self.noise.shape))
         return self.log_likelihood(self.noise) - len(self.noise.terms) - shaped
 
-    def gained(self, after: View, own: float, kept: float) -> float:
+    def held_out_gain(self, after: View, in_sample: float, cross_validated: float) -> float:
         """Log-likelihood that data gain which an effect was not estimated from [nats].
 
         What is explained by the noise with the effect in it and by the noise without it differs by the effect
@@ -220,48 +224,48 @@ class View:
 
         Args:
             after: the view without the effect.
-            own: log-likelihood that the effect gains on the data it was fitted to, in the noise of `after`.
-            kept: the same on parts of the record, by the effect that the other parts show.
+            in_sample: log-likelihood that the effect gains on the data it was fitted to, in `after`'s noise.
+            cross_validated: the same on parts of the record, by the effect that the other parts show.
         """
-        return after.expected_likelihood - self.expected_likelihood - (own - kept)
+        return after.expected_likelihood - self.expected_likelihood - (in_sample - cross_validated)
 
     @property
     def residual(self) -> Float[np.ndarray, " n-1"]:
         """Cosine coefficients of x without the ramp that the noise has."""
-        return self.c - self.slope * self.family.ramp if self.noise.ramp else self.c
+        return self.coefficients - self.slope * self.family.ramp if self.noise.ramp else self.coefficients
 
     @functools.cached_property
-    def e(self) -> Float[np.ndarray, " n"]:
+    def whitened(self) -> Float[np.ndarray, " n"]:
         """Whitened residuals in time order: independent and standard normal if the model is right."""
         return in_time(self.residual / np.sqrt(self.variance()))
 
     @functools.cached_property
-    def spikes(self) -> tuple[Float[np.ndarray, " n"], float]:
+    def loo_residuals(self) -> tuple[Float[np.ndarray, " n"], float]:
         """What each sample is above its best prediction from all others [SI], and that one's error."""
         v = self.variance()
         precision = float(np.mean(1.0 / v))
         return in_time(self.residual / v) / precision, float(1.0 / np.sqrt(precision))
 
-    def with_x(self, x: Float[np.ndarray, " n"]) -> View:
+    def with_samples(self, samples: Float[np.ndarray, " n"]) -> View:
         """The view of other samples."""
-        view = dataclasses.replace(self, x=x)
-        vars(view)["_behind"] = self._behind
+        view = dataclasses.replace(self, samples=samples)
+        vars(view)["_mask"] = self._mask
         return view
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
         """About the best set of basic terms without something that has these lowest coefficients."""
-        c = self.c.copy()
+        c = self.coefficients.copy()
         c[: len(lowest)] -= lowest
-        return self._behind.weigh(c).roughly(self.allowed, self.weighing)
+        return self._mask.evidence(c).approximate_map(self.allowed, self.model_evidence)
 
-    def behind(self, factor: Float[np.ndarray, " n-1"]) -> View:
+    def with_factor(self, factor: Float[np.ndarray, " n-1"]) -> View:
         """The view of a spectrum with a further factor."""
         view = dataclasses.replace(self, factor=self.combined(factor))
         # The coefficients are what they were: a transform saved.
-        vars(view)["c"] = self.c
+        vars(view)["coefficients"] = self.coefficients
         return view
 
-    def having(self, *found: str, beside: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
+    def with_findings(self, *found: str, beside: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """The same view and all that is computed of it, for which these causes have been found.
 
         Args:
@@ -272,7 +276,7 @@ class View:
         vars(view).update(found=found, beside=beside)
         return view
 
-    def light(self) -> View:
+    def without_caches(self) -> View:
         """The same view without what it has at hand but could compute anew; the noise stays."""
         view = dataclasses.replace(self)
         vars(view)["noise"] = dataclasses.replace(self.noise)
@@ -282,12 +286,12 @@ class View:
         """The view with these basic terms in the noise."""
         return dataclasses.replace(self, allowed=tuple(terms))
 
-    def recoloured(self, e: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def recoloured(self, whitened: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The samples whose whitened residuals are e, with the ramp that x has."""
-        c = dct(e, norm="ortho", workers=-1)
+        c = dct(whitened, norm="ortho", workers=-1)
         c[1:] *= np.sqrt(self.variance())
-        c[1:] += self.c - self.residual
-        c[0] = np.sqrt(self.n) * self.x.mean()
+        c[1:] += self.coefficients - self.residual
+        c[0] = np.sqrt(self.n) * self.samples.mean()
         return idct(c, norm="ortho", workers=-1)
 
     def time(self, sample: float, std: float) -> Quantity:
@@ -329,9 +333,9 @@ class Candidate:
         p_value: of its statistic where there is no such effect, the search included.
         after: the view without it.
         held_out: log-likelihood gained on data that it was not estimated from [nats].
-        span: where it is: start and end in time [s], or low and high frequency [Hz]; `domain` says which.
-        extend: adds it to a model of noise terms.
-        shaped: whether it takes a known shape out of the lowest coefficients.
+        support: where it is: start and end in time [s], or low and high frequency [Hz]; `domain` says which.
+        add_to_model: adds it to a model of noise terms.
+        has_waveform: whether it takes a known shape out of the lowest coefficients.
         parts: where only several together explain anything: each of them, in order, as a finding of its own.
     """
 
@@ -341,10 +345,10 @@ class Candidate:
     p_value: float
     after: View
     held_out: Callable[[], float]
-    span: tuple[float, float]
+    support: tuple[float, float]
     domain: str
-    extend: Callable[[Model], Model] = lambda model: model
-    shaped: bool = False
+    add_to_model: Callable[[Model], Model] = lambda model: model
+    has_waveform: bool = False
     parts: tuple[Candidate, ...] = ()
 
 
@@ -357,14 +361,14 @@ class Cause(ABC):
 
     name: str
     #: Whether it is read off the samples themselves and must be undone before anything else is looked at.
-    of_samples: ClassVar[bool] = False
+    is_preprocessing: ClassVar[bool] = False
     #: Log-evidence that it must gain beyond the basic terms [nats], all prices paid, at `FALSE_ALARMS`.
-    margin: ClassVar[float] = MARGIN
+    min_log_odds: ClassVar[float] = MARGIN
     #: Its own probability of a false finding at these; None for a share of what the critique may have.
-    level: ClassVar[float | None] = None
+    max_p: ClassVar[float | None] = None
     #: Whether it is fitted again when later findings change what it was fitted beside: at once, since others
     #: would be taken for what it lacks, or at last.
-    joint: ClassVar[Literal["", "at once", "at last"]] = ""
+    refit: ClassVar[Literal["", "at once", "at last"]] = ""
 
     def __repr__(self) -> str:
         return f"<Cause {self.name}>"

@@ -33,11 +33,11 @@ from allanjax.report.figure import (
     draw_title,
     facts_of,
     figure_with,
-    finished,
-    look,
     only_one,
     rows_of,
+    save_and_close,
     set_scales,
+    style,
     term_entry,
     term_style,
     wrapped,
@@ -95,7 +95,7 @@ def plot_allan(
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = fit_and_curve(data)
     rows = rows_of(curve.names, curve.axes, wanted)
-    with look():
+    with style():
         if ax is not None:
             _draw_into(ax, only_one(rows), fit, curve)
             return figure_with(ax, path)
@@ -106,7 +106,7 @@ def plot_allan(
         draw_title(figure, cells, title, facts_of(curve.n, curve.rate), has_model=fit is not None)
         for i, row in enumerate(rows):
             _draw_row(figure, cells, i, row, curve, fit, keys)
-        return finished(figure, path)
+        return save_and_close(figure, path)
 
 
 def _draw_into(panel: Axes, k: int, fit: Fit | None, curve: AllanDeviation) -> None:

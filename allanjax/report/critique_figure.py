@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.critic.comparison import Comparison, Whitened, octave_bins, summaries
+from allanjax.critic.comparison import SimulationEnvelope, StageResiduals, octave_bins, summaries
 from allanjax.critic.result import AxisCritique, Critique, Finding
 from allanjax.record.recording import Axis
 from allanjax.record.units import default_coefficient_unit, unit_scale
-from allanjax.report.critique_story import UNEXPLAINED, changes, left, sentence
-from allanjax.report.critique_words import filled, p_value, what
-from allanjax.report.figure import POINTS, Unit, facts_of, finished, literal, look
+from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
+from allanjax.report.critique_words import p_value, what, wrap
+from allanjax.report.figure import POINTS, Unit, facts_of, literal, save_and_close, style
 from allanjax.spectrum.psd import density_unit
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ def plot_critique(
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
     figures = []
-    with look():
+    with style():
         for (finding, draw), name in zip(_jobs(critique), figure_names(critique), strict=True):
             if findings is None or finding in findings:
-                figures.append(finished(draw(), None if folder is None else Path(folder) / name))
+                figures.append(save_and_close(draw(), None if folder is None else Path(folder) / name))
     return tuple(figures)
 
 
@@ -101,12 +101,12 @@ def figure_names(critique: Critique) -> tuple[str, ...]:
     )
 
 
-def _record(critique: Critique, axis: AxisCritique, stage: int) -> Whitened:
-    return Whitened.of(axis.axis, 1.0, critique.rate, axis.stages[stage])
+def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResiduals:
+    return StageResiduals.of(axis.axis, 1.0, critique.rate, axis.stages[stage])
 
 
 def _of_finding(
-    critique: Critique, finding: Finding, record: Callable[[int], Whitened], stages: tuple[int, int]
+    critique: Critique, finding: Finding, record: Callable[[int], StageResiduals], stages: tuple[int, int]
 ) -> Figure:
     import matplotlib.pyplot as plt
 
@@ -146,7 +146,7 @@ def _of_shared(critique: Critique, finding: Finding) -> Figure:
     return figure
 
 
-def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], Whitened]) -> Figure:
+def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], StageResiduals]) -> Figure:
     import matplotlib.pyplot as plt
 
     record = stage(0)
@@ -156,7 +156,7 @@ def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], Whi
     return figure
 
 
-def _title(figure: Figure, critique: Critique, text: str, record: Whitened) -> None:
+def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals) -> None:
     name = f"{critique.name}, {text}" if critique.name else text
     figure.suptitle(f"{literal(name)}\n{facts_of(record.n, critique.rate)}", x=0.01, ha="left", fontsize=11)
 
@@ -187,7 +187,7 @@ def _limit(panel: Axes) -> None:
 
 
 def _draw_comparison(
-    panel: Axes, comparison: Comparison, unit: Unit, label: str, colour: str, marker: str
+    panel: Axes, comparison: SimulationEnvelope, unit: Unit, label: str, colour: str, marker: str
 ) -> None:
     x = comparison.place
     end = f" {label}" if label else ""
@@ -208,7 +208,7 @@ def _draw_comparison(
     )
 
 
-def _window(record: Whitened, span: tuple[float, float]) -> tuple[slice, bool]:
+def _window(record: StageResiduals, span: tuple[float, float]) -> tuple[slice, bool]:
     """Samples to show around a time, and whether that is not all of them."""
     duration = record.n / record.rate
     start, end = span
@@ -234,10 +234,10 @@ def _shade(panel: Axes, span: tuple[float, float]) -> None:
     panel.axvspan(*span, color=_SPAN, alpha=0.25, linewidth=0.0, label="effect", zorder=0)
 
 
-def _draw_extremes(panel: Axes, record: Whitened, finding: Finding) -> None:
+def _draw_extremes(panel: Axes, record: StageResiduals, finding: Finding) -> None:
     """Whitened residuals: mean and extremes of blocks; outliers by themselves."""
     shown, partial = _window(record, finding.span)
-    e = record.e[shown]
+    e = record.whitened[shown]
     edges, length = _blocks(len(e), _POINTS)
     time = (shown.start + edges + 0.5 * length) / record.rate
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
@@ -247,17 +247,17 @@ def _draw_extremes(panel: Axes, record: Whitened, finding: Finding) -> None:
     if isinstance(times, tuple) and times:
         t = np.asarray(times, float)
         k = np.clip(np.rint(t * record.rate).astype(int), 0, record.n - 1)
-        panel.plot(t, record.e[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
+        panel.plot(t, record.whitened[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
     elif partial:
         _shade(panel, finding.span)
     _finish(panel, "whitened residual [σ]")
 
 
-def _draw_loudness(panel: Axes, record: Whitened, finding: Finding) -> None:
+def _draw_loudness(panel: Axes, record: StageResiduals, finding: Finding) -> None:
     """Root mean square of the whitened residuals in blocks, and where that of simulations lies."""
     edges, length = _blocks(record.n, _BLOCKS)
     time = (edges + 0.5 * length) / record.rate
-    rms = np.sqrt(np.add.reduceat(record.e**2, edges) / length)
+    rms = np.sqrt(np.add.reduceat(record.whitened**2, edges) / length)
     spread = 1.96 * np.sqrt(0.5 / length)
     panel.fill_between(
         time, 1.0 - spread, 1.0 + spread, color=_AFTER, alpha=0.25, linewidth=0.0, label="95 % of simulations"
@@ -268,7 +268,7 @@ def _draw_loudness(panel: Axes, record: Whitened, finding: Finding) -> None:
     _finish(panel, "rms of whitened residuals [σ]")
 
 
-def _draw_samples(panel: Axes, record: Whitened) -> None:
+def _draw_samples(panel: Axes, record: StageResiduals) -> None:
     """Single samples as recorded, where most of them are like the one before."""
     unit = default_coefficient_unit(record.axis.sensor, 0.0)
     x = record.stage.x
@@ -283,7 +283,7 @@ def _draw_samples(panel: Axes, record: Whitened) -> None:
     _finish(panel, f"samples − mean [{unit}]")
 
 
-def _draw_path(panel: Axes, before: Whitened, after: Whitened) -> None:
+def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals) -> None:
     """Means of blocks of samples, and the effect that was found."""
     unit = default_coefficient_unit(before.axis.sensor, 0.0)
     scale = unit_scale(unit, before.axis.sensor)
@@ -305,7 +305,7 @@ def _draw_path(panel: Axes, before: Whitened, after: Whitened) -> None:
     )
 
 
-def _draw_correlation(panel: Axes, records: list[Whitened]) -> None:
+def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
     """Correlation of the axes' whitened coefficients in bins, and where that of simulations lies."""
     n, rate = records[0].n, records[0].rate
     edges = octave_bins(n)[::_MERGED]
@@ -324,7 +324,12 @@ def _draw_correlation(panel: Axes, records: list[Whitened]) -> None:
     )
     for one, other in itertools.combinations(records, 2):
         products = (
-            np.add.reduceat(a * b, first) for a, b in ((one.z, other.z), (one.z, one.z), (other.z, other.z))
+            np.add.reduceat(a * b, first)
+            for a, b in (
+                (one.whitened_coefficients, other.whitened_coefficients),
+                (one.whitened_coefficients, one.whitened_coefficients),
+                (other.whitened_coefficients, other.whitened_coefficients),
+            )
         )
         cross, first_power, second_power = products
         r = (cross / np.sqrt(first_power * second_power))[enough]
@@ -341,14 +346,14 @@ def _draw_correlation(panel: Axes, records: list[Whitened]) -> None:
     panel.legend(frameon=False, fontsize=7.5)
 
 
-def _draw_spectrum(panel: Axes, record: Whitened, finding: Finding) -> None:
+def _draw_spectrum(panel: Axes, record: StageResiduals, finding: Finding) -> None:
     """Whitened spectrum around the effect's frequencies."""
     low, high = finding.span
     nyquist, width = 0.5 * record.rate, finding.span[1] - finding.span[0]
     shown = (max(low - _MARGIN * width, 0.0), min(high + _MARGIN * width, nyquist))
     frequency = np.arange(1, record.n) * record.rate / (2.0 * record.n)
     near = (shown[0] <= frequency) & (frequency <= shown[1])
-    power, f = record.z[near] ** 2, frequency[near]
+    power, f = record.whitened_coefficients[near] ** 2, frequency[near]
     edges = np.unique(np.linspace(0, len(f), min(_POINTS, len(f)) + 1).astype(int))[:-1]
     # Where many coefficients share a point, the largest of a line: it must not be averaged away.
     line = finding.cause == "sinusoid"
@@ -375,7 +380,7 @@ def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
         mended = [pair for pair in finding.discrepancies if pair[0].p_value < UNEXPLAINED]
         lines += ["", "before → after:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_TOLD]:
-            lines.append(f"{what(before)} → {left(before, after)}")
-    text = literal("\n".join(filled(line, _COLUMNS) for line in lines))
+            lines.append(f"{what(before)} → {format_remainder(before, after)}")
+    text = literal("\n".join(wrap(line, _COLUMNS) for line in lines))
     written = panel.text(0.0, 1.0, text, va="top", transform=panel.transAxes, linespacing=1.35)
     written.set_in_layout(False)

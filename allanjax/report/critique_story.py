@@ -19,7 +19,7 @@ from allanjax.critic.result import (
 from allanjax.estimate.misfit import LIMIT
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
-from allanjax.report.critique_words import describe, factor_off, filled, p_value, parameters, percent, what
+from allanjax.report.critique_words import describe, factor_off, p_value, parameters, percent, what, wrap
 
 #: A discrepancy with a larger p-value is not worth a word: of some fourteen an axis, a few are small anyway.
 UNEXPLAINED = 1e-4
@@ -53,7 +53,7 @@ def story(critique: Critique) -> str:
         lines += ["", _wrapped(f"{dead.axis.name}: not compared: {dead.reason}", "", "  ")]
     for finding in critique.shared_findings:
         lines += ["", _wrapped(sentence(finding), "", "  ")]
-        lines += told(finding, critique[finding.axes[0]].axis)
+        lines += format_changes(finding, critique[finding.axes[0]].axis)
     notes = [_wrapped(f"note: {note}", "", "  ") for note in critique.notes]
     return "\n".join([*lines, *([""] if notes else []), *notes])
 
@@ -92,12 +92,12 @@ def paragraph(finding: Finding, known: str = "") -> str:
     if finding.cause == "unexplained":
         return f"unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
     cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding.parameters)])
-    pair = telling(finding)
+    pair = headline_discrepancy(finding)
     if pair is None:
         text = f"{cause} ({p_value(finding.p_value)}). "
     else:
         wrong = f"{describe(pair[0])}. "
-        text = f"{wrong if what(pair[0]) != known else ''}Cause: {cause}. After: {left(*pair)}; "
+        text = f"{wrong if what(pair[0]) != known else ''}Cause: {cause}. After: {format_remainder(*pair)}; "
     text += f"{'Gain' if pair is None else 'gain'} {nats(finding.gain)} on held-out data."
     if finding.rivals:
         rivals = ", ".join(f"{r.cause.replace('_', ' ')} (1 : {r.odds:,.2g})" for r in finding.rivals)
@@ -105,7 +105,7 @@ def paragraph(finding: Finding, known: str = "") -> str:
     return text
 
 
-def telling(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
+def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
     """What the finding mended most, if it was plainly wrong before."""
     pairs = [p for p in finding.discrepancies if p[0].p_value < UNEXPLAINED and _much(p)]
     best = max(pairs, key=_mended, default=None)
@@ -125,7 +125,7 @@ def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
     return float(after - before)
 
 
-def left(before: Discrepancy, after: Discrepancy) -> str:
+def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
     """What remains of a discrepancy, e.g. "within 0.5 %"."""
     if before.statistic in _RATIOS and np.isfinite(after.size):
         if after.p_value < UNEXPLAINED:
@@ -134,7 +134,7 @@ def left(before: Discrepancy, after: Discrepancy) -> str:
     return "gone" if after.p_value > UNEXPLAINED else f"still there ({p_value(after.p_value)})"
 
 
-def told(finding: Finding, axis: Axis) -> list[str]:
+def format_changes(finding: Finding, axis: Axis) -> list[str]:
     """What the finding changes, in one line if anything."""
     text = "; ".join(changes(finding, axis))
     return [_wrapped(text, "    ", "    ")] if text else []
@@ -176,7 +176,7 @@ def _of_axis(axis: AxisCritique, shared: set[str]) -> list[str]:
     known = what(wrong[0]) if wrong else ""
     lines = [_wrapped(f"{name}: {_headline(wrong, count)}", "", "  ")]
     for finding in causes:
-        lines += [_wrapped(paragraph(finding, known), "  - ", "    "), *told(finding, axis.axis)]
+        lines += [_wrapped(paragraph(finding, known), "  - ", "    "), *format_changes(finding, axis.axis)]
     lines.append(
         _wrapped(_unexplained(remains) if remains else f"left: nothing, all {count} tests pass", "  ")
     )
@@ -206,7 +206,7 @@ def _unexplained(remains: Sequence[Discrepancy]) -> str:
 
 
 def _wrapped(text: str, first: str, rest: str | None = None) -> str:
-    return filled(text, _WIDTH, first, f"{first}  " if rest is None else rest)
+    return wrap(text, _WIDTH, first, f"{first}  " if rest is None else rest)
 
 
 def _coefficient(c: CoefficientChange, axis: Axis) -> str:

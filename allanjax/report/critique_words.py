@@ -155,7 +155,7 @@ def _factor(x: float) -> str:
     return f"{x:.2g}" if x < 10.0 else f"{x:,.0f}" if x < 1e6 else f"{x:.0e}"
 
 
-def filled(text: str, width: int, first: str = "", rest: str = "") -> str:
+def wrap(text: str, width: int, first: str = "", rest: str = "") -> str:
     """Broken into lines, not between a number and its unit."""
     kept = _TOGETHER.sub("\u00a0", text)
     lines = textwrap.wrap(

@@ -76,7 +76,7 @@ class Residual:
     off: float
 
 
-def look() -> AbstractContextManager[None]:
+def style() -> AbstractContextManager[None]:
     """The settings under which a picture is drawn."""
     import matplotlib
 
@@ -96,7 +96,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
         figure.savefig(path, dpi=130)
 
 
-def finished(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
+def save_and_close(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
     """The figure, saved if there is a path.
 
     Figures do not pile up in pyplot: one that is saved is closed there, and so is, where there are no windows

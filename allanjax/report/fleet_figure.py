@@ -16,7 +16,7 @@ from allanjax.fleet.fleet import FleetResult
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor
-from allanjax.report.figure import POINTS, finished, literal, look
+from allanjax.report.figure import POINTS, literal, save_and_close, style
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -95,7 +95,7 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
     key_columns = max(int(_ENTRIES * (width - _LEFT - _RIGHT)), 1)
     top = _TOP + _TITLE_LINE * (len(facts) - 1) + _LINE_HEIGHT * (1 + -(-len(keys) // key_columns))
     height = top + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
-    with look():
+    with style():
         figure = plt.figure(figsize=(width, height))
         _draw_title(figure, table["recording"].nunique(), facts, keys, key_columns)
         for row, coefficient in enumerate(coefficients):
@@ -107,7 +107,7 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
                 bottom = height - top - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
                 place = (left / width, bottom / height, _PANEL_WIDTH / width, _PANEL_HEIGHT / height)
                 _draw_panel(figure.add_axes(place), of, coefficient, sensor, groups)
-        return finished(figure, path)
+        return save_and_close(figure, path)
 
 
 def plot_fleet_result(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -> Figure:

@@ -29,11 +29,11 @@ from allanjax.report.figure import (
     draw_title,
     facts_of,
     figure_with,
-    finished,
-    look,
     only_one,
     rows_of,
+    save_and_close,
     set_scales,
+    style,
     wrapped,
 )
 from allanjax.report.guides import draw_slopes
@@ -79,7 +79,7 @@ def plot_several(
     if of_curves and len(of_curves) < len(names):
         raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
     rows = rows_of(names, of_curves or None, axes)
-    with look():
+    with style():
         if ax is not None:
             name = names[only_one(rows)]
             _draw({name: ax}, curves, known[name])
@@ -104,7 +104,7 @@ def plot_several(
                 panels[names[k]].set_xlabel("cluster time T [s]")
                 draw_key(cells.key(figure, i, column), cells, keys[k])
             _draw(panels, curves, known[names[row[0]]])
-        return finished(figure, path)
+        return save_and_close(figure, path)
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:

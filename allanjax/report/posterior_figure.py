@@ -16,7 +16,7 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.units import unit_scale
-from allanjax.report.figure import finished, literal
+from allanjax.report.figure import literal, save_and_close
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,7 +95,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
                 else:
                     _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
                 _label(panel, marginals, row, column)
-        return finished(figure, path)
+        return save_and_close(figure, path)
 
 
 def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) -> None:
@@ -252,7 +252,7 @@ def plot_posterior(
             left.set_title(f"{result.axis.name}{state}", loc="left", fontweight="bold")
             for panel in (left, right):
                 _finish(panel)
-        return finished(figure, path)
+        return save_and_close(figure, path)
 
 
 def _axis_index(curve: AllanDeviation, result: AxisPosterior) -> int:

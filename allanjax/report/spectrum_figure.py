@@ -23,12 +23,12 @@ from allanjax.report.figure import (
     draw_title,
     facts_of,
     figure_with,
-    finished,
-    look,
     marks,
     only_one,
     rows_of,
+    save_and_close,
     set_scales,
+    style,
     term_entry,
     term_style,
     wrapped,
@@ -88,10 +88,10 @@ def plot_psd(
     rows = rows_of(spectrum.names, spectrum.axes, [axes] if isinstance(axes, str) else axes)
     results = {} if fit is None else {k: _result(spectrum, fit, k) for row in rows for k in row}
     if ax is not None:
-        with look():
+        with style():
             _draw_into(ax, only_one(rows), spectrum, fit, results)
             return figure_with(ax, path)
-    with look():
+    with style():
         walks = {k: _random_walk(spectrum, k) for row in rows for k in row}
         keys = {k: _key(fit, results.get(k), walks[k], spectrum) for k in walks}
         cells = Cells.of(rows, keys, has_strip=fit is not None)
@@ -100,7 +100,7 @@ def plot_psd(
         draw_title(figure, cells, title, facts_of(spectrum.n, spectrum.rate), has_model=fit is not None)
         for i, row in enumerate(rows):
             _draw_row(figure, cells, i, row, spectrum, fit, results, walks, keys)
-        return finished(figure, path)
+        return save_and_close(figure, path)
 
 
 def plot_spectrum(

@@ -19,11 +19,11 @@ from allanjax.critic.causes.outliers import Outliers, _scores
 from allanjax.critic.causes.resonance import _conspicuous
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange
-from allanjax.critic.filling import _predicted, filled
+from allanjax.critic.gap_filling import _predicted, impute_gaussian
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, family_of
-from allanjax.critic.pair import best_pair
 from allanjax.critic.search import _grouped, search
 from allanjax.critic.step import Step
+from allanjax.critic.template_pairs import best_pair
 from allanjax.critic.view import EVERYTHING, in_time
 from allanjax.estimate.evidence import evidences
 
@@ -74,7 +74,7 @@ def test_two_shapes_are_the_best_of_all_pairs():
     gains = np.array(list(every.values()))
     price = gains.max() - np.logaddexp.reduce(gains) + np.log(len(gains))
     # One place after the other, the pairs' mean is known to a factor of e.
-    assert pair.price == pytest.approx(price, abs=1.0)
+    assert pair.log_trials_factor == pytest.approx(price, abs=1.0)
 
 
 def test_a_step_remains_where_a_second_one_does_not_hold():
@@ -97,7 +97,7 @@ def test_two_steps_that_undo_each_other_are_both_found():
     x = rng.standard_normal(n) + 0.35 * ((k >= there * n) & (k < back * n))
     found = search(view_of(x), [BiasStep()], 2e-3, lambda text: None)
     assert [step.candidate.cause for step in found.steps] == ["bias_step", "bias_step"]
-    steps = sorted(found.steps, key=lambda step: step.candidate.span)
+    steps = sorted(found.steps, key=lambda step: step.candidate.support)
     for step, time, amplitude in zip(steps, (there, back), (0.35, -0.35), strict=True):
         for name, truth in (("time", time * n / RATE), ("amplitude", amplitude)):
             q = step.candidate.parameters[name]
@@ -148,9 +148,9 @@ def test_the_ends_of_a_quantized_record_are_no_outliers():
     rng, far, uncorrected = np.random.default_rng(6), 0, 0
     for _ in range(300):
         view = view_of(quantized(512, rng, 0.1))
-        plain = view.spikes[0] / view.spikes[1]
+        plain = view.loo_residuals[0] / view.loo_residuals[1]
         ends = [0, -1]
-        far += int(np.sum(abs(_scores(view, view.spikes[1])[ends]) > 3.3))
+        far += int(np.sum(abs(_scores(view, view.loo_residuals[1])[ends]) > 3.3))
         uncorrected += int(np.sum(abs(plain[ends]) > 3.3))
     assert far <= 4
     # Else the test would show nothing.
@@ -208,7 +208,7 @@ def test_the_chosen_set_is_the_best_of_all_sets(seed, allowed):
     rng = np.random.default_rng(seed)
     x = quantized(5000, rng) + np.cumsum(0.01 * rng.standard_normal(5000))
     view = view_of(x, allowed)
-    family, weighing = view.family, view.weighing
+    family, weighing = view.family, view.model_evidence
     grid = family.columns[len(FIXED) :]
     share = np.ones((1, len(family.size)))
     every = evidences(family.jobs, weighing.levels, family.columns[: len(FIXED)], grid, family.size, share)
@@ -234,8 +234,8 @@ def test_a_ramp_that_the_noise_has_is_no_part_of_the_residuals():
     assert view.noise.terms == ("angle_random_walk", RAMP)
     ends = np.abs(np.linspace(-1.0, 1.0, n)) > 0.9
     # Against the true white noise, whose two estimated parameters are known to n^(−1/2).
-    assert np.mean(view.e[ends] ** 2) == pytest.approx(np.mean(white[ends] ** 2), rel=0.02)
-    assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
+    assert np.mean(view.whitened[ends] ** 2) == pytest.approx(np.mean(white[ends] ** 2), rel=0.02)
+    assert view.recoloured(view.whitened) == pytest.approx(view.samples, abs=1e-9)
     assert VarianceChange().p_value(view) > 0.01
 
 
@@ -262,7 +262,7 @@ def test_samples_are_filled_in_by_the_spectrum_that_the_record_has(gaps):
         first = rng.choice(N - 10, 900, replace=False)
         for k, length in zip(first, np.minimum(rng.geometric(0.7, len(first)), 6), strict=True):
             missing[k : k + length] = True
-    c = filled(view_of(np.where(missing, 0.0, x)), missing).c
+    c = impute_gaussian(view_of(np.where(missing, 0.0, x)), missing).coefficients
     frequency = np.arange(1, N) * RATE / (2.0 * N)
     expected = abs(freqz(*butter(2, CORNER, fs=RATE), frequency, fs=RATE)[1]) ** 2
     # In a thousand coefficients each, down to 45 dB below the passband.
@@ -305,7 +305,7 @@ def test_no_filter_is_found_in_unfiltered_noise(seed):
     """Also where one is tried that stops nearly all: a record whose ends are replaced is another record."""
     samples = draw(seed, None, duration=600.0, rate=100.0).values[:, 0]
     candidate = LowPass().detect(view_of(samples))
-    assert candidate is None or candidate.gain < LowPass.margin
+    assert candidate is None or candidate.gain < LowPass.min_log_odds
 
 
 def test_an_analog_filter_is_found_and_its_deep_stop_band_does_no_harm():
@@ -341,7 +341,7 @@ def test_nothing_is_left_of_what_a_strong_filter_stops():
     """Deep in the stop band the two ends of the record are loud; they are neither noise nor an effect."""
     x = behind_a_filter(N, np.random.default_rng(6))
     after = LowPass().detect(view_of(x)).after
-    squares = after.e**2 - 1.0
+    squares = after.whitened**2 - 1.0
     # 3.9: one of the 20 mean squares, of variance 2/N each, in 500 records.
     z = squares.reshape(20, -1).mean(axis=1) / np.sqrt(2.0 * 20 / N)
     assert np.max(abs(z)) < 3.9

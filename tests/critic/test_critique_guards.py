@@ -11,7 +11,7 @@ from allanjax.critic.causes.disturbance import Disturbance
 from allanjax.critic.causes.outliers import Outliers
 from allanjax.critic.causes.sinusoid import Sinusoid
 from allanjax.critic.causes.temperature import Temperature
-from allanjax.critic.search import Accepted, _chosen
+from allanjax.critic.search import AcceptanceRule, _chosen
 from allanjax.critic.view import FALSE_ALARMS, Candidate
 
 RATE = 50.0
@@ -89,7 +89,7 @@ MARGINS = {
 
 
 def test_margins_are_those_that_false_findings_were_counted_for():
-    assert {cause.name: cause.margin for cause in CAUSES} == {
+    assert {cause.name: cause.min_log_odds for cause in CAUSES} == {
         c.name: MARGINS.get(c.name, 3.0) for c in CAUSES
     }
     assert FALSE_ALARMS == 0.01
@@ -105,7 +105,7 @@ def test_a_finding_is_significant_beyond_its_margin_and_holds_on_other_data(gain
     view = view_of(np.random.default_rng(24).standard_normal(512), WHITE)
     cause = Outliers()
     candidate = Candidate("outliers", {}, gain, p_value, view, lambda: held_out, (0.0, 1.0), "time")
-    step = _chosen([(cause, candidate)], view, Accepted.of(FALSE_ALARMS, [cause]))
+    step = _chosen([(cause, candidate)], view, AcceptanceRule.of(FALSE_ALARMS, [cause]))
     assert (step is not None) is found
 
 
@@ -116,7 +116,7 @@ def test_the_next_best_is_taken_where_the_best_does_not_hold():
         Candidate("outliers", {}, gain, 1e-9, view, lambda held=held: held, (0.0, 1.0), "time")
         for gain, held in ((20.0, -1.0), (10.0, 4.0))
     )
-    step = _chosen([(cause, second), (cause, best)], view, Accepted.of(FALSE_ALARMS, [cause]))
+    step = _chosen([(cause, second), (cause, best)], view, AcceptanceRule.of(FALSE_ALARMS, [cause]))
     assert step.candidate is second
     assert step.gain == 4.0
 
@@ -144,8 +144,8 @@ def test_a_temperature_is_taken_out_with_its_lag(lag):
     inside = t > lag
     for shift in (0.0, np.pi / 2.0):
         wave = np.sin(2.0 * np.pi * t / period - shift)[inside]
-        rest = found.after.x[inside] - found.after.x[inside].mean()
+        rest = found.after.samples[inside] - found.after.samples[inside].mean()
         amplitude = rest @ wave / (wave @ wave)
         assert abs(amplitude) < 0.25
     # What is left has the variance of the noise.
-    assert found.after.x[inside].std() == pytest.approx(1.0, abs=0.02 + 4.0 / np.sqrt(2.0 * n))
+    assert found.after.samples[inside].std() == pytest.approx(1.0, abs=0.02 + 4.0 / np.sqrt(2.0 * n))

@@ -11,22 +11,22 @@ from scipy.stats import kstest
 from allanjax.critic.bank import step_bank
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.variance_change import VarianceChange
-from allanjax.critic.marginal import _products, log_evidence
-from allanjax.critic.search import Accepted
+from allanjax.critic.model_evidence import Sets
+from allanjax.critic.search import AcceptanceRule
+from allanjax.critic.template_evidence import _products, log_evidence
 from allanjax.critic.view import FALSE_ALARMS, Candidate
-from allanjax.critic.weighing import Sets
 
 DECADES = np.log1p(1e4)
 #: Amplitudes that such records hardly tell from none: below, the prior is uniform.
 KNEES = {"angle_random_walk": 0.25, "rate_random_walk": 0.12}
-LEVELS, LARGEST = 30, 300.0
+Levels, LARGEST = 30, 300.0
 
 
 def levels(name):
     """Coefficients, and the logarithms of their prior probabilities, half of which is that of none."""
     top = np.log1p(LARGEST)
-    y = (np.arange(LEVELS) + 0.5) * top / LEVELS
-    return [(0.0, 0.0), *((KNEES[name] * np.expm1(u), np.log(top / LEVELS / DECADES)) for u in y)]
+    y = (np.arange(Levels) + 0.5) * top / Levels
+    return [(0.0, 0.0), *((KNEES[name] * np.expm1(u), np.log(top / Levels / DECADES)) for u in y)]
 
 
 def summed_odds(x, steps):
@@ -61,9 +61,9 @@ def odds(x):
         for _ in range(2):
             scan = bank.scan(view, noise)
             k, a = scan.best, float(scan.amplitude[scan.best])
-            after = view.with_x(x - a * (np.arange(N) >= places[k]))
+            after = view.with_samples(x - a * (np.arange(N) >= places[k]))
             noise = after.noise
-        found.append(log_evidence(view, after, bank, k, a) - view.total)
+        found.append(log_evidence(view, after, bank, k, a) - view.log_evidence)
     return max(found), summed_odds(x, (np.arange(N) >= places[:, None]).astype(float))
 
 
@@ -93,7 +93,7 @@ def test_products_leave_out_what_is_free():
     bank, places = step_bank(N)
     beside = bank.shapes[len(places) // 4]
     view = dataclasses.replace(view_of(x), beside=(beside,))
-    noise = view.weighing.best(("angle_random_walk", "rate_random_walk", "drift_ramp"), ("drift_ramp",))
+    noise = view.model_evidence.best(("angle_random_walk", "rate_random_walk", "drift_ramp"), ("drift_ramp",))
     level = sum(p * view.family.unit(name, 0)[0] for name, p in noise.power.items())
     sets = Sets(np.zeros(2), np.stack([level, level]), np.array([True, False]))
     # What was found twice is no reason to fail.
@@ -124,9 +124,9 @@ def test_of_six_axes_each_may_have_a_sixth_of_the_false_findings():
     step = Candidate("bias_step", {}, 2.0, 1e-3, view_of(x), lambda: 1.0, (0.0, 1.0), "time")
     cause = BiasStep()
     for axes in (1, 6):
-        accepted = Accepted.of(FALSE_ALARMS / axes, [cause])
-        least = cause.margin + float(np.log(axes))
+        accepted = AcceptanceRule.of(FALSE_ALARMS / axes, [cause])
+        least = cause.min_log_odds + float(np.log(axes))
         for gain in (least - 0.01, least + 0.01):
-            assert accepted.by(dataclasses.replace(step, gain=gain), cause) is (gain > least)
-        probable = dataclasses.replace(step, gain=10.0, p_value=1.01 * cause.level / axes)
-        assert not accepted.by(probable, cause)
+            assert accepted.accepts(dataclasses.replace(step, gain=gain), cause) is (gain > least)
+        probable = dataclasses.replace(step, gain=10.0, p_value=1.01 * cause.max_p / axes)
+        assert not accepted.accepts(probable, cause)

@@ -18,8 +18,8 @@ from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.causes.saturation import Saturation
 from allanjax.critic.causes.sinusoid import refined
 from allanjax.critic.causes.telegraph import Telegraph, _chain, _noise, two_levels
-from allanjax.critic.filling import filled
 from allanjax.critic.gain import coefficient_changes, drift_changes
+from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
@@ -102,7 +102,7 @@ def test_filled_samples_have_the_conditional_law(monkeypatch):
     view = view_of(np.where(missing, 50.0, x), kind=Known)
     # Every draw of a record takes the same seed otherwise.
     monkeypatch.setattr(np.random, "default_rng", lambda seed=None: rng)
-    draws = np.array([filled(view, missing).x for _ in range(1500)])
+    draws = np.array([impute_gaussian(view, missing).samples for _ in range(1500)])
     assert np.all(draws[:, ~missing] == x[~missing])
     C = dense(N) + 1e6 * np.ones((N, N))  # of any offset
     weights = np.linalg.solve(C[np.ix_(~missing, ~missing)], C[np.ix_(~missing, missing)]).T
@@ -112,7 +112,7 @@ def test_filled_samples_have_the_conditional_law(monkeypatch):
     z = np.linalg.solve(root, (draws[:, missing] - mean).T)
     assert np.mean(z, axis=1) == pytest.approx(0.0, abs=4.0 / np.sqrt(1500))
     assert np.cov(z) == pytest.approx(np.eye(len(z)), abs=4.0 * np.sqrt(2.0 / 1500))
-    assert filled(view, missing).restored.tolist() == missing.tolist()
+    assert impute_gaussian(view, missing).restored.tolist() == missing.tolist()
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0, 3.0])
@@ -146,7 +146,7 @@ def test_what_was_clipped_is_restored_beyond_its_limit(limits):
     clipped = np.clip(x, lower, upper)
     found = Saturation().detect(view_of(clipped))
     assert found is not None
-    restored = found.after.x
+    restored = found.after.samples
     assert np.all(restored[x < lower] <= lower)
     assert np.all(restored[x > upper] >= upper)
     np.testing.assert_array_equal(restored[clipped == x], x[clipped == x])
@@ -344,9 +344,9 @@ def test_drift_and_coefficients_are_those_of_simulations():
 def test_views_keep_what_they_are_made_of():
     view = view_of(np.random.default_rng(14).standard_normal(N))
     half = np.full(N - 1, 0.5)
-    twice = view.behind(half).behind(half)
+    twice = view.with_factor(half).with_factor(half)
     assert twice.factor == pytest.approx(0.25 * np.ones(N - 1))
-    assert view.recoloured(view.e) == pytest.approx(view.x, abs=1e-9)
+    assert view.recoloured(view.whitened) == pytest.approx(view.samples, abs=1e-9)
     assert dataclasses.replace(view, found=("sinusoid",)).found == ("sinusoid",)
 
 
@@ -405,7 +405,7 @@ def test_the_gain_is_what_other_records_of_the_sensor_gain():
         after, c = candidate.after, centred(other)
         gained = 0.0
         for found, sign in ((after, 1.0), (view, -1.0)):
-            v, rest = found.variance(), c - centred(view.x - found.x)
+            v, rest = found.variance(), c - centred(view.samples - found.samples)
             ramp = found.family.ramp
             rest = rest - (ramp / v @ rest) / (ramp / v @ ramp) * ramp if found.noise.ramp else rest
             gained -= 0.5 * sign * float(np.sum(np.log(v) + rest**2 / v))

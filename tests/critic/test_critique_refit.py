@@ -12,7 +12,7 @@ from allanjax.critic.causes.resonance import Resonance
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.refit import refitted
 from allanjax.critic.search import search
-from allanjax.critic.step import Step, strung
+from allanjax.critic.step import Step, replay
 
 # One length for all: one compilation.
 N, RATE = 30_000, 50.0
@@ -65,24 +65,24 @@ def test_of_two_findings_that_are_nothing_beside_each_other_one_is_dropped():
     first = Step.of(wrong, 1.0, (), view)
     right = BiasStep().again(wrong.after)
     second = Step.of(right, 1.0, (), wrong.after)
-    both = right.after.having("warm_up", "bias_step")
+    both = right.after.with_findings("warm_up", "bias_step")
     steps, end = refitted([first, second], both, [BiasStep(), WarmUp()])
     assert len(steps) == len(end.found) == 1
     assert steps[0].candidate.cause == end.found[0]
     # All that is left taken out is its own.
-    assert x - end.x == pytest.approx(steps[0].change.path, abs=1e-12)
+    assert x - end.samples == pytest.approx(steps[0].change.path, abs=1e-12)
 
 
 def test_steps_are_strung_together_to_the_end_that_they_have():
     x = np.random.default_rng(4).standard_normal(N) + 1.5 * SHAPES[0] - 1.2 * SHAPES[1]
     found = searched(x, BiasStep(), WarmUp())
     for before, after in zip(found.steps[:-1], found.steps[1:], strict=True):
-        assert after.before.x == pytest.approx(before.candidate.after.x, abs=1e-12)
-    assert found.steps[0].before.x == pytest.approx(x, abs=1e-12)
-    assert found.steps[-1].candidate.after.x == pytest.approx(found.end.x, abs=1e-12)
+        assert after.before.samples == pytest.approx(before.candidate.after.samples, abs=1e-12)
+    assert found.steps[0].before.samples == pytest.approx(x, abs=1e-12)
+    assert found.steps[-1].candidate.after.samples == pytest.approx(found.end.samples, abs=1e-12)
     # In the other order it is the same end.
-    other = strung(found.start, found.steps[::-1])
-    assert other[-1].candidate.after.x == pytest.approx(found.end.x, abs=1e-12)
+    other = replay(found.start, found.steps[::-1])
+    assert other[-1].candidate.after.samples == pytest.approx(found.end.samples, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from scipy.stats import kstest
 
 import allanjax as aj
-from allanjax.critic.comparison import Whitened, allan_law, octave_bins, summaries
+from allanjax.critic.comparison import StageResiduals, allan_law, octave_bins, summaries
 from allanjax.critic.discrepancies import discrepancies
 from allanjax.critic.noise import centred, family_of
 from allanjax.critic.result import Snapshot
@@ -30,7 +30,7 @@ def variance():
 def record(x, variance, powers=None):
     """Of a model whose levels are known exactly unless there are `powers`."""
     powers = powers or {}
-    return Whitened.of(AXIS, DEG, RATE, Snapshot(x, variance, tuple(powers), powers, float("nan"), 0.0))
+    return StageResiduals.of(AXIS, DEG, RATE, Snapshot(x, variance, tuple(powers), powers, float("nan"), 0.0))
 
 
 def drawn(variance, rng):
@@ -128,7 +128,9 @@ def test_a_ramp_is_taken_out(variance):
     x = drawn(variance, np.random.default_rng(5))
     tilted = x + 0.01 * np.arange(N) / RATE
     snapshot = Snapshot(tilted, variance, (), {}, float("nan"), 0.01)
-    np.testing.assert_allclose(Whitened.of(AXIS, DEG, RATE, snapshot).c, centred(x), atol=1e-9)
+    np.testing.assert_allclose(
+        StageResiduals.of(AXIS, DEG, RATE, snapshot).coefficients, centred(x), atol=1e-9
+    )
 
 
 def test_a_line_is_noticed_at_its_frequency(variance):
@@ -146,7 +148,7 @@ def test_a_line_is_noticed_at_its_frequency(variance):
 def test_louder_noise_is_noticed_when_it_is(variance):
     rng = np.random.default_rng(7)
     w = record(drawn(variance, rng), variance)
-    e = w.e.copy()
+    e = w.whitened.copy()
     inside = slice(N // 2, N // 2 + N // 8)
     e[inside] *= np.sqrt(2.0)
     x = idct(np.concatenate([[0.0], centred(e) * np.sqrt(variance)]), norm="ortho")

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import allanjax as aj
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.app import app
-from allanjax.critic.comparison import Whitened
+from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import discrepancies, mended
 from allanjax.critic.noise import family_of
 from allanjax.critic.result import (
@@ -31,8 +31,8 @@ from allanjax.critic.view import Quantity
 from allanjax.record.io import write
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.report.critique_figure import plot_critique
-from allanjax.report.critique_story import left, sentence, telling
-from allanjax.report.critique_words import describe, filled, parameters, quantity, suited
+from allanjax.report.critique_story import format_remainder, headline_discrepancy, sentence
+from allanjax.report.critique_words import describe, parameters, quantity, suited, wrap
 
 N, RATE = 8192, 100.0
 MG = 9.80665e-3
@@ -53,10 +53,10 @@ def critique_of(findings):
     noise, other = rng.standard_normal((2, N)) * WALK * np.sqrt(RATE)
     t = np.arange(N) / RATE
     stages = (snapshot(noise + 5.0 * MG * np.cos(2.0 * np.pi * 0.552 * t)), snapshot(noise))
-    records = [Whitened.of(ACCEL, MG, RATE, s) for s in stages]
-    before, after = (discrepancies(record, record.x) for record in records)
+    records = [StageResiduals.of(ACCEL, MG, RATE, s) for s in stages]
+    before, after = (discrepancies(record, record.samples) for record in records)
     clean = (snapshot(other),)
-    same = discrepancies(Whitened.of(GYRO, np.pi / 180.0, RATE, clean[0]), other)
+    same = discrepancies(StageResiduals.of(GYRO, np.pi / 180.0, RATE, clean[0]), other)
     model = aj.Model((aj.AngleRandomWalk(WALK),))
     extended = model + aj.Sinusoid(5.0 * MG, 0.552)
     (pairs,) = mended(records)
@@ -107,7 +107,7 @@ def words(text):
 
 def test_the_story_says_what_is_wrong_why_and_what_else_it_might_be(critique):
     told = words(critique)
-    wrong, _ = telling(critique["accel_x"].findings[0])
+    wrong, _ = headline_discrepancy(critique["accel_x"].findings[0])
     worst = next(d for d in critique["accel_x"].before if d.statistic == "allan_deviation")
     assert worst.p_value < 1e-4
     assert told.startswith("bench: 1 finding in 2 axes, worth 5,310 nats on held-out data accel_x: simulated")
@@ -129,16 +129,16 @@ def test_the_story_says_what_is_wrong_why_and_what_else_it_might_be(critique):
 
 def test_a_finding_by_itself_says_what_it_mended(critique):
     (finding,) = critique["accel_x"].findings
-    before, after = telling(finding)
+    before, after = headline_discrepancy(finding)
     assert str(finding).startswith(f"accel_x: {describe(before)}. Cause: sinusoid")
     assert (before.statistic, before.where) == (after.statistic, after.where)
     assert before.p_value < 1e-4 < after.p_value
 
 
 def test_what_a_finding_did_not_mend_it_is_not_credited_with(critique):
-    pair = telling(LINE_WITH := critique["accel_x"].findings[0])
+    pair = headline_discrepancy(LINE_WITH := critique["accel_x"].findings[0])
     useless = dataclasses.replace(LINE_WITH, discrepancies=((pair[0], pair[0]),))
-    assert telling(useless) is None
+    assert headline_discrepancy(useless) is None
     assert str(useless).startswith("accel_x: sinusoid, frequency")
     assert "(p = 1e-60). Gain" in str(useless)
 
@@ -149,7 +149,7 @@ def test_every_finding_has_its_own_before_and_after():
     t = np.arange(N) / RATE
     slow, fast = (MG * np.cos(2.0 * np.pi * f * t) for f in (0.552, 11.0))
     stages = (snapshot(noise + slow + fast), snapshot(noise + fast), snapshot(noise))
-    first, second = mended([Whitened.of(ACCEL, MG, RATE, s) for s in stages])
+    first, second = mended([StageResiduals.of(ACCEL, MG, RATE, s) for s in stages])
     for pairs, f in ((first, 0.552), (second, 11.0)):
         lines = {before.statistic: (before, after) for before, after in pairs}
         before, after = lines["psd_line"]
@@ -222,7 +222,7 @@ def test_units_that_have_no_finer_one_stay():
 def test_lines_do_not_break_between_a_number_and_its_unit():
     text = "frequency 0.552 ± 0.001 Hz (p = 1e-30) at τ = 0.7 s"
     for width in range(12, 60):
-        lines = filled(text, width).splitlines()
+        lines = wrap(text, width).splitlines()
         assert " ".join(lines) == text
         assert not any(line.startswith(("±", "Hz", "=", "s")) or line.endswith(("=", "±")) for line in lines)
 
@@ -255,7 +255,7 @@ def test_sizes(measured, simulated, text):
 )
 def test_what_is_left(simulated, p, text):
     d = Discrepancy("psd", 0.5, "Hz", 1.0, simulated, "mg²/Hz", 1e-30)
-    assert left(d, dataclasses.replace(d, p_value=p)) == text
+    assert format_remainder(d, dataclasses.replace(d, p_value=p)) == text
 
 
 # --- Pictures -----------------------------------------------------------------------------------------------

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import Bank
-from allanjax.critic.marginal import log_evidence
+from allanjax.critic.model_evidence import SETS, odds
+from allanjax.critic.template_evidence import log_evidence
 from allanjax.critic.view import Candidate, Quantity, View
-from allanjax.critic.weighing import SETS, odds
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
@@ -60,7 +60,7 @@ def additive(
                 tried.add(k)
                 taken, a = k, float(scan.amplitude[k])
                 if exact:
-                    after = view.with_x(view.x - a * shape(k))
+                    after = view.with_samples(view.samples - a * shape(k))
                     noise = after.noise
                 else:
                     noise = view.noise_without(a * bank.shapes[k])
@@ -68,7 +68,7 @@ def additive(
                 if scan.best == k:
                     break
                 k = scan.best
-        gain = log_evidence(view, after, bank, taken, a) - view.total - more
+        gain = log_evidence(view, after, bank, taken, a) - view.log_evidence - more
         if best is None or gain > best.gain:
             best = Candidate(
                 cause,
@@ -80,7 +80,7 @@ def additive(
                 span(k),
                 "time",
                 adding(term and term(k, float(scan.amplitude[k]))),
-                shaped=True,
+                has_waveform=True,
             )
             searched, place = (noise, float(scan.snr[k])), (k, float(scan.amplitude[k]))
     if best is None or not best.gain > 0.0:
@@ -99,7 +99,7 @@ def known(
     In noise that drifts a step is known by the samples next to it, in white noise by all: where the record
     does not tell which noise it is, both count.
     """
-    sets = after.weighing.likely(after.allowed, most=SETS)
+    sets = after.model_evidence.likely(after.allowed, most=SETS)
     variance, likelihood = 0.0, np.zeros(len(bank.shapes))
     for noise, share in zip(sets, odds(sets), strict=True):
         if share > 0.0:

@@ -10,9 +10,9 @@ from scipy.stats import chi2
 
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.causes.spectral import SHAPE, FineLevels, limited, relative_errors
+from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, coefficient_folds
-from allanjax.critic.weighing import SETS, odds
 from allanjax.estimate.selection import basic_terms
 from allanjax.noise.terms import Markov
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -26,9 +26,9 @@ class BasicTerm(Cause):
     only whether there is anything.
     """
 
-    margin = 1.5
-    level = 0.05
-    joint = "at once"
+    min_log_odds = 1.5
+    max_p = 0.05
+    refit = "at once"
 
     def __init__(self, term: str) -> None:
         self.name = term
@@ -39,8 +39,8 @@ class BasicTerm(Cause):
         if term in view.allowed or (term == MARKOV and POWER_LAW in view.allowed):
             return None
         allowed = [*view.allowed, term]
-        noise = view.weighing.best(allowed, required=(term,))
-        gain = view.weighing.sets(allowed, required=(term,)).total - view.total
+        noise = view.model_evidence.best(allowed, required=(term,))
+        gain = view.model_evidence.sets(allowed, required=(term,)).total - view.log_evidence
         if gain <= 0.0 or (term != RAMP and term not in noise.power):
             return None
 
@@ -51,9 +51,9 @@ class BasicTerm(Cause):
                 # Its shape is known, and nearly all of it is in one coefficient: parts of the time, then.
                 shape = Bank(view.family.ramp[None, :SLOW])
                 return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
-            total = -view.foretold
+            total = -view.cv_log_likelihood
             for fold in coefficient_folds(view.n):
-                other = view.weighed(fold).best(allowed, required=(term,))
+                other = view.model_evidence_of(fold).best(allowed, required=(term,))
                 total += view.log_likelihood(other, ~fold)
             return total
 
@@ -70,7 +70,7 @@ class BasicTerm(Cause):
 
     def _parameters(self, view: View, allowed: Sequence[str], noise: Noise, term: str) -> dict[str, Quantity]:
         """Of the best set of terms, known no better than the sets that may be the right one agree."""
-        sets = view.weighing.likely(allowed, (term,), most=SETS)
+        sets = view.model_evidence.likely(allowed, (term,), most=SETS)
         found = [_value(view, other, term) for other in sets]
         value = _value(view, noise, term)[0]
         values, stds = np.transpose(found)
@@ -93,7 +93,7 @@ class BasicTerm(Cause):
 def _value(view: View, noise: Noise, term: str) -> tuple[float, float]:
     """The coefficient of a term [SI] in a set of terms, and its deviation."""
     if term == RAMP:
-        value, std = view.family.slope(view.c, view.variance(noise))
+        value, std = view.family.slope(view.coefficients, view.variance(noise))
         return abs(value), std
     value = float(np.sqrt(noise.power[term])) if term in noise.power else 0.0
     return value, 0.5 * relative_errors(view, noise)[term] * value if value else 0.0
@@ -105,7 +105,7 @@ def _p_value(view: View, term: str) -> float:
     An amplitude is at the boundary of what it can be.
     """
     present = view.noise.terms
-    noise = view.weighing.best([*present, term], required=[*present, term])
+    noise = view.model_evidence.best([*present, term], required=[*present, term])
     ratio = 2.0 * max(view.log_likelihood(noise) - view.log_likelihood(view.noise), 0.0)
     if term == MARKOV:
         return float(chi2.sf(ratio, 2))

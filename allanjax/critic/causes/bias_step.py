@@ -8,9 +8,9 @@ from functools import cache, partial
 
 import numpy as np
 
-from allanjax.critic.bank import FINEST, Bank, amplitude_price, step_bank, step_coefficients
+from allanjax.critic.bank import FINEST, Bank, log_occam_factor, step_bank, step_coefficients
 from allanjax.critic.causes.additive import adding, additive, known, mean_and_std, shape_parameter
-from allanjax.critic.pair import best_pair
+from allanjax.critic.template_pairs import best_pair
 from allanjax.critic.view import Candidate, Cause, Quantity, View
 from allanjax.noise import terms
 
@@ -25,13 +25,13 @@ class BiasStep(Cause):
 
     name = "bias_step"
     # The evidence is the test: of 900 records of sensors without an effect five have a step of such odds.
-    margin, level = 1.0, 0.01
-    joint = "at once"
+    min_log_odds, max_p = 1.0, 0.01
+    refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         found = self.again(view)
         if found is None or found.gain < _SURE:
-            least = self.margin + (0.0 if found is None else found.gain)
+            least = self.min_log_odds + (0.0 if found is None else found.gain)
             both = self._two(view, *step_bank(view.n), least)
             # Each of the two must hold on held-out data; else the one that was found stands.
             if both is not None and (found is None or both.held_out() > 0.0):
@@ -85,9 +85,9 @@ class BiasStep(Cause):
                 if pair.members == before.members:
                     break
             both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
-            after = view.with_x(view.x - both[0] - both[1])
-            gained = after.total - view.total - pair.price
-            gained -= float(np.sum(amplitude_price(pair.snr)))
+            after = view.with_samples(view.samples - both[0] - both[1])
+            gained = after.log_evidence - view.log_evidence - pair.log_trials_factor
+            gained -= float(np.sum(log_occam_factor(pair.snr)))
             if gained > gain:
                 gain, best = gained, (pair, both, after)
         if gain == least:
@@ -95,7 +95,7 @@ class BiasStep(Cause):
         pair, both, after = best
         first = self._beside(view, bank, places, pair.members[0], both, after)
         second = self._beside(view, bank, places, pair.members[1], both[::-1], after)
-        first = dataclasses.replace(first, after=view.with_x(view.x - both[0]))
+        first = dataclasses.replace(first, after=view.with_samples(view.samples - both[0]))
         return Candidate(
             self.name,
             first.parameters,
@@ -103,7 +103,7 @@ class BiasStep(Cause):
             min(max(first.p_value, second.p_value), float(np.exp(-gain))),
             after,
             lambda: min(first.held_out(), second.held_out()),
-            (min(first.span[0], second.span[0]), view.duration),
+            (min(first.support[0], second.support[0]), view.duration),
             "time",
             parts=(first, second),
         )
@@ -112,20 +112,20 @@ class BiasStep(Cause):
         self, view: View, bank: Bank, places: np.ndarray, k: int, steps: list[np.ndarray], without: View
     ) -> Candidate:
         """The first of two steps as a finding in the record without the other; its gain: what it adds."""
-        alone = view.with_x(view.x - steps[1])
+        alone = view.with_samples(view.samples - steps[1])
         scan = bank.scan(alone, without.noise)
         a = float(scan.amplitude[k])
         return Candidate(
             self.name,
             _parameters(view, places, a, *known(alone, without, bank, k, a)),
-            without.total - alone.total - scan.search_price,
+            without.log_evidence - alone.log_evidence - scan.log_trials_factor,
             bank.p_value(alone, without.noise, float(scan.snr[k])),
             without,
             cache(partial(bank.held_out, alone, without)),
             (float(places[k] / view.rate), view.duration),
             "time",
             adding(_term(view, places[k], a)),
-            shaped=True,
+            has_waveform=True,
         )
 
 

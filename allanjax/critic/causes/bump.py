@@ -60,7 +60,11 @@ class Spectrum:
         self._factor, self._frequency = self._mean(factor), self._mean(family.frequency)
         self._passes = 1.0 if view.passes is None else self._mean(view.passes)
         weight = self._used / factor
-        products = (weight * view.c**2, weight * family.ramp * view.c, weight * family.ramp**2)
+        products = (
+            weight * view.coefficients**2,
+            weight * family.ramp * view.coefficients,
+            weight * family.ramp**2,
+        )
         self._statistics = tuple(sums(z, self._first) for z in products)
         self._units: dict[tuple[str, int], Float[np.ndarray, " bins"]] = {}
 

@@ -8,7 +8,7 @@ from scipy.fft import dct
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import folds
-from allanjax.critic.filling import filled
+from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, View, in_time
 
 _SHORTEST = 0.1  # s
@@ -34,7 +34,7 @@ class Disturbance(Cause):
         quiet = view
         # Noise estimated with the motion in it has taken part of it for its own: once more, without.
         for _ in range(2):
-            e = in_time(view.c / np.sqrt(view.variance(quiet.noise)))
+            e = in_time(view.coefficients / np.sqrt(view.variance(quiet.noise)))
             e /= 1.4826 * float(np.median(abs(e)))
             squares = e**2
             loudest = _loudest(squares, block)
@@ -48,7 +48,7 @@ class Disturbance(Cause):
                 return None
             missing = np.zeros(view.n, bool)
             missing[max(start - block, 0) : end + block] = True
-            quiet = filled(view, missing)
+            quiet = impute_gaussian(view, missing)
         assert loudest is not None
         windows = loudest[2]
         m, level = end - start, float(np.mean(squares[start:end]))
@@ -61,13 +61,13 @@ class Disturbance(Cause):
         p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
         # It begins and ends below the noise: a share of it is not seen.
         std = float(np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m))
-        peak = float(np.max(abs(view.x[start:end] - np.median(view.x))))
+        peak = float(np.max(abs(view.samples[start:end] - np.median(view.samples))))
         return Candidate(
             self.name,
             {
                 "start": view.time(start, std),
                 "end": view.time(end, std),
-                "peak": view.own(peak, view.spikes[1]),
+                "peak": view.own(peak, view.loo_residuals[1]),
             },
             gain,
             p_value,

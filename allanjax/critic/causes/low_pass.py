@@ -47,7 +47,7 @@ class LowPass(Cause):
     """
 
     name = "low_pass"
-    joint = "at once"
+    refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         if self.name in view.found:
@@ -57,24 +57,24 @@ class LowPass(Cause):
         basic, instead = view.basic, view.allowed
         if "angle_random_walk" not in basic.terms and basic.shape * view.rate < _SHORT:
             # The same spectrum by another name: as white noise that is filtered it says where it ends.
-            basic = view.weighing.best([t for t in (*EVERYTHING, *view.allowed) if t != MARKOV])
+            basic = view.model_evidence.best([t for t in (*EVERYTHING, *view.allowed) if t != MARKOV])
             instead = [t for t in view.allowed if t != MARKOV]
         screen = _Screen(view)
         gains = screen.gains
         if gains.max() < _WORTH:
             return None
         filter_, bandwidth, told = screen.best()
-        behind = screen.behind(view, filter_, bandwidth)
-        visible = _visible(view, behind)
-        after = view.behind(visible)
+        response = screen.response(view, filter_, bandwidth)
+        visible = _visible(view, response)
+        after = view.with_factor(visible)
         # Of the samples as they are: with its ends replaced a record is another one.
         filtered = after.noise.log_evidence
         deep = visible < _DEEP
         if deep.any():
-            stationary = behind.passed + behind.floor / after.noise.variance
+            stationary = response.passed + response.floor / after.noise.variance
             after = _without_ends(after, deep, np.minimum(stationary / visible, 1.0))
             # What is below the response now is what was added, no longer the ends.
-            visible = _visible(view.with_x(after.x), behind)
+            visible = _visible(view.with_samples(after.samples), response)
             after = dataclasses.replace(after, factor=view.combined(visible))
         after = dataclasses.replace(after, passes=visible)
         gain = filtered - basic.log_evidence
@@ -94,7 +94,7 @@ class LowPass(Cause):
             gain,
             float(np.exp(-max(gain, 0.0))),
             after,
-            lambda: _held_out(view) - view.foretold_by(instead),
+            lambda: _held_out(view) - view.cv_log_likelihood_with(instead),
             (bandwidth, view.rate / 2.0),
             "frequency",
             lambda model: _filtered(model, bandwidth, min(filter_[0], 2)),
@@ -153,7 +153,7 @@ def _response(
     return passed, ends
 
 
-class _Behind(NamedTuple):
+class _Response(NamedTuple):
     """What a record shows behind a filter, coefficient by coefficient.
 
     Attributes:
@@ -169,20 +169,20 @@ class _Behind(NamedTuple):
     told: float
 
 
-def _visible(view: View, behind: _Behind, fold: np.ndarray | None = None) -> Float[np.ndarray, " n-1"]:
+def _visible(view: View, response: _Response, fold: np.ndarray | None = None) -> Float[np.ndarray, " n-1"]:
     """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
 
     Where the record's ends or what is added behind the filter count more than what it passes, the level is
     the record's own, and nothing is said.
     """
-    passed, ends, floor, limit = behind
+    passed, ends, floor, limit = response
     deep, used = passed < _DEEP, np.ones(view.n - 1) if fold is None else fold.astype(float)
     if not deep.any():
         return passed
     clear = ~deep & (used > 0.0)
     level = float(np.mean(view.squares[clear] / passed[clear]))
     factor = passed + np.where(deep, ends + floor / level, 0.0)
-    noise = view.weighed(fold, factor).best(view.allowed)
+    noise = view.model_evidence_of(fold, factor).best(view.allowed)
     added = np.where(deep, ends + floor / noise.variance, 0.0)
     ratio = uniform_filter1d(used * view.squares / noise.variance, _LOCAL, mode="nearest")
     ratio /= np.maximum(uniform_filter1d(used, _LOCAL, mode="nearest"), 1.0 / _LOCAL)
@@ -206,8 +206,8 @@ def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.nd
     root = np.sqrt(view.variance())
     drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
     change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
-    mended = view.x + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
-    return dataclasses.replace(view.with_x(mended), restored=view.restored | (near > 0.0))
+    mended = view.samples + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
+    return dataclasses.replace(view.with_samples(mended), restored=view.restored | (near > 0.0))
 
 
 def _filtered(model: Model, bandwidth: float, order: int) -> Model:
@@ -237,14 +237,14 @@ class _Screen(FineLevels):
             if self.gains.max() < 0.5 * _WORTH:
                 break
 
-    def behind(self, view: View, filter_: tuple[int, bool], bandwidth: float) -> _Behind:
+    def response(self, view: View, filter_: tuple[int, bool], bandwidth: float) -> _Response:
         """What the view shows behind a filter; the power of what is added there is the fitted one.
 
         That may be outliers too small to be seen, the digits of the samples.
         """
         passed, ends = _at(view.family.frequency, self.rate, bandwidth, filter_)
         floor = self._fitted(filter_, bandwidth)[1]
-        return _Behind(passed, ends / view.n, floor, float(self.frequency[-1]))
+        return _Response(passed, ends / view.n, floor, float(self.frequency[-1]))
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
         """Of a filter."""
@@ -350,7 +350,7 @@ def _held_out(view: View) -> float:
     for fold in coefficient_folds(view.n):
         screen = _Screen(view, fold)
         filter_, bandwidth, *_ = screen.best()
-        factor = _visible(view, screen.behind(view, filter_, bandwidth), fold)
-        noise = view.weighed(fold, factor).best(view.allowed)
+        factor = _visible(view, screen.response(view, filter_, bandwidth), fold)
+        noise = view.model_evidence_of(fold, factor).best(view.allowed)
         gain += view.log_likelihood(noise, ~fold, factor)
     return gain

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.causes.additive import shape_parameter
-from allanjax.critic.filling import filled
+from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
 
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -38,14 +38,14 @@ class Outliers(Cause):
     """A share of the samples has an error of its own, of much larger scale than the noise."""
 
     name = "outliers"
-    joint = "at last"
+    refit = "at last"
 
     def p_value(self, view: View) -> float:
-        return _p_value(float(np.max(abs(_scores(view, view.spikes[1])))), view.n)
+        return _p_value(float(np.max(abs(_scores(view, view.loo_residuals[1])))), view.n)
 
     def detect(self, view: View) -> Candidate | None:
         # The scale of the bulk: that of the fit has the outliers in it.
-        bulk = 1.4826 * float(np.median(abs(view.spikes[0])))
+        bulk = 1.4826 * float(np.median(abs(view.loo_residuals[0])))
         if bulk == 0.0:
             return None
         z = _scores(view, bulk)
@@ -64,12 +64,12 @@ class Outliers(Cause):
             if peaks is None:
                 return None
             missing[peaks], scores[peaks] = True, seen[peaks]
-            after = filled(after, missing)
+            after = impute_gaussian(after, missing)
             seen = _scores(after, bulk)
         times = np.flatnonzero(missing)
         if len(times) == 0:
             return None
-        gain -= _price(view.n)
+        gain -= _log_trials_factor(view.n)
         # Of all that there are, also of those too small to be seen.
         spread, relative, limit = _known(scores[missing], threshold)
         spread *= bulk
@@ -95,7 +95,7 @@ class Outliers(Cause):
         missing = np.zeros(view.n, bool)
         times = np.asarray(found.parameters["times"].value, float)
         missing[np.rint(times * view.rate).astype(int)] = True
-        return dataclasses.replace(found, after=filled(view, missing))
+        return dataclasses.replace(found, after=impute_gaussian(view, missing))
 
 
 def _p_value(largest: float, n: int) -> float:
@@ -114,7 +114,7 @@ def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
     return np.array([g[np.argmax(abs(z[g]))] for g in groups])
 
 
-def _price(n: int) -> float:
+def _log_trials_factor(n: int) -> float:
     """What not knowing share and scale costs [nats]: each anywhere in its grid."""
     return float(np.log(len(_SCALES)) + np.log(np.log(n)))
 
@@ -190,7 +190,7 @@ def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
     At the record's ends quantization noise is not the one that the mirrored record has, and spikes scatter
     more: those that stand out there are compared with their own scatter.
     """
-    z = np.where(view.restored, 0.0, view.spikes[0] / scale)
+    z = np.where(view.restored, 0.0, view.loo_residuals[0] / scale)
     v, n = view.variance(), view.n
     for k in (*range(_END), *range(n - _END, n)):
         if abs(z[k]) > _NOTICED:

@@ -20,16 +20,16 @@ class PowerLaw(Cause):
 
     name = "power_law"
     # The evidence is the test: of 600 records of sensors without it none gains more than two nats.
-    level = 0.01
-    joint = "at once"
+    max_p = 0.01
+    refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         if POWER_LAW in view.allowed:
             return None
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
-        noise = view.weighing.best(allowed, required=(POWER_LAW,))
+        noise = view.model_evidence.best(allowed, required=(POWER_LAW,))
         # Any basic term that explains as much is the better word for it.
-        gain = view.weighing.sets(allowed, required=(POWER_LAW,)).total - view.basic_total
+        gain = view.model_evidence.sets(allowed, required=(POWER_LAW,)).total - view.log_evidence_all_terms
         if POWER_LAW not in noise.power or gain < MARGIN:
             return None
         after = view.allowing(allowed)
@@ -38,9 +38,9 @@ class PowerLaw(Cause):
         relative = relative_errors(view, noise)[POWER_LAW]
 
         def held_out() -> float:
-            total = -view.foretold
+            total = -view.cv_log_likelihood
             for fold in coefficient_folds(view.n):
-                with_it = view.weighed(fold).best(allowed, required=(POWER_LAW,))
+                with_it = view.model_evidence_of(fold).best(allowed, required=(POWER_LAW,))
                 total += view.log_likelihood(with_it, ~fold)
             return total
 

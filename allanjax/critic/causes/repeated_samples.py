@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import norm
 
 from allanjax.critic.causes.rounding import lattice
-from allanjax.critic.filling import filled
+from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, Quantity, View
 
 # Fewer are no matter.
@@ -23,7 +23,7 @@ class RepeatedSamples(Cause):
     """More samples equal to their predecessor than rounding explains."""
 
     name = "repeated_samples"
-    of_samples = True
+    is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
         same = repeats(view.raw)
@@ -45,7 +45,7 @@ class RepeatedSamples(Cause):
             },
             gain,
             float(norm.sf(z)) if chance > 0.0 else 0.0,
-            filled(view, same),
+            impute_gaussian(view, same),
             lambda: _held_out(same, chance),
             (0.0, view.duration),
             "time",

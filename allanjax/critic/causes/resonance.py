@@ -28,14 +28,14 @@ class Resonance(Cause):
     """A bump of the spectrum, which passes a filter that was found as all noise does."""
 
     name = "resonance"
-    joint = "at last"
+    refit = "at last"
 
     def p_value(self, view: View) -> float:
-        window = _conspicuous(view.c**2 / view.variance())
+        window = _conspicuous(view.coefficients**2 / view.variance())
         return window[2]
 
     def detect(self, view: View) -> Candidate | None:
-        window = _conspicuous(view.c**2 / view.variance())
+        window = _conspicuous(view.coefficients**2 / view.variance())
         middle, width, *_ = window
         spacing = view.rate / (2.0 * view.n)
         Q = np.clip(middle / max(width, 1.0), 1.0, max(middle / LINE / 2.0, 1.0))
@@ -43,7 +43,7 @@ class Resonance(Cause):
 
     def again(self, view: View, found: Candidate) -> Candidate | None:
         about = [float(np.asarray(found.parameters[x].value)) for x in ("frequency", "quality_factor")]
-        window = _conspicuous(view.c**2 / view.variance())
+        window = _conspicuous(view.coefficients**2 / view.variance())
         return self._near(view, window, np.log(about), found.after.noise)
 
     def _near(
@@ -64,18 +64,18 @@ class Resonance(Cause):
                 return None
             noise = spectrum.noise_behind(theta, beside)
             if np.all(abs(theta - before) < _SETTLED * np.sqrt(np.diag(covariance))):
-                after = view.behind(1.0 + _density(theta, view) / view.variance(beside))
+                after = view.with_factor(1.0 + _density(theta, view) / view.variance(beside))
                 if after.noise.terms == noise.terms:
                     break
                 # Another set of noise terms suits the record better now.
                 noise = after.noise
         else:
-            after = view.behind(1.0 + _density(theta, view) / view.variance(beside))
+            after = view.with_factor(1.0 + _density(theta, view) / view.variance(beside))
         if np.exp(theta[1]) < _BUMP_Q:
             return None
         gain = after.noise.log_evidence - view.noise.log_evidence
         # Where it is, how wide and how strong: each a share of what might have been.
-        widths = np.log(len(view.c) / _NARROWEST)
+        widths = np.log(len(view.coefficients) / _NARROWEST)
         gain -= np.log(windows) + np.log(widths) + 2.0
         f0, Q, amplitude = np.exp(theta)
         if view.passes is not None:
@@ -153,11 +153,11 @@ def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: fl
 
     It is sought from where all of them have it, and in the noise that the others show behind that one.
     """
-    gain = -view.foretold
+    gain = -view.cv_log_likelihood
     for fold in coefficient_folds(view.n):
-        beside = after.weighed(fold).roughly(view.allowed, after.weighing)
+        beside = after.model_evidence_of(fold).approximate_map(view.allowed, after.model_evidence)
         found, _ = Spectrum(view, theta[:2], width, fold).fitted(beside, theta[:2])
         factor = 1.0 + _density(found, view) / view.variance(beside)
-        noise = view.weighed(fold, factor).roughly(view.allowed, after.weighing)
+        noise = view.model_evidence_of(fold, factor).approximate_map(view.allowed, after.model_evidence)
         gain += view.log_likelihood(noise, ~fold, factor)
     return gain

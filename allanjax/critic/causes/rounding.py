@@ -20,16 +20,16 @@ class Rounding(Cause):
     """All samples are multiples of one step."""
 
     name = "rounding"
-    of_samples = True
+    is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
         q = lattice(view.raw)
-        if q is None or not np.array_equal(view.x, view.raw):
+        if q is None or not np.array_equal(view.samples, view.raw):
             return None
         # No noise has less than half of its differences' variance around its local mean.
-        if q < HARMLESS * 0.5 * float(np.std(np.diff(view.x))):
+        if q < HARMLESS * 0.5 * float(np.std(np.diff(view.samples))):
             return None
-        x, sigma = imputed(view.x, view.x - q / 2.0, view.x + q / 2.0, len(view.x))
+        x, sigma = imputed(view.samples, view.samples - q / 2.0, view.samples + q / 2.0, len(view.samples))
         if q < HARMLESS * sigma:
             return None
         # A continuous output would be this close to a multiple with the probability 2·tolerance.
@@ -39,7 +39,7 @@ class Rounding(Cause):
             {"step": view.own(q, q * _TOLERANCE / np.sqrt(view.n))},
             gain,
             float(np.exp(-min(gain, 700.0))),
-            view.with_x(x),
+            view.with_samples(x),
             lambda: gain,
             (0.0, view.duration),
             "time",

@@ -19,7 +19,7 @@ class Saturation(Cause):
     """Samples pile up at the largest value, at the smallest, or at both."""
 
     name = "saturation"
-    of_samples = True
+    is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
         raw = view.raw
@@ -27,7 +27,7 @@ class Saturation(Cause):
         sides = [side for side in (1.0, -1.0) if _piled_up(side * raw, q)]
         if not sides:
             return None
-        lower, upper = view.x.copy(), view.x.copy()
+        lower, upper = view.samples.copy(), view.samples.copy()
         far = 1e3 * float(np.std(raw)) + 1e-300
         count = 0
         parameters: dict[str, Quantity] = {}
@@ -39,7 +39,7 @@ class Saturation(Cause):
             parameters["upper_level" if side > 0.0 else "lower_level"] = view.own(level, 0.0)
         if count > 0.9 * view.n:
             return None
-        x, sigma = imputed(view.x, lower, upper, count)
+        x, sigma = imputed(view.samples, lower, upper, count)
         parameters["fraction"] = Quantity(count / view.n, 0.0, "1")
         # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit.
         gain = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
@@ -49,7 +49,7 @@ class Saturation(Cause):
             gain,
             float(np.exp(-min(gain, 700.0))),
             dataclasses.replace(
-                view.with_x(x), restored=view.restored | (raw == raw.max()) | (raw == raw.min())
+                view.with_samples(x), restored=view.restored | (raw == raw.max()) | (raw == raw.min())
             ),
             lambda: gain,
             (0.0, view.duration),

@@ -35,9 +35,9 @@ class Sinusoid(Cause):
         f, f_std, beta, std, z = _strongest(view)
         if z < _WORTH:
             return None
-        after = view.with_x(view.x - wave(f, beta, view.n, view.rate))
+        after = view.with_samples(view.samples - wave(f, beta, view.n, view.rate))
         v = after.variance()
-        f, f_std, beta, std, z = refined(view.c, v, f, view.rate)
+        f, f_std, beta, std, z = refined(view.coefficients, v, f, view.rate)
         amplitude = float(np.hypot(*beta))
         snr = np.sqrt(2.0 * z)
         gain = after.noise.log_evidence - view.noise.log_evidence
@@ -46,14 +46,17 @@ class Sinusoid(Cause):
         gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
         parameters = {"frequency": Quantity(f, f_std, "Hz"), "amplitude": view.own(amplitude, std)}
         # One of fewer periods is seen as near to it as is looked at, and less of it.
-        if f < _PERIODS / view.duration and refined(view.c, v, f - 1.0 / view.duration, view.rate)[-1] > z:
+        if (
+            f < _PERIODS / view.duration
+            and refined(view.coefficients, v, f - 1.0 / view.duration, view.rate)[-1] > z
+        ):
             least = dataclasses.replace(view.own(amplitude - ONE_SIDED * std, np.nan), limit="above")
             parameters = {"frequency": Quantity.beyond(float(f), "below", "Hz"), "amplitude": least}
 
         def held_out() -> float:
             root = np.sqrt(v)
-            kept = _held_out(in_time(view.c / root), view.rate, _PERIODS / view.duration)
-            return view.gained(after, z, kept)
+            kept = _held_out(in_time(view.coefficients / root), view.rate, _PERIODS / view.duration)
+            return view.held_out_gain(after, z, kept)
 
         width = 40.0 / view.duration
         return Candidate(
@@ -71,7 +74,7 @@ class Sinusoid(Cause):
 
 def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
     """What `refined` says about the strongest line."""
-    spectrum, spacing = _spectrum(view.e, view.rate)
+    spectrum, spacing = _spectrum(view.whitened, view.rate)
     first = int(np.ceil(_PERIODS / view.duration / spacing))
     k = np.arange(first, len(spectrum) - 1)
     highest = spectrum[k].max()
@@ -79,7 +82,7 @@ def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float
     k = k[peak & (spectrum[k] > _SCALLOP * highest) | (spectrum[k] == highest)]
     v = view.variance()
     starts = spacing * k[np.argsort(-spectrum[k])[:_PEAKS]]
-    found = [refined(view.c, v, float(start), view.rate) for start in starts]
+    found = [refined(view.coefficients, v, float(start), view.rate) for start in starts]
     return max(found, key=lambda line: line[-1])
 
 

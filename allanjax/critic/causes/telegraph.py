@@ -32,12 +32,12 @@ class Telegraph(Cause):
     name = "telegraph"
     # The evidence is the test, and what it holds on other data: of 600 records of sensors without an effect
     # none has both.
-    level = 0.05
+    max_p = 0.05
 
     def detect(self, view: View) -> Candidate | None:
         blocks = min(_BLOCKS, view.n // 8)
         length = view.n // blocks
-        means = view.x[: blocks * length].reshape(blocks, length).mean(axis=1)
+        means = view.samples[: blocks * length].reshape(blocks, length).mean(axis=1)
         sigma = _noise(means)
         if sigma == 0.0:
             return None
@@ -65,20 +65,20 @@ class Telegraph(Cause):
             lambda k: whole,
             parameters,
             lambda k: (0.0, view.duration),
-            found.price(means, path),
+            found.log_trials_factor(means, path),
             lambda k, a: terms.Telegraph(abs(a), dwell),
         )
         if candidate is None:
             return None
         # Any basic term that the model lacks and that explains as much is the better word for it.
-        gain = candidate.gain + view.total - view.basic_total
+        gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
         p_value = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
         return dataclasses.replace(candidate, gain=gain, p_value=p_value, held_out=held_out)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Levels:
+class TwoStateFit:
     """Two levels and what blocks say about the path between them.
 
     Attributes:
@@ -96,7 +96,9 @@ class Levels:
     log_likelihood: float
     limit: Literal["", "above", "below"] = ""
 
-    def price(self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]) -> float:
+    def log_trials_factor(
+        self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]
+    ) -> float:
         """What not knowing the path costs [nats]: its likelihood, at its best levels, over that of all."""
         upper = path > 0.5
         left = np.where(upper, means - means[upper].mean(), means - means[~upper].mean())
@@ -114,7 +116,7 @@ def _noise(means: Float[np.ndarray, " blocks"]) -> float:
 
 def two_levels(
     means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
-) -> Levels:
+) -> TwoStateFit:
     """The most likely levels, adjusted to the probable path again and again (Baum & Welch).
 
     Blocks that are not `known` are bridged.
@@ -141,7 +143,7 @@ def two_levels(
     probable = np.exp(total - np.logaddexp.reduce(total))
     log, spread, limit = shape_parameter(np.log(dwells), probable)
     dwell = float(np.exp(log))
-    return Levels(
+    return TwoStateFit(
         sigma,
         probable @ upper,
         (dwell, dwell * spread),
@@ -211,4 +213,4 @@ def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigm
         a = float(h[fold] @ e[fold] / (h[fold] @ h[fold]))
         kept += a * float(h[rest] @ e[rest]) - 0.5 * a**2 * float(h[rest] @ h[rest])
     h = path(None)
-    return view.gained(after, 0.5 * float(h @ e) ** 2 / float(h @ h), kept)
+    return view.held_out_gain(after, 0.5 * float(h @ e) ** 2 / float(h @ h), kept)

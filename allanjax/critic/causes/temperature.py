@@ -23,8 +23,8 @@ class Temperature(Cause):
 
     name = "temperature"
     # Units do feel the temperature: shorter odds than of other causes will do.
-    margin = 1.5
-    joint = "at once"
+    min_log_odds = 1.5
+    refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:
         found = [self._of(view, name, channel) for name, channel in view.auxiliary.items()]

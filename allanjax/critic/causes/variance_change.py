@@ -50,7 +50,7 @@ class _Kind:
     @classmethod
     def of(cls, view: View, name: str, share: Float[np.ndarray, " n-1"] | float) -> _Kind:
         u = (
-            view.e
+            view.whitened
             if isinstance(share, float)
             else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
         )
@@ -67,7 +67,7 @@ class _Kind:
 
     def scores(self) -> Float[np.ndarray, "k k"]:
         """Log-likelihood gained by another variance between any two edges, less what the interval costs."""
-        return self.worth * interval_gains(self.squares, self.edges) - _price(len(self.edges))
+        return self.worth * interval_gains(self.squares, self.edges) - _log_trials_factor(len(self.edges))
 
     def excess(self, ratio: float) -> float:
         """By what share of itself this part has grown where the squares have grown by a ratio."""
@@ -124,7 +124,7 @@ class VarianceChange(Cause):
         scatter = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m))))
         ratio = _ratio(found, scatter)
         quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
-        after = view.with_x(view.recoloured(np.where(inside, quieter, view.e)))
+        after = view.with_samples(view.recoloured(np.where(inside, quieter, view.whitened)))
         return Candidate(
             self.name,
             {
@@ -183,7 +183,7 @@ def _lasting(edges: int) -> Bool[np.ndarray, "k k"]:
 
 
 @functools.lru_cache(maxsize=4)
-def _price(edges: int) -> Float[np.ndarray, "k k"]:
+def _log_trials_factor(edges: int) -> Float[np.ndarray, "k k"]:
     """What an interval costs that does not last to an end: there are so many more of these [nats]."""
     lasting = _lasting(edges)
     others = _intervals(edges) & ~lasting
@@ -254,7 +254,7 @@ def _null(blocks: int) -> Float[np.ndarray, " draws"]:
     found = []
     for _ in range(_DRAWS):
         total = np.concatenate([[0.0], np.cumsum(rng.chisquare(many, blocks))])
-        found.append(np.sqrt(2.0 * np.max(_gains(total, edges) - _price(len(edges)))))
+        found.append(np.sqrt(2.0 * np.max(_gains(total, edges) - _log_trials_factor(len(edges)))))
     return np.array(found)
 
 
@@ -270,7 +270,7 @@ def _held_out(kind: _Kind) -> float:
     for part in folds(len(squares), _FOLD_BLOCK):
         fold = ~part
         counted = np.concatenate([[0.0], np.cumsum(fold)])[edges.astype(int)]
-        gains = kind.worth * interval_gains(squares[fold], counted) - _price(len(edges))
+        gains = kind.worth * interval_gains(squares[fold], counted) - _log_trials_factor(len(edges))
         i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
         inside = (place >= edges[i]) & (place < edges[j])
         whole = squares[fold].mean()

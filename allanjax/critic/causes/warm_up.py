@@ -22,8 +22,8 @@ class WarmUp(Cause):
 
     name = "warm_up"
     # Units do warm up: shorter odds than of other causes will do.
-    margin = 1.0
-    joint = "at once"
+    min_log_odds = 1.0
+    refit = "at once"
 
     def p_value(self, view: View) -> float:
         return _bank(view.n, view.rate)[1].p_value(view, view.noise)

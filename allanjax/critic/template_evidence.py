@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.critic.bank import NOTHING, Bank, amplitude_price
+from allanjax.critic.bank import NOTHING, Bank, log_occam_factor
+from allanjax.critic.model_evidence import Sets
 from allanjax.critic.view import View
-from allanjax.critic.weighing import Sets
 
 
 class _Products(NamedTuple):
@@ -20,7 +20,7 @@ class _Products(NamedTuple):
 
 
 def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: float) -> float:
-    """Of the record with one of a bank's shapes in it [nats]; without one it is `View.total`.
+    """Of the record with one of a bank's shapes in it [nats]; without one it is `View.log_evidence`.
 
     The likelihood is averaged over shapes and amplitudes in every set of noise terms that may be right, and
     over these. They are weighed, and their levels known, without the effect's most likely shape h and
@@ -33,10 +33,10 @@ def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: flo
         bank: of the shapes.
         taken, amplitude: which shape is not in `after`, and its amplitude.
     """
-    sets = after.weighing.sets(view.allowed)
+    sets = after.model_evidence.sets(view.allowed)
     cross, gram = _products(view, bank, sets)
     snr = cross / np.sqrt(gram)
-    each = 0.5 * snr**2 - amplitude_price(snr)
+    each = 0.5 * snr**2 - log_occam_factor(snr)
     mean = np.logaddexp.reduce(each, axis=1) - np.log(each.shape[1])
     own = amplitude * cross[:, taken] - 0.5 * amplitude**2 * gram[:, taken]
     return float(np.logaddexp.reduce(sets.log_evidence - own + mean))
@@ -52,7 +52,7 @@ def _products(view: View, bank: Bank, sets: Sets) -> _Products:
     def sums(z: Float[np.ndarray, "... slow"]) -> Float[np.ndarray, "... sets"]:
         return np.add.reduceat(z, first, axis=-1) @ (1.0 / sets.level[:, : len(first)]).T
 
-    cross, gram = sums(bank.shapes * (weight * view.c[:J])).T, sums(bank.squares * weight).T
+    cross, gram = sums(bank.shapes * (weight * view.coefficients[:J])).T, sums(bank.squares * weight).T
     for some, others in (
         (sets.ramp, (view.family.ramp, *view.beside)),
         (~sets.ramp, view.beside),
@@ -61,7 +61,7 @@ def _products(view: View, bank: Bank, sets: Sets) -> _Products:
             continue
         free = np.stack([h[:J] / np.linalg.norm(h[:J]) for h in others])
         mixed = np.stack([sums(bank.shapes * (weight * h))[:, some].T for h in free], axis=-1)
-        with_record = sums(free * (weight * view.c[:J]))[:, some].T
+        with_record = sums(free * (weight * view.coefficients[:J]))[:, some].T
         among = np.moveaxis(sums(free[:, None] * free * weight)[..., some], -1, 0)
         # Not the inverse: two of them may be the same.
         along = mixed @ np.linalg.pinv(among, hermitian=True)

@@ -25,13 +25,13 @@ class Pair:
         members: their places in the bank.
         amplitude: of each, by generalized least squares.
         snr: of each beside the other, with its sign.
-        price: what not knowing which two costs [nats]: the best likelihood over the mean of all pairs.
+        log_trials_factor: of the search for the two [nats]: the best likelihood over the mean of all pairs.
     """
 
     members: tuple[int, int]
     amplitude: Float[np.ndarray, 2]
     snr: Float[np.ndarray, 2]
-    price: float
+    log_trials_factor: float
 
 
 def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None = None) -> Pair:
@@ -44,7 +44,7 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
         near: the two to begin with, if they are known nearly.
     """
     matched = bank.matched(view, noise)
-    p = matched.products(matched.e)
+    p = matched.products(matched.whitened)
     some = np.arange(_COARSER // 2, len(p), _COARSER)
     i, j = np.triu_indices(len(some), 1)
     coarse = _gains(matched.rows(some), p[some], i, j)

@@ -23,7 +23,7 @@ SETS, _LESS = 4, 3.0
 _FAR_LESS = 8.0
 
 
-class _Weighed(NamedTuple):
+class _Evidences(NamedTuple):
     """Evidence and powers of all sets, and those that were looked at closely."""
 
     log_evidence: Float[np.ndarray, " jobs"]
@@ -51,7 +51,7 @@ class Sets(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Behind:
+class SpectralMask:
     """What weighing records needs that does not depend on them: a factor of the spectrum, a fold."""
 
     family: NoiseFamily
@@ -67,7 +67,7 @@ class Behind:
         family: NoiseFamily,
         factor: Float[np.ndarray, " n-1"] | None = None,
         fold: Bool[np.ndarray, " n-1"] | None = None,
-    ) -> Behind:
+    ) -> SpectralMask:
         """Of records whose spectrum is the family's times `factor`; only of coefficients in a `fold`."""
         weight, constant, size = None if fold is None else fold.astype(float), 0.0, family.size
         if weight is not None:
@@ -80,18 +80,18 @@ class Behind:
         gram = family.bins.sums(ramp * family.ramp)[family.keep]
         return cls(family, weight, ramp, gram, size, constant)
 
-    def weigh(self, c: Float[np.ndarray, " n-1"]) -> Weighing:
+    def evidence(self, c: Float[np.ndarray, " n-1"]) -> ModelEvidence:
         """The statistics of the record with these coefficients."""
         squares = c * c
         if self.weight is not None:
             squares *= self.weight
         found = (self.family.bins.sums(z)[self.family.keep] for z in (squares, self.ramp * c))
         levels = Levels(*(z[None] for z in (*found, self.gram)))
-        return Weighing(self.family, levels, self.size, self.constant)
+        return ModelEvidence(self.family, levels, self.size, self.constant)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Weighing:
+class ModelEvidence:
     """The statistics of one hypothetical record, from which sets of noise terms are weighed."""
 
     family: NoiseFamily
@@ -101,13 +101,13 @@ class Weighing:
 
     @functools.cached_property
     def _basic(self) -> Evidence:
-        return self._rough(MARKOV)
+        return self._screen(MARKOV)
 
     @functools.cached_property
     def _with_power_law(self) -> Evidence:
-        return self._rough(POWER_LAW)
+        return self._screen(POWER_LAW)
 
-    def _rough(self, grid: str) -> Evidence:
+    def _screen(self, grid: str) -> Evidence:
         """Of all sets: with every other shape, and between these what is between."""
         jobs = self.family.jobs
         between = jobs.terms[:, -1] & (jobs.column % 2 == 1)
@@ -129,7 +129,7 @@ class Weighing:
 
     def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
         """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
-        values, powers, _ = self._weighed(allowed, required)
+        values, powers, _ = self._evidence_of(allowed, required)
         return self._ranked(values, powers, _grid(allowed), most)
 
     def sets(self, allowed: Collection[str], required: Sequence[str] = ()) -> Sets:
@@ -138,7 +138,7 @@ class Weighing:
         Of the terms that are not required each is as likely to be there as not; of the values of a free
         shape all are equally likely.
         """
-        values, powers, near = self._weighed(allowed, required)
+        values, powers, near = self._evidence_of(allowed, required)
         near = near[values[near] > values[near].max() - _FAR_LESS]
         jobs, grid = self.family.jobs, self._columns(_grid(allowed))
         names = {name for name, _ in self._members(_grid(allowed))}
@@ -148,30 +148,30 @@ class Weighing:
         weighed = values[near] - np.where(shaped, np.log(GRID), 0.0) - optional * np.log(2.0)
         return Sets(weighed + self.constant, level, jobs.ramp[near])
 
-    def _weighed(self, allowed: Collection[str], required: Sequence[str]) -> _Weighed:
+    def _evidence_of(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
         """Of all sets, −∞ if they are not possible; only those that may be best are at their maximum.
 
         The best set, the likely ones and all of them are asked for in turn.
         """
         asked = frozenset(allowed), frozenset(required)
         if asked not in self._known:
-            self._known[asked] = self._carried(allowed, required)
+            self._known[asked] = self._refine(allowed, required)
         return self._known[asked]
 
     @functools.cached_property
-    def _known(self) -> dict[tuple[frozenset[str], frozenset[str]], _Weighed]:
+    def _known(self) -> dict[tuple[frozenset[str], frozenset[str]], _Evidences]:
         return {}
 
-    def _carried(self, allowed: Collection[str], required: Sequence[str]) -> _Weighed:
+    def _refine(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
         grid = _grid(allowed)
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
         near = np.argsort(-values)[: min(BLOCK, np.sum(possible))]
         found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
         values[near], powers[near] = found.log_evidence, found.power
-        return _Weighed(values, powers, near)
+        return _Evidences(values, powers, near)
 
-    def roughly(self, allowed: Collection[str], like: Weighing) -> Noise:
+    def approximate_map(self, allowed: Collection[str], like: ModelEvidence) -> Noise:
         """About the most probable set, to go on from.
 
         Looked at are those without a free shape and those that were best for a record like this.

@@ -19,7 +19,7 @@ _PARTS, _LEAST, _CHANCE = 32, 64, 3.0
 _CONJUGATE, _EXACT, _BLOCK = 60, 1e-2, 256
 
 
-def filled(view: View, missing: Bool[np.ndarray, " n"]) -> View:
+def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     """The view with these samples drawn anew, given all others and the record's spectrum.
 
     A draw of a whole record is corrected by the best prediction of what this one lacks (conditional
@@ -28,13 +28,15 @@ def filled(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     """
     rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
     fresh, known = np.flatnonzero(missing & ~view.restored), np.flatnonzero(~missing)
-    x = view.x.copy()
+    x = view.samples.copy()
     x[fresh] = np.interp(fresh, known, x[known])
-    after = dataclasses.replace(view.with_x(x), restored=view.restored | missing)
+    after = dataclasses.replace(view.with_samples(x), restored=view.restored | missing)
     v, changed = _own_variance(after), np.inf
     for _ in range(_DRAWS):
-        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + after.x.mean()
-        after = after.with_x(np.where(missing, draw + _predicted(after.x - draw, missing, v), after.x))
+        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + after.samples.mean()
+        after = after.with_samples(
+            np.where(missing, draw + _predicted(after.samples - draw, missing, v), after.samples)
+        )
         before, v = v, _own_variance(after)
         last, changed = changed, float(np.max(abs(np.log(v / before))))
         # What changes no less than the last time is chance, as of a long gap that is drawn anew.
@@ -56,7 +58,7 @@ def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
     ]
     first = np.unique(np.concatenate(parts).astype(int))
     count = np.diff(first)
-    level = np.log(np.maximum(np.add.reduceat(view.c**2 / v, first[:-1]), 1e-300) / count)
+    level = np.log(np.maximum(np.add.reduceat(view.coefficients**2 / v, first[:-1]), 1e-300) / count)
     # Gradually: what is at the edge of chance would come and go from draw to draw.
     level *= np.clip(abs(level) / np.sqrt(2.0 / count) - _CHANCE, 0.0, 1.0)
     middle = 0.5 * (first[:-1] + first[1:] - 1)
