@@ -123,6 +123,16 @@ def reason(failure: BaseException, label: str) -> str:
 
 
 @contextmanager
+def failures_told() -> Iterator[None]:
+    """Bad input and failing files end the program with a message; anything else is a bug and shows itself."""
+    try:
+        yield
+    except FAILURES as failure:
+        print_error(reason(failure, "allanjax"))
+        raise typer.Exit(1) from failure
+
+
+@contextmanager
 def stage(text: str) -> Iterator[Callable[[str], None]]:
     """A spinner on stderr, where that is a terminal; what it gives changes the text."""
     from rich.console import Console

@@ -43,7 +43,7 @@ EPILOG = epilog(
 
 
 @with_options
-def critique_command(
+def command(
     files: Files,
     reading: ReadOptions,
     out: Out = None,

@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from allanjax.cli.common import (
-    FAILURES,
-    RESULTS,
-    epilog,
-    exit_if_failed,
-    prepare,
-    print_error,
-    reason,
-    stage,
-)
+from allanjax.cli.common import RESULTS, epilog, exit_if_failed, failures_told, prepare, print_error, stage
 from allanjax.cli.options import with_options
 from allanjax.fleet.options import FitOptions
 
@@ -42,7 +33,7 @@ _WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
 
 
 @with_options
-def fleet_command(
+def command(
     patterns: Annotated[
         list[str],
         typer.Argument(
@@ -75,21 +66,17 @@ def fleet_command(
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet
-    try:
-        with _progress_bar() as progress:
-            result = characterize_fleet(
-                patterns,
-                out,
-                group=group,
-                workers=workers,
-                scheduler=scheduler,
-                piece=piece,
-                progress=progress,
-                **options.arguments(),
-            )
-    except FAILURES as failure:
-        print_error(reason(failure, "allanjax"))
-        raise typer.Exit(1) from failure
+    with failures_told(), _progress_bar() as progress:
+        result = characterize_fleet(
+            patterns,
+            out,
+            group=group,
+            workers=workers,
+            scheduler=scheduler,
+            piece=piece,
+            progress=progress,
+            **options.arguments(),
+        )
     print(result, flush=True)
     print(f"wrote {', '.join(str(out / name) for name in _WRITTEN)}")
     for error in result.errors:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli import app as cli
+from allanjax.cli import characterize as cli
 from allanjax.cli import critique as cli_critique
 from allanjax.cli.app import app
 from allanjax.fleet import fleet, options

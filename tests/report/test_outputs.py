@@ -21,6 +21,7 @@ import allanjax as aj
 from allanjax.base import cache
 from allanjax.base.plain import printable
 from allanjax.cli import app as cli
+from allanjax.cli import characterize
 from allanjax.cli.app import app
 from allanjax.record.io import write
 
@@ -40,7 +41,7 @@ def fitted(small_recording, small_fit, monkeypatch):
     monkeypatch.setattr(
         "allanjax.report.spectrum_figure.plot_psd", lambda spectrum, fit, path: Path(path).touch()
     )
-    monkeypatch.setattr(cli, "_spectrum", lambda recording: None)
+    monkeypatch.setattr(characterize, "_spectrum", lambda recording: None)
     monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: small_fit)
     return small_fit
 

@@ -1,0 +1,149 @@
+"""The command `allanjax characterize`."""
+
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from allanjax.cli.common import (
+    FAILURES,
+    RESULTS,
+    Files,
+    Input,
+    Out,
+    epilog,
+    exit_if_failed,
+    inputs,
+    prepare,
+    print_json,
+    reason,
+    reported,
+    stage,
+)
+from allanjax.cli.options import with_options
+from allanjax.fleet.options import FitOptions
+from allanjax.fleet.stream import accumulate
+from allanjax.record.io import read_recording
+from allanjax.record.io.chunks import open_chunks
+
+if TYPE_CHECKING:
+    from allanjax.estimate.result import Fit
+    from allanjax.record.recording import Recording
+    from allanjax.spectrum.psd import PowerSpectrum
+
+HELP = (
+    "Estimate the noise coefficients of static recordings. Prints a table a file, and writes NAME.json, "
+    "NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. Where one of several "
+    "files is bad, the others go on."
+)
+EPILOG = epilog(
+    "allanjax characterize imu.csv",
+    "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
+    "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
+    "allanjax characterize *.csv --start 60 --json > fits.json",
+    "allanjax characterize week.parquet --stream",
+)
+
+
+@with_options
+def command(
+    files: Files,
+    options: FitOptions,
+    stream: Annotated[
+        bool,
+        typer.Option(
+            "--stream",
+            help="Read chunk by chunk, for recordings that do not fit into memory. The Allan variances are "
+            "those of the pyramid estimator, at octaves; there is no NAME_psd.png.",
+        ),
+    ] = False,
+    out: Out = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
+    ] = False,
+) -> None:
+    from allanjax.estimate.as_json import SCHEMA_VERSION, to_dict
+    from allanjax.report.files import write_results
+
+    directory = out if as_json else out or RESULTS
+    prepare(directory)
+    fits: list[dict[str, Any]] = []
+    errors: list[dict[str, str]] = []
+    with inputs(files, directory) as given:
+        for file in given:
+            try:
+                spectrum: Future[PowerSpectrum] | None = None
+                if stream:
+                    fit = _accumulate_and_fit(file, options)
+                else:
+                    spectrum, fit = read_and_fit(file, options)
+                if directory is not None:
+                    with stage(f"{file.label}: writing results"):
+                        drawn = None if spectrum is None else spectrum.result()
+                        paths = write_results(fit, drawn, directory, file.name)
+            except FAILURES as failure:
+                errors.append(reported(file, reason(failure, file.label)))
+                continue
+            if as_json:
+                fits.append({"file": file.label, **to_dict(fit)})
+            else:
+                _print_fit(fit)
+            if directory is not None:
+                told = ", ".join(str(path) for path in paths)
+                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
+            for axis, why in fit.without_result.items():
+                errors.append(reported(file, f"{axis}: no result, {why}"))
+    if as_json:
+        print_json({"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors})
+    exit_if_failed(errors, len(given))
+
+
+def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
+    """The fit of a file's recording, and its spectrum, which is estimated while the fit compiles."""
+    with stage(f"{file.label}: reading"):
+        recording = read_recording(file.path, options.reading, file.label)
+    size = f"{recording.n:,} samples of {len(recording.axes)} axes"
+    with (
+        stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"),
+        ThreadPoolExecutor(1) as pool,
+    ):
+        spectrum = pool.submit(_spectrum, options.inspect(recording).quiet(recording))
+        return spectrum, options.fit(recording)
+
+
+def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
+    """The fit of a file that is never in memory as a whole."""
+    from allanjax.base.errors import AllanjaxError
+
+    if options.regressors:
+        raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
+    with stage(f"{file.label}: reading") as say:
+
+        def progress(done: int, total: int | None) -> None:
+            share = f" of {total:,} ({100.0 * done / total:.0f} %)" if total else ""
+            say(f"{file.label}: {done:,}{share} samples read")
+
+        accumulator = accumulate(open_chunks(file.path, options.reading, label=file.label), progress=progress)
+        seen = options.inspect(accumulator)
+        if seen.stretch is not None:
+            # What was handled cannot be taken out again, but the file can be read again without.
+            reading = options.reading.within(seen.stretch)
+            accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
+    size = f"{accumulator.n:,} samples of {len(accumulator.axes)} axes"
+    with stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"):
+        return options.fit_accumulated(accumulator, seen)
+
+
+def _spectrum(recording: "Recording") -> "PowerSpectrum":
+    import matplotlib.pyplot  # noqa: F401 - slow to load, and needed for the pictures
+
+    from allanjax.spectrum.psd import power_spectrum
+
+    return power_spectrum(recording)
+
+
+def _print_fit(fit: "Fit") -> None:
+    print(fit, flush=True)
+    for note in fit.notes:
+        print(f"note: {note}")

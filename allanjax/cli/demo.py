@@ -1,0 +1,43 @@
+"""The command `allanjax demo`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from allanjax.cli.characterize import read_and_fit
+from allanjax.cli.common import Input, failures_told, prepare, stage
+from allanjax.fleet.options import FitOptions
+
+HELP = "Characterize a simulated six-axis sensor, and compare what is found with what was put in."
+EPILOG = None
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for the recording and the results.")] = Path(
+        "allanjax-demo"
+    ),
+) -> None:
+    prepare(out)
+    with stage("loading allanjax"):
+        from allanjax.cli.demo_sensor import compare, comparison_table, demo_recording
+        from allanjax.record.io import write
+        from allanjax.report.files import write_results
+    with failures_told():
+        out.mkdir(parents=True, exist_ok=True)
+        file = out / "demo.csv"
+        with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+            recording = demo_recording()
+            write(recording, file)
+        print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
+        spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+        with stage("writing results"):
+            paths = write_results(fit, spectrum.result(), out, file.stem)
+    comparisons = compare(fit)
+    print(comparison_table(comparisons))
+    inside = sum(comparison.inside for comparison in comparisons)
+    print(f"{inside} of {len(comparisons)} intervals hold the truth; of 95 % ones, one in twenty should not.")
+    print(f"wrote {', '.join(str(path) for path in paths)}")
+    print("\nFor a recording of your own:\n    allanjax characterize imu.csv")
+    print("and if it has no time stamps and no units in its header:")
+    print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")

@@ -1,0 +1,76 @@
+"""The command `allanjax simulate`."""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from allanjax.cli.common import epilog, failures_told, prepare, stage
+from allanjax.cli.options import Sensor, parsed_model
+
+HELP = "Simulate a static recording of a known sensor or of noise terms, and write it to a file."
+EPILOG = epilog(
+    "allanjax simulate --list",
+    "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
+    "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
+    "allanjax simulate --sensor accel --out a.npz "
+    "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
+)
+
+
+def command(
+    preset: Annotated[str | None, typer.Argument(help="A sensor of --list.", metavar="SENSOR")] = None,
+    terms: Annotated[
+        str | None,
+        typer.Option(help="Noise terms with their values and units, instead of a sensor; sqrt(h) may be √h."),
+    ] = None,
+    sensor: Annotated[Sensor, typer.Option(help="What the terms are those of.")] = "gyro",
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 3600.0,
+    rate: Annotated[
+        float, typer.Option(help="Sample rate in Hz, with --terms: sensors have their own.")
+    ] = 100.0,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same recording.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to write, .csv, .parquet or .npz; axes of another sample rate go to a file each, "
+            "with the rate in its name."
+        ),
+    ] = None,
+    show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
+) -> None:
+    from allanjax.noise.sensors import SENSORS
+
+    if show_list:
+        for known in SENSORS.values():
+            rates = ", ".join(f"{rate:g} Hz" for rate in dict.fromkeys(axis.rate for axis in known.axes))
+            print(f"{known.name:12} {known.description}; {rates}")
+        return
+    if (preset is None) == (terms is None):
+        raise typer.BadParameter("give either a sensor or --terms", param_hint="SENSOR")
+    if out is None:
+        raise typer.BadParameter("give a file to write, e.g. imu.csv", param_hint="--out")
+    if preset is not None and preset not in SENSORS:
+        raise typer.BadParameter(f"no sensor {preset!r}; there are {', '.join(SENSORS)}", param_hint="SENSOR")
+    model = None if terms is None else parsed_model(terms, sensor)
+    for name, value in (("--duration", duration), ("--rate", rate)):
+        if not 0.0 < value < math.inf:
+            raise typer.BadParameter(f"must be positive, not {value:g}", param_hint=name)
+    prepare()
+    from allanjax.noise.simulate import simulate_recording
+    from allanjax.record.io import write
+    from allanjax.record.recording import Recording
+
+    recordings: tuple[Recording, ...]
+    with failures_told(), stage("simulating"):
+        if model is not None:
+            n = round(duration * rate)
+            recordings = (simulate_recording({sensor: model}, n, rate, seed, name=out.stem),)
+        else:
+            recordings = SENSORS[str(preset)].simulate(duration, seed)
+        for recording in recordings:
+            path = out if len(recordings) == 1 else out.with_stem(f"{out.stem}_{recording.rate:g}Hz")
+            write(recording, path)
+            size = f"{recording.n:,} samples at {recording.rate:g} Hz"
+            print(f"wrote {path}: {', '.join(recording.names)}; {size}")
