@@ -57,6 +57,11 @@ def duration(seconds: float) -> str:
     return f"{plain(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{plain(seconds / 3600.0, 3)} h"
 
 
+def finite_or_none(x: float) -> float | None:
+    """A finite number, or None: JSON has no NaN and no infinity, and a CSV cell is empty for either."""
+    return float(x) if math.isfinite(x) else None
+
+
 def _known(value: float, std: float) -> bool:
     return math.isfinite(value) and math.isfinite(std) and std > 0.0
 

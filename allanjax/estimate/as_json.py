@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.wording import finite_or_none
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
@@ -89,15 +90,15 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "name": result.axis.name,
         "sensor": result.axis.sensor,
         "unit": result.axis.unit,
-        "mean_si": _finite(result.mean),
-        "rms_si": _finite(result.rms),
+        "mean_si": finite_or_none(result.mean),
+        "rms_si": finite_or_none(result.rms),
         "converged": result.converged,
         "dead": False,
         "reason": result.reason,
-        "chi2": _finite(result.chi2) if result.converged else None,
+        "chi2": finite_or_none(result.chi2) if result.converged else None,
         "dof": int(result.dof),
-        "p_value": _finite(result.p_value) if result.converged else None,
-        "discrepancy": _finite(result.discrepancy) if result.converged else None,
+        "p_value": finite_or_none(result.p_value) if result.converged else None,
+        "discrepancy": finite_or_none(result.discrepancy) if result.converged else None,
         "measured": result.measured,
         "moving": result.moving,
         "misfit": None if result.misfit is None else _misfit(result.misfit),
@@ -105,7 +106,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "covariance": {
             "labels": [c.label for c in coefficients],
             "units": [c.si_unit for c in coefficients],
-            "values": [[_finite(x) for x in row] for row in covariance],
+            "values": [[finite_or_none(x) for x in row] for row in covariance],
         },
         "selection": None if selection is None else _ranking(selection[result.axis.name]),
         "selection_discrepancy": None if selection is None else selection[result.axis.name].discrepancy,
@@ -118,12 +119,12 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
 def _misfit(misfit: Misfit) -> dict[str, Any]:
     return {
         "of": misfit.curve,
-        "largest_deviation": _finite(misfit.largest),
-        "at": _finite(misfit.at),
+        "largest_deviation": finite_or_none(misfit.largest),
+        "at": finite_or_none(misfit.at),
         "at_unit": misfit.unit,
-        "rms_deviation": _finite(misfit.rms),
-        "octave_deviation": _finite(misfit.sustained),
-        "scatter": _finite(misfit.scatter),
+        "rms_deviation": finite_or_none(misfit.rms),
+        "octave_deviation": finite_or_none(misfit.sustained),
+        "scatter": finite_or_none(misfit.scatter),
     }
 
 
@@ -142,7 +143,9 @@ def _start(x: float | None) -> float | str | None:
 
 def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
     def by_axis(values: Float[np.ndarray, "m axes"]) -> dict[str, list[float | None]]:
-        return {axis: [_finite(x) for x in column] for axis, column in zip(axes, values.T, strict=True)}
+        return {
+            axis: [finite_or_none(x) for x in column] for axis, column in zip(axes, values.T, strict=True)
+        }
 
     return {
         "kind": curve.kind,
@@ -166,7 +169,7 @@ def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
             "terms": list(s.terms),
             "parameters": s.parameters,
             "probability": s.probability,
-            "log_evidence": _finite(s.log_evidence - selection.best.log_evidence),
+            "log_evidence": finite_or_none(s.log_evidence - selection.best.log_evidence),
             "chosen": s == selection.chosen,
         }
         for s in sets
@@ -191,15 +194,10 @@ def _coefficient(c: Estimate) -> dict[str, Any]:
 
 def _numbers(c: Estimate) -> dict[str, Any]:
     return {
-        "value": _finite(c.value),
-        "std": _finite(c.std),
-        "interval_68": [_finite(x) for x in c.interval_68],
-        "interval_95": [_finite(x) for x in c.interval],
-        "upper_limit_95": None if c.upper_limit is None else _finite(c.upper_limit),
+        "value": finite_or_none(c.value),
+        "std": finite_or_none(c.std),
+        "interval_68": [finite_or_none(x) for x in c.interval_68],
+        "interval_95": [finite_or_none(x) for x in c.interval],
+        "upper_limit_95": None if c.upper_limit is None else finite_or_none(c.upper_limit),
         "lower_limit_95": c.lower_limit,
     }
-
-
-def _finite(x: float) -> float | None:
-    """A finite number, or None: JSON has no NaN and no infinity, and a CSV cell is empty for either."""
-    return float(x) if math.isfinite(x) else None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from allanjax.base.wording import finite_or_none
 from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding
 from allanjax.critic.view import Quantity
 from allanjax.noise.model import Model
@@ -30,7 +30,7 @@ def to_dict(critique: Critique) -> dict[str, Any]:
             "rate_hz": float(critique.rate),
             "duration_s": n / critique.rate,
         },
-        "gain_nats": _finite(critique.gain),
+        "gain_nats": finite_or_none(critique.gain),
         "axes": [_axis(axis) for axis in critique.results],
         "shared_findings": [_finding(finding) for finding in critique.shared_findings],
         "notes": list(critique.notes),
@@ -57,7 +57,7 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
             {**_discrepancy(d), "after": _discrepancy(after[d.statistic]) if d.statistic in after else None}
             for d in axis.before
         ],
-        "tests": {name: _finite(p) for name, p in axis.tests.items()},
+        "tests": {name: finite_or_none(p) for name, p in axis.tests.items()},
         "findings": [_finding(finding) for finding in axis.findings],
         "extended": _model(axis.model, axis.axis),
     }
@@ -69,21 +69,26 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "cause": finding.cause,
         "axes": list(finding.axes),
         "parameters": {name: _quantity(q) for name, q in finding.parameters.items()},
-        "p_value": _finite(finding.p_value),
-        "evidence_nats": _finite(finding.evidence),
-        "gain_nats": _finite(finding.gain),
-        "rivals": [{"cause": rival.cause, "odds": _finite(rival.odds)} for rival in finding.rivals],
-        "span": [_finite(x) for x in finding.span],
+        "p_value": finite_or_none(finding.p_value),
+        "evidence_nats": finite_or_none(finding.evidence),
+        "gain_nats": finite_or_none(finding.gain),
+        "rivals": [{"cause": rival.cause, "odds": finite_or_none(rival.odds)} for rival in finding.rivals],
+        "span": [finite_or_none(x) for x in finding.span],
         "domain": finding.domain,
         "coefficients": [
-            {"label": c.label, "before": _finite(c.before), "after": _finite(c.after), "unit": c.unit}
+            {
+                "label": c.label,
+                "before": finite_or_none(c.before),
+                "after": finite_or_none(c.after),
+                "unit": c.unit,
+            }
             for c in finding.coefficients
         ],
         "drift": None
         if drift is None
         else {
-            "horizon_s": _finite(drift.horizon),
-            **{key: _finite(getattr(drift, key)) for key in ("measured", "before", "after")},
+            "horizon_s": finite_or_none(drift.horizon),
+            **{key: finite_or_none(getattr(drift, key)) for key in ("measured", "before", "after")},
             "unit": drift.unit,
         },
         "discrepancies": [
@@ -96,22 +101,22 @@ def _finding(finding: Finding) -> dict[str, Any]:
 def _discrepancy(d: Discrepancy) -> dict[str, Any]:
     return {
         "statistic": d.statistic,
-        "where": _finite(d.where) if d.where_unit else None,
+        "where": finite_or_none(d.where) if d.where_unit else None,
         "where_unit": d.where_unit,
         "channel": d.channel,
-        "measured": _finite(d.measured),
-        "simulated": _finite(d.simulated),
+        "measured": finite_or_none(d.measured),
+        "simulated": finite_or_none(d.simulated),
         "unit": d.unit,
-        "p_value": _finite(d.p_value),
+        "p_value": finite_or_none(d.p_value),
     }
 
 
 def _quantity(q: Quantity) -> dict[str, Any]:
     values = q.value if isinstance(q.value, tuple) else (q.value,)
-    plain = [v if isinstance(v, str) else _finite(v) for v in values]
+    plain = [v if isinstance(v, str) else finite_or_none(v) for v in values]
     return {
         "value": plain if isinstance(q.value, tuple) else plain[0],
-        "std": _finite(q.std),
+        "std": finite_or_none(q.std),
         "unit": q.unit,
         "limit": q.limit or None,
     }
@@ -122,7 +127,10 @@ def _model(model: Model, axis: Axis) -> dict[str, Any]:
     values: dict[str, dict[str, Any]] = {}
     for p in model.parameters:
         unit, scale = _unit(p.parameter.kind, float(p.parameter.time_exponent), axis)
-        values[p.label] = {"value": None if p.start is None else _finite(p.start / scale), "unit": unit}
+        values[p.label] = {
+            "value": None if p.start is None else finite_or_none(p.start / scale),
+            "unit": unit,
+        }
     return {"terms": list(model.term_labels), "parameters": values}
 
 
@@ -132,8 +140,3 @@ def _unit(kind: str, time_exponent: float, axis: Axis) -> tuple[str, float]:
         unit = default_coefficient_unit(axis.sensor, time_exponent)
         return unit, unit_scale(unit, axis.sensor)
     return {"time": "s", "number": "1"}.get(kind, "Hz"), 1.0
-
-
-def _finite(x: float) -> float | None:
-    """JSON has no NaN and no infinity."""
-    return float(x) if math.isfinite(x) else None

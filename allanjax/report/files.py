@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.estimate.as_json import _finite, _numbers, to_dict
+from allanjax.base.wording import finite_or_none
+from allanjax.estimate.as_json import _numbers, to_dict
 from allanjax.estimate.result import Fit
 from allanjax.record.units import rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum
@@ -45,7 +46,7 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
         )
         header += [f"{name} {kind} [{unit}]" for kind in ("deviation", "lower_68", "upper_68", "model")]
         columns += [part / scale for part in (fit.curve.deviation[:, k], lower[:, k], upper[:, k], model)]
-    _write_csv(path, header, ([_finite(x) for x in row] for row in np.stack(columns, axis=1)))
+    _write_csv(path, header, ([finite_or_none(x) for x in row] for row in np.stack(columns, axis=1)))
 
 
 def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
