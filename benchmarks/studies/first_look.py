@@ -1,13 +1,12 @@
 """What is seen in recordings before a fit: false alarms in clean ones, coefficients of touched ones.
 
-Run with tests/ on the path: `python benchmarks/first_look.py --out benchmarks/results/first_look.md`.
+python benchmarks/studies/first_look.py [--clean 1000] [--touched 20] [--fits 4] [--results PATH]
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -15,14 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import paths
 import scipy.signal
-from machine import describe
-from report import table
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-import hidden_effects as effects
-import hidden_sensors as sensors
-from hidden_sensors import log_uniform
+from common.machine import describe
+from common.report import publish, table
+from hidden_effects import SETTLING, Scene, draw, low_pass, resonance
+from hidden_sensors import GRADES, coloured_noise, draw_sensor, log_uniform, white_std
 
 import allanjax as aj
 from allanjax.cli.demo_sensor import demo_recording
@@ -66,12 +63,12 @@ def single(seed: int) -> Drawn:
     """One axis, or three, of the critic's generator, with an effect that is noise."""
     cause = NOISY[seed % len(NOISY)]
     n, rate = size(np.random.default_rng([seed, 5]))
-    hidden = effects.draw(seed, cause, duration=n / rate, rate=rate)
+    hidden = draw(seed, cause, duration=n / rate, rate=rate)
     values = hidden.values
     if hidden.sensor["kind"] == "accel" and values.shape[1] == 3:
         # The generator's biases are no gravity: three axes must have some, or none.
         values = values - values.mean(axis=0) + [0.05, -0.05, 9.81]
-    white = np.full(values.shape[1], sensors.white_std(hidden.sensor, rate))
+    white = np.full(values.shape[1], white_std(hidden.sensor, rate))
     return Drawn(values, rate, list(hidden.names), white, cause or "basic terms")
 
 
@@ -82,17 +79,17 @@ def six(seed: int) -> Drawn:
     grade = ("navigation", "tactical", "consumer")[rng.integers(3)]
     columns, white = [], []
     for kind in ("gyro", "accel"):
-        drawn = sensors.draw_sensor(rng, n / rate, rate)
+        drawn = draw_sensor(rng, n / rate, rate)
         while (drawn["kind"], drawn["grade"]) != (kind, grade):
-            drawn = sensors.draw_sensor(rng, n / rate, rate)
+            drawn = draw_sensor(rng, n / rate, rate)
         for axis in "xyz":
             each = {k: v * rng.uniform(0.8, 1.25) if k in "NQBKMR" else v for k, v in drawn.items()}
             x = each["N"] * np.sqrt(rate) * rng.standard_normal(n)
-            x += sensors.coloured_noise(each, n, rate, rng) + each.get("R", 0.0) * np.arange(n) / rate
-            bias = sensors.GRADES[kind, grade][1] * rng.uniform(-1.0, 1.0)
+            x += coloured_noise(each, n, rate, rng) + each.get("R", 0.0) * np.arange(n) / rate
+            bias = GRADES[kind, grade][1] * rng.uniform(-1.0, 1.0)
             x += bias if kind == "gyro" else 0.001 * bias + 9.81 * (axis == "z")
             columns.append(x)
-            white.append(sensors.white_std(each, rate))
+            white.append(white_std(each, rate))
     label = EXTRAS[rng.integers(len(EXTRAS))]
     values = with_extra(np.stack(columns, 1), label, np.array(white), rate, rng)
     keep = np.ptp(values, axis=0) > 0.0
@@ -127,16 +124,16 @@ def with_extra(
             beat = line(f) + line(f + log_uniform(rng, 3.0 / duration, 0.1))
             return x + np.outer(beat, white) * log_uniform(rng, 0.03, 1.0)
         case "resonance":
-            scene = effects.Scene({"N": 1.0}, n, rate, rng, 1.0, np.zeros(1))
-            noise = effects.resonance(scene)[0]
+            scene = Scene({"N": 1.0}, n, rate, rng, 1.0, np.zeros(1))
+            noise = resonance(scene)[0]
             on = rng.random(len(white)) < 0.6
             return x + np.outer(noise / np.std(noise), on * white) * log_uniform(rng, 0.05, 3.0)
         case "rounding":
             steps = white * rng.uniform(0.2, 4.0, len(white))
             return steps * np.round(x / steps)
         case "low pass":
-            filtering, _ = effects.low_pass(rate, rng)
-            return (scipy.signal.lfilter(*filtering, x - x[0], axis=0) + x[0])[effects.SETTLING :]
+            filtering, _ = low_pass(rate, rng)
+            return (scipy.signal.lfilter(*filtering, x - x[0], axis=0) + x[0])[SETTLING:]
         case "telegraph":
             for k, sigma in enumerate(white):
                 switches = np.cumsum(rng.exponential(duration / rng.uniform(8.0, 60.0), 400))
@@ -369,16 +366,16 @@ def preset_text() -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=FRESH, help="first seed")
     parser.add_argument("--clean", type=int, default=1000)
     parser.add_argument("--touched", type=int, default=20, help="records of each kind, inspected only")
     parser.add_argument("--fits", type=int, default=4, help="records of each kind, fitted twice")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "first_look.md")
     options = parser.parse_args()
     parts = [
         "# First look",
-        "What `inspect` sees in recordings, before a fit (`benchmarks/first_look.py`).",
+        "What `inspect` sees in recordings, before a fit (`benchmarks/studies/first_look.py`).",
         describe(),
         f"Thresholds were set on seeds below 800; these are seeds from {options.first} on, drawn once.",
         "## False alarms",
@@ -397,9 +394,7 @@ def main() -> None:
         coefficients(options.first, options.fits),
     ]
     text = "\n\n".join(parts) + "\n"
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text, encoding="utf-8")
+    publish(text, options.results)
 
 
 if __name__ == "__main__":

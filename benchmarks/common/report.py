@@ -1,4 +1,4 @@
-"""What the benchmarks' reports have in common: tables, standard errors, work shared among processes."""
+"""What the studies' reports have in common: tables, standard errors, files, work shared among processes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import paths
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -32,6 +34,14 @@ def share(hits: np.ndarray) -> str:
     """E.g. "0.953 ± 0.012"."""
     rate = float(np.mean(hits))
     return f"{rate:.3f} ± {standard_error(rate, len(hits)):.3f}"
+
+
+def publish(text: str, path: Path, quick: bool = False) -> None:
+    """Print a report and write it to a file; a quick run never replaces one of the committed results."""
+    print(text)
+    if not (quick and path.parent == paths.RESULTS):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
 
 
 def run_tasks(

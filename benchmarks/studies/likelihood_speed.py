@@ -1,6 +1,6 @@
 """What Whittle's likelihood and the posterior cost, against the length of the record.
 
-    python benchmarks/likelihood_speed.py [--lengths 10000,1000000,10000000] [--results PATH]
+    python benchmarks/studies/likelihood_speed.py [--lengths 10000,1000000,10000000] [--results PATH]
 
 One axis of N + B + K at 100 Hz. Times are the least of several runs, after compilation; the first column of
 times is one pass over the record (`np.sum`), to compare with.
@@ -17,8 +17,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from machine import describe
-from report import table
+import paths
+from common.machine import describe
+from common.report import publish, table
 
 import allanjax as aj
 from allanjax.posterior.likelihood import likelihood_of
@@ -65,7 +66,7 @@ def row(n: int) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    results = Path(__file__).parent / "results" / "likelihood_speed.md"
+    results = paths.RESULTS / "likelihood_speed.md"
     parser.add_argument("--lengths", default="10000,1000000,10000000")
     parser.add_argument("--results", type=Path, default=results)
     arguments = parser.parse_args()
@@ -84,8 +85,7 @@ def main() -> None:
             "",
         ]
     )
-    print(text)
-    arguments.results.write_text(text, encoding="utf-8")
+    publish(text, arguments.results)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """How many hidden effects can be told from noise at all? The critic beside a judge who has less to find out.
 
-    python benchmarks/critic_bound.py [--quick] [--records 40] [--clean 150] [--sweep 20] [--multiple 2]
-                                      [--causes bias_step,markov] [--workers 2] [--results PATH]
+    python benchmarks/studies/critic_bound.py [--quick] [--records 40] [--clean 150] [--sweep 20]
+                                              [--multiple 2] [--causes bias_step,markov] [--workers 2]
+                                              [--results PATH]
 
 The detection limit is that of a detector which knows the noise. Nobody who is handed samples does, and noise
 that wanders looks like a step, a warm-up or a random walk. What is lost by that is computed here (judge.py):
@@ -14,23 +15,20 @@ from __future__ import annotations
 
 import argparse
 import functools
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from critic import APART, SWEEP, half_detected
-from judge import DURATION, LOWEST, RATE, SIZE_WITHIN, Judge, ground
-from machine import describe
-from report import run_tasks, share, table
-from scipy.special import logsumexp
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-
+import paths
+from common.judge import DURATION, LOWEST, RATE, SIZE_WITHIN, Judge, ground
+from common.machine import describe
+from common.report import publish, run_tasks, share, table
+from common.sweeps import APART, SWEEP, half_detected
 from hidden_effects import TERMS, Hidden, draw
 from hidden_sensors import power_limit
 from hidden_verdict import model_without, recording_of, right
+from scipy.special import logsumexp
 
 import allanjax as aj
 from allanjax.critic.critique import critique
@@ -217,8 +215,8 @@ def smallest(rows: dict[tuple, dict[str, Any]], thresholds: dict[str, float]) ->
 
 INTRODUCTION = f"""# What can be told from noise at all
 
-Records of tests/hidden_effects.py, {DURATION:g} s at {RATE:g} Hz, with effects of {{multiple:g}} times the
-limit of a detector that knows the noise.
+Records of tests/support/hidden_effects.py, {DURATION:g} s at {RATE:g} Hz, with effects of
+{{multiple:g}} times the limit of a detector that knows the noise.
 
 - *Critic*: rightly named by `critique(recording)`, which looks for all causes and has findings in about one
   of a hundred clean records.
@@ -231,7 +229,7 @@ limit of a detector that knows the noise.
 - Of steps the judge looks for one, though a fourth of the records have a second one. Of telegraphs it weighs
   paths like the true one alone and knows the dwell time; there is no threshold.
 
-Reproduce with `python benchmarks/critic_bound.py`.
+Reproduce with `python benchmarks/studies/critic_bound.py`.
 
 {{machine}}
 
@@ -247,7 +245,7 @@ def main() -> None:
     parser.add_argument("--causes", default=",".join((*PATHS, *STOCHASTIC)))
     parser.add_argument("--multiple", type=float, default=2.0, help="of the limit")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "critic_bound.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "critic_bound.md")
     options = parser.parse_args()
     if options.quick:
         options.records, options.clean, options.sweep = 4, 6, 2
@@ -293,9 +291,7 @@ def main() -> None:
     text += "[critic.md](critic.md), where it does not know what it looks for):\n\n"
     text += smallest(rows, thresholds)
     text += f"\n\nThis run: {(time.perf_counter() - begun) / 60.0:.0f} min.\n"
-    print(text)
-    if not options.quick:
-        options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results, options.quick)
 
 
 if __name__ == "__main__":

@@ -8,20 +8,15 @@ over two to four decades), and the amplitude of a path and that of a ramp in clo
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from hidden_effects import Hidden
+from hidden_sensors import DETECTABLE_SNR, term_variances
 from scipy.fft import dct
 from scipy.special import log_ndtr, logsumexp
 from scipy.stats import multivariate_t
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-
-from hidden_effects import Hidden
-from hidden_sensors import DETECTABLE_SNR, term_variances
 
 DURATION, RATE = 600.0, 100.0
 #: The coefficients above these see white noise and quantization alone.

@@ -1,6 +1,6 @@
 """Whittle and Allan fits of the real recordings side by side.
 
-    python benchmarks/real_recordings.py [--data ../shared/data] [--results PATH]
+    python benchmarks/studies/real_recordings.py [--data FOLDER] [--results PATH]
 
 Two units of the ADIS16405, six axes, 10⁶ samples at 100 Hz each; then the same as means over 0.1 s (gyros)
 and 2 s (accelerometers), which leaves out what the five basic terms do not describe: the sensor's roll-off
@@ -14,8 +14,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from machine import describe
-from report import table
+import paths
+from common.machine import describe
+from common.report import publish, table
 
 import allanjax as aj
 
@@ -36,7 +37,8 @@ def rows(recording: aj.Recording, shown: str) -> list[list[str]]:
     """One row an axis and coefficient: both estimates, and their difference in standard deviations."""
     fits = {objective: aj.fit(recording, MODEL, objective) for objective in ("allan", "whittle")}
     found = []
-    for allan, whittle in zip(*(fits[objective] for objective in ("allan", "whittle")), strict=True):
+    for axis in recording.axes:
+        allan, whittle = fits["allan"][axis.name], fits["whittle"][axis.name]
         for label, a in allan.coefficients.items():
             w = whittle[label]
             # The same data: their difference scatters less than either, so this is a lenient scale.
@@ -44,18 +46,17 @@ def rows(recording: aj.Recording, shown: str) -> list[list[str]]:
             apart = f"{(w.value - a.value) / sigma:+.2f}" if a.detected and w.detected else "–"
             off = f"{100 * allan.discrepancy:.1f}, {100 * whittle.discrepancy:.1f}"
             told = [c.in_unit().describe() for c in (a, w)]
-            found.append([recording.name, shown, allan.axis.name, a.title, *told, apart, off])
+            found.append([recording.name, shown, axis.name, a.title, *told, apart, off])
     return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    root = Path(__file__).parents[1]
-    parser.add_argument("--data", type=Path, default=root.parent / "shared" / "data")
-    parser.add_argument(
-        "--results", type=Path, default=root / "benchmarks" / "results" / "real_recordings.md"
-    )
+    parser.add_argument("--data", type=Path, default=paths.DATA, help="by default $ALLANJAX_DATA")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "real_recordings.md")
     arguments = parser.parse_args()
+    if arguments.data is None:
+        parser.error("the folder of the recordings is not known: give --data or set ALLANJAX_DATA")
     found = []
     for unit in UNITS:
         path = arguments.data / f"{unit}.parquet"
@@ -82,8 +83,7 @@ def main() -> None:
             "",
         ]
     )
-    print(text)
-    arguments.results.write_text(text, encoding="utf-8")
+    publish(text, arguments.results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """From file to coefficients, cold and warm: six axes × 10⁶ samples through the command line.
 
-    python benchmarks/characterize.py [FILE] [--results PATH]
+    python benchmarks/studies/characterize.py [FILE] [--results PATH]
 
 Each run is a process of its own. Cold: no compiled program is reused. Warm: the compilation cache of the run
 before. Without FILE (Parquet, gyros in deg/s, accelerometers in g, 100 Hz) a record is simulated. Beside it,
@@ -17,7 +17,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from machine import describe
+import paths
+from common.machine import describe
+from common.report import publish
 
 PEERS = """
 import sys, time
@@ -52,7 +54,7 @@ def seconds(command: list[str], **environment: str) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", nargs="?", type=Path)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "characterize.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "characterize.md")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
@@ -85,7 +87,7 @@ def main() -> None:
     ]
     text = "\n".join(lines)
     print(text)
-    arguments.results.write_text(text + "\n")
+    publish(text + "\n", arguments.results)
 
 
 if __name__ == "__main__":

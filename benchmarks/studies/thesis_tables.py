@@ -1,10 +1,10 @@
 """Recover the coefficients of tables 5.2, 5.4 and 5.5 of Hou (2004) from simulated two-hour records.
 
-    python benchmarks/thesis_tables.py [--hours 2] [--seed 1]
+    python benchmarks/studies/thesis_tables.py [--hours 2] [--seed 1] [--results PATH]
 
 Each record is analysed twice: by `allanjax.fit`, which is not told which terms are there, and as the thesis
 did it, by lines of fixed slope in the log-log plot of the Allan deviation, with the error of its (4.66). The
-truth is the thesis's own value. Writes results/thesis_tables.md.
+truth is the thesis's own value.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import paths
+from common.machine import describe
+from common.report import publish
 from jaxtyping import Float
-from machine import describe
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.wording import format_with_error
@@ -34,8 +36,6 @@ from allanjax.noise.terms import (
     RateRandomWalk,
 )
 from allanjax.record.units import unit_scale
-
-RESULT = Path(__file__).parent / "results" / "thesis_tables.md"
 
 # Slope of each term in the plot, and the cluster time [s] at which its line has the coefficient's value.
 SLOPES: dict[type[NoiseTerm], tuple[float, float]] = {
@@ -185,9 +185,10 @@ def summary(rows: list[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "thesis_tables.md")
     options = parser.parse_args()
     rows: list[Row] = []
     timings: list[str] = []
@@ -200,9 +201,7 @@ def main() -> None:
         f"seed {options.seed}; the fit chooses among the five basic terms itself.\n\n"
         f"{table(rows)}\n\n{summary(rows)}\n\n{chr(10).join(timings)}\n\n## Machine\n\n{describe()}\n"
     )
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(text, encoding="utf-8")
-    print(text)
+    publish(text, options.results)
 
 
 if __name__ == "__main__":

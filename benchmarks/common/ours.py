@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from types import MappingProxyType
 
 import numpy as np
-from truth import RATE, SHAPES, Case
+from common.truth import RATE, SHAPES, Case
 
 import allanjax as aj
 from allanjax.estimate.selection import TermSelection, select_terms
@@ -57,12 +57,12 @@ def fit_all(
         singles = [recording_of(x[:, None]) for x in recording.values.T]
         axes = [_fit_one(single, model, objective) for single in singles]
         return axes, None if model else select_terms(recording)
-    return [axis if axis.converged else None for axis in fit], fit.selection
+    return [axis if axis.converged else None for axis in fit.results], fit.selection
 
 
 def _fit_one(recording: aj.Recording, model: aj.Model | None, objective: str) -> aj.AxisFit | None:
     try:
-        (axis,) = aj.fit(recording, model, objective, as_is=True, vibrating=True)
+        (axis,) = aj.fit(recording, model, objective, as_is=True, vibrating=True).results
     except Exception:
         return None
     return axis if axis.converged else None

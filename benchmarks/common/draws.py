@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from truth import RATE, Case
+from common.truth import RATE, Case
 
 # Scenarios are written for so many samples. Longer records have their noise stretched along with them, so
 # that every term stays as well seen as it was.

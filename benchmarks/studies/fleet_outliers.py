@@ -1,6 +1,6 @@
 """Which units of a fleet are marked as outlying? Simulated fleets of values and intervals, without fits.
 
-    python benchmarks/fleet_outliers.py [--seed 3] [--fleets 400] [--powers 12] [--workers 2]
+    python benchmarks/studies/fleet_outliers.py [--seed 3] [--fleets 400] [--powers 12] [--workers 2]
 
 Units are alike up to a log-normal scatter, of the unit or of each of its axes; each estimate has an error
 that its interval tells. Beside allanjax's rule runs the one that it had before (rosner.py): each axis by
@@ -15,9 +15,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-import rosner
-from machine import describe
-from report import run_tasks, share, table
+import paths
+from common import rosner
+from common.machine import describe
+from common.report import publish, run_tasks, share, table
 
 from allanjax.fleet.outlying_units import FALSE_ALARMS
 from allanjax.fleet.summary import judged
@@ -183,7 +184,7 @@ def main() -> None:
     parser.add_argument("--fleets", type=int, default=400)
     parser.add_argument("--powers", type=int, default=12)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results/fleet_outliers.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "fleet_outliers.md")
     options = parser.parse_args()
     begun = time.perf_counter()
 
@@ -213,8 +214,7 @@ def main() -> None:
         options.workers,
     )
     text = _report(options, alarms, powers, graded, time.perf_counter() - begun)
-    options.results.write_text(text, encoding="utf-8")
-    print(text)
+    publish(text, options.results)
 
 
 def _run(function: object, tasks: list[tuple], workers: int) -> dict[tuple, np.ndarray]:
@@ -273,8 +273,8 @@ ABOUT = """# Outlying units of simulated fleets
 
 Values and their intervals, three axes a sensor, no fits. Seed {seed}; constants of the rule (prior of the
 scatter, share of the probability, odds of groups) were set on other seeds. The rule before took each axis by
-itself and knew the scatter from the fleet alone (`benchmarks/rosner.py`). Reproduce with
-`python benchmarks/fleet_outliers.py`.
+itself and knew the scatter from the fleet alone (`benchmarks/common/rosner.py`). Reproduce with
+`python benchmarks/studies/fleet_outliers.py`.
 
 {machine}
 - {minutes:.0f} minutes

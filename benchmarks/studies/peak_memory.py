@@ -1,6 +1,6 @@
 """Peak memory of Allan deviations: allanjax and others, each in a process of its own.
 
-    python benchmarks/peak_memory.py [--samples 10000000] [--results PATH]
+    python benchmarks/studies/peak_memory.py [--samples 10000000] [--results PATH]
 
 The operating system's figure for the process, interpreter, libraries and the record itself included; beside
 it that of a process that only imports the library and makes the record.
@@ -13,8 +13,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from machine import describe
-from report import table
+import paths
+from common.machine import describe
+from common.report import publish, table
 
 START = """import resource, sys, numpy as np
 {}
@@ -45,7 +46,7 @@ def peak(imports: str, work: str, samples: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=10_000_000)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "peak_memory.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "peak_memory.md")
     options = parser.parse_args()
     record = 8e-6 * options.samples
     rows = []
@@ -54,8 +55,7 @@ def main() -> None:
         rows.append([name, f"{before:.0f}", f"{whole:.0f}", f"{(whole - before) / record:.1f}"])
     text = f"# Peak memory\n\n{describe()}\n\n{options.samples:,} samples ({record:.0f} MB), octaves.\n\n"
     head = ["", "before [MB]", "with the Allan deviation [MB]", "more, in records"]
-    options.results.write_text(f"{text}{table(head, rows)}\n", encoding="utf-8")
-    print(options.results.read_text(encoding="utf-8"))
+    publish(f"{text}{table(head, rows)}\n", options.results)
 
 
 if __name__ == "__main__":

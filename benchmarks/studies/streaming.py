@@ -1,6 +1,6 @@
 """Records longer than memory: time and peak memory from file to coefficients, 10⁵ to 10⁹ samples.
 
-    python benchmarks/streaming.py [--lengths 100000,…,1000000000] [--folder DIR] [--results PATH]
+    python benchmarks/studies/streaming.py [--lengths 100000,…,1000000000] [--folder DIR] [--results PATH]
 
 Each length is a file of one axis (.npy, float64) and a process of its own, which reads it in chunks, selects
 the terms and fits them. Its peak memory is the operating system's figure for the process, interpreter and
@@ -17,8 +17,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from machine import describe
-from report import table
+import paths
+from common.machine import describe
+from common.report import publish, table
 
 LENGTHS = "100000,1000000,10000000,100000000,1000000000"
 RATE = 1000.0
@@ -67,7 +68,7 @@ def main() -> None:
     )
     parser.add_argument("--lengths", default=LENGTHS)
     parser.add_argument("--folder", type=Path, help="for the files, 8 bytes a sample")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "streaming.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "streaming.md")
     options = parser.parse_args()
     truth = WHITE / np.sqrt(RATE), WALK * np.sqrt(RATE)
     rows = []
@@ -109,8 +110,7 @@ def main() -> None:
     ]
     text = f"# Streaming: from file to coefficients\n\n{describe()}\n\n"
     text += "One axis, .npy on disk, both statistics (Allan pyramid and averaged spectra) in one reading.\n\n"
-    options.results.write_text(f"{text}{table(head, rows)}\n", encoding="utf-8")
-    print(options.results.read_text(encoding="utf-8"))
+    publish(f"{text}{table(head, rows)}\n", options.results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Fits a second of `fit_many`, beside a fit of one unit after the other and beside log-log least squares.
 
-    python benchmarks/bulk_fits.py [--units 1000] [--samples 16384,1048576] [--repeats 7] [--results PATH]
+    python benchmarks/studies/bulk_fits.py [--units 1000] [--samples 16384,1048576] [--repeats 7]
+                                           [--results PATH]
 
 Units of N + B + K at 100 Hz, all with the Allan deviations at octaves of their own; these are not in the
 times. A hundred records are simulated and repeated to make up the units. All ways run in turn, round after
@@ -18,8 +19,9 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from machine import describe
-from report import table
+import paths
+from common.machine import describe
+from common.report import publish, table
 from scipy.optimize import least_squares
 
 import allanjax as aj
@@ -128,7 +130,7 @@ def main() -> None:
     parser.add_argument("--units", type=int, default=1000)
     parser.add_argument("--samples", default="16384,1048576")
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "bulk_fits.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "bulk_fits.md")
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
     head = ["samples a unit", "", "fits a second, median", "most", "fit_many is faster by"]
@@ -154,8 +156,7 @@ def main() -> None:
             "",
         ]
     )
-    print(text)
-    arguments.results.write_text(text, encoding="utf-8")
+    publish(text, arguments.results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """A rate random walk at the edge of detection: do intervals and upper limits cover, and who sees it first?
 
-    python benchmarks/detection_edge.py [--quick] [--records 300] [--null 600] [--results PATH]
+    python benchmarks/studies/detection_edge.py [--quick] [--records 300] [--null 600] [--results PATH]
 
 Records of N + K (truth.py, independent of the package) with K from 0 to 3 limits. At the limit the Cramér-Rao
 standard deviation of K² for vanishing K is a third of K². Writes a table and, beside it, a picture.
@@ -14,12 +14,13 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from machine import describe
-from ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
-from report import run_tasks, share, standard_error, table
+import paths
+from common.machine import describe
+from common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
+from common.report import publish, run_tasks, share, standard_error, table
+from common.truth import RATE, T0, Case, bound, derivatives, simulate
+from common.truth import cosine_variances as variances_of
 from scipy.fft import dct
-from truth import RATE, T0, Case, bound, derivatives, simulate
-from truth import cosine_variances as variances_of
 
 from allanjax.estimate.selection import AxisSelection
 
@@ -207,7 +208,7 @@ INTRODUCTION = """# The edge of detection
 A rate random walk in white noise, N = 1, {n} samples at {rate:g} Hz, {records} records for each K ({null}
 without it). K is in units of its detection limit, {edge:.4g}: there K² is three of the Cramér-Rao standard
 deviations that it has for K → 0. Simulator and bound share no code with the package. Reproduce with
-`python benchmarks/detection_edge.py`.
+`python benchmarks/studies/detection_edge.py`.
 
 {machine}
 
@@ -263,8 +264,7 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=300, help="for each K")
     parser.add_argument("--null", type=int, default=600, help="records without K")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    default = Path(__file__).parent / "results" / "detection_edge.md"
-    parser.add_argument("--results", type=Path, default=default)
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "detection_edge.md")
     options = parser.parse_args()
     if options.quick:
         options.records = options.null = CHUNK
@@ -284,10 +284,8 @@ def main() -> None:
     sweep = {m: done[k] for k, m in enumerate((0.0, *MULTIPLES))}
     picture = options.results.with_suffix(".png")
     text = report(sweep, edge, picture.name, time.perf_counter() - started)
-    print(text)
-    if not options.quick or options.results != default:
-        options.results.parent.mkdir(exist_ok=True)
-        options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results, options.quick)
+    if options.results.exists() and not options.quick:
         draw(sweep, edge, picture)
 
 

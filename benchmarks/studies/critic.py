@@ -1,12 +1,12 @@
 """Does the critic find what is hidden, name it rightly, and keep silent where nothing is?
 
-    python benchmarks/critic.py [--quick] [--causes sinusoid,markov] [--records 20] [--clean 300] [--sweep 20]
-                                [--pairs 60] [--duration S --rate HZ] [--workers 2] [--out DIR]
-                                [--results PATH]
+    python benchmarks/studies/critic.py [--quick] [--causes sinusoid,markov] [--records 20] [--clean 300]
+                                        [--sweep 20] [--pairs 60] [--duration S --rate HZ] [--workers 2]
+                                        [--out DIR] [--results PATH]
 
-Studies of `critique(recording)` on records of tests/hidden_effects.py, which shares no code with the package:
-what hidden effects are called, alone and two at once, how small they may be, and whether p-values are
-uniform on clean records. Every record is a row of JSON in --out, written as it is done: a run that was
+Studies of `critique(recording)` on records of tests/support/hidden_effects.py, which shares no code with the
+package: what hidden effects are called, alone and two at once, how small they may be, and whether p-values
+are uniform on clean records. Every record is a row of JSON in --out, written as it is done: a run that was
 stopped goes on where it was, and rows of several machines in one folder are reported together (`--records 0
 --clean 0 --sweep 0 --pairs 0` only reports).
 """
@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -24,13 +23,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from machine import describe
-from report import run_tasks, share, table
-from scipy.optimize import minimize
-from scipy.stats import kstest, norm
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-
+import paths
+from common.machine import describe
+from common.report import publish, run_tasks, share, table
+from common.sweeps import APART, SWEEP, half_detected
 from hidden_effects import CAUSES, TERMS, draw
 from hidden_verdict import (
     NEAR,
@@ -43,6 +39,7 @@ from hidden_verdict import (
     recording_of,
     right,
 )
+from scipy.stats import kstest
 
 import allanjax as aj
 from allanjax.critic.critique import critique
@@ -53,9 +50,6 @@ MULTIPLES = (2.0, 5.0)
 OF_PAIRS = 3.0
 PAIRED = [c for c in CAUSES if c not in TERMS]
 SWEPT = ("sinusoid", "bias_step", "warm_up", "temperature", "variance_change")
-SWEEP = (0.6, 0.8, 1.0, 1.25, 1.5, 1.9, 2.4)
-#: Seeds of one multiple of a sweep are apart from those of the next.
-APART = 10_000
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 QUICK: dict[str, Any] = {"records": 1, "clean": 2, "sweep": 1, "pairs": 2, "duration": 100.0, "rate": 50.0}
 
@@ -244,30 +238,6 @@ def pairs_text(rows: list[Row]) -> str:
 # --- How small they may be ---------------------------------------------------------------------------------
 
 
-def half_detected(multiples: np.ndarray, hits: np.ndarray) -> tuple[float, float]:
-    """The multiple that is detected in half of the records, and its standard error.
-
-    Probit regression on the logarithm of the multiple.
-    """
-    x = np.log(multiples)
-
-    def probability(theta: np.ndarray) -> np.ndarray:
-        return np.clip(norm.cdf((x - theta[0]) / np.exp(theta[1])), 1e-9, 1.0 - 1e-9)
-
-    def loss(theta: np.ndarray) -> float:
-        p = probability(theta)
-        return -float(np.sum(np.where(hits, np.log(p), np.log1p(-p))))
-
-    # A detector whose threshold is sharper than this would need finer steps to be seen.
-    bounds = [(x.min(), x.max()), (np.log(0.03), np.log(3.0))]
-    middle, log_width = minimize(loss, [x.mean(), np.log(0.2)], bounds=bounds, method="L-BFGS-B").x
-    p = probability(np.array([middle, log_width]))
-    z = (x - middle) / np.exp(log_width)
-    gradient = norm.pdf(z) * np.stack([np.ones_like(z), z]) / np.exp(log_width)
-    information = (gradient / (p * (1.0 - p))) @ gradient.T
-    return float(np.exp(middle)), float(np.exp(middle) * np.sqrt(np.linalg.pinv(information)[0, 0]))
-
-
 def sensitivity_table(rows: list[Row]) -> str:
     lines = []
     for study, sensor in (("sensitivity", "as drawn"), ("white", "white noise only")):
@@ -307,12 +277,12 @@ def p_value_table(clean: list[Row]) -> str:
 
 INTRODUCTION = f"""# The critic
 
-`critique(recording)` on records of an independent generator (tests/hidden_effects.py): gyros and
+`critique(recording)` on records of an independent generator (tests/support/hidden_effects.py): gyros and
 accelerometers of navigation to consumer grade, {{length}}, with quantization, flicker, random walk, Markov
 noise and a ramp by chance, and a temperature in some. The critic is handed samples, rate, units and auxiliary
 channels. An effect's multiple is its size over the smallest that a detector which knows the noise and the
 effect's shape finds (a matched filter's SNR of 5). Basic terms are hidden by a fit that lacks them. Reproduce
-with `python benchmarks/critic.py`.
+with `python benchmarks/studies/critic.py`.
 
 {{machine}}
 
@@ -379,7 +349,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, help="of all records [Hz]; by default drawn, 50 to 400")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--out", type=Path, default=Path("build/critic"), help="folder of the records' rows")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "critic.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "critic.md")
     options = parser.parse_args()
     if options.quick:
         parser.set_defaults(**QUICK)
@@ -397,10 +367,7 @@ def main() -> None:
     size = options.duration, options.rate
     mine = [row for task, row in rows.items() if (task.duration, task.rate) == size]
     text = report(mine, time.perf_counter() - started)
-    print(text)
-    if not options.quick or options.results != parser.get_default("results"):
-        options.results.parent.mkdir(exist_ok=True)
-        options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results, options.quick)
 
 
 if __name__ == "__main__":

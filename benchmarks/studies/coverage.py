@@ -1,7 +1,7 @@
 """Do the intervals cover, and do the estimates reach the Cramér-Rao bound? Calibration by simulation.
 
-    python benchmarks/coverage.py [--quick] [--no-posterior] [--cases N+K,Q+N+K] [--records 300]
-                                  [--lengths 16384,262144] [--workers 2] [--results PATH]
+    python benchmarks/studies/coverage.py [--quick] [--no-posterior] [--cases N+K,Q+N+K] [--records 300]
+                                          [--lengths 16384,262144] [--workers 2] [--results PATH]
 
 Every record has coefficients of its own, drawn from the prior that the sampler is given (draws.py). So the
 rank of the truth among draws of its posterior is uniform if all is right (Talts et al. 2018,
@@ -16,12 +16,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from draws import SCENARIOS, one
-from machine import describe
-from ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
-from report import run_tasks, standard_error, table
+import paths
+from common.draws import SCENARIOS, one
+from common.machine import describe
+from common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
+from common.report import publish, run_tasks, standard_error, table
+from common.truth import RATE, SHOWN, T0, bound, simulate
 from scipy.stats import chi2
-from truth import RATE, SHOWN, T0, bound, simulate
 
 import allanjax as aj
 
@@ -212,7 +213,7 @@ own: log-uniform over a factor of three around values that are clearly seen, fre
 5 to 40 Hz. Longer records have their noise stretched along. Three methods: GLS, `fit(recording, model)`, is
 generalized least squares of the Allan variances; Whittle is `fit(recording, model, "whittle")`; posterior is
 `sample` of the latter with the prior that the truth was drawn from. Simulator and Cramér-Rao bound share no
-code with the package. Reproduce with `python benchmarks/coverage.py`.
+code with the package. Reproduce with `python benchmarks/studies/coverage.py`.
 
 {machine}
 """
@@ -261,7 +262,7 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=300, help="of each model and length")
     parser.add_argument("--lengths", default="16384,262144", help="samples of a record")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "coverage.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "coverage.md")
     options = parser.parse_args()
     if options.quick:
         options.records, options.lengths = CHUNK, "16384"
@@ -290,10 +291,7 @@ def main() -> None:
             print(coverage_table(found) + "\n" + efficiency_table(found), flush=True)
     groups = {n: {name: merged(blocks[n, name]) for name in names} for n in lengths}
     text = report(groups, time.perf_counter() - started)
-    print(text)
-    if not options.quick or options.results != parser.get_default("results"):
-        options.results.parent.mkdir(exist_ok=True)
-        options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results, options.quick)
 
 
 def merged(blocks: list[tuple[int, Outcome]]) -> Outcome:

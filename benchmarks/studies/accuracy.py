@@ -1,6 +1,6 @@
 """Accuracy of the coefficients: allanjax, its peers and a plain log-log fit against the Cramér-Rao bound.
 
-    python benchmarks/accuracy.py [--quick] [--cases N+K,Q+N+K] [--lengths 16384:400] [--results PATH]
+    python benchmarks/studies/accuracy.py [--quick] [--cases N+K,Q+N+K] [--lengths 16384:400] [--results PATH]
 
 Simulated records of known noise are given to each fitter. Nothing that generates or judges them comes from
 allanjax: the simulator, the generalized covariances and the bound are NumPy (truth.py). Coefficients are in
@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from machine import describe
-from ours import LABELS, columns_of, fit_all, model_of, recording_of
-from peers import PEERS
-from report import table
-from truth import RATE, SHOWN, T0, Case, allan_shape, bound, exact_bound, simulate
+import paths
+from common.machine import describe
+from common.ours import LABELS, columns_of, fit_all, model_of, recording_of
+from common.peers import PEERS
+from common.report import publish, table
+from common.truth import RATE, SHOWN, T0, Case, allan_shape, bound, exact_bound, simulate
 
 import allanjax as aj
 
@@ -48,7 +49,7 @@ def by_allanjax(case: Case, x: np.ndarray) -> dict[str, np.ndarray]:
 def by_selection(x: np.ndarray) -> np.ndarray:
     """Which of the basic terms `fit(recording)` detects, [records, terms]; NaN where it did not converge."""
     rows = []
-    for axis in aj.fit(recording_of(x), as_is=True, vibrating=True):
+    for axis in aj.fit(recording_of(x), as_is=True, vibrating=True).results:
         try:
             rows.append([float(axis[LABELS[c]].detected) for c in BASIC])
         except aj.AllanjaxError:
@@ -223,7 +224,7 @@ INTRODUCTION = """# Accuracy
 Records of known noise, simulated at {rate:g} Hz, are fitted by allanjax with the true model's terms, and by
 its peers. Errors are in units of the Cramér-Rao bound of the *whole record* (exact Gaussian likelihood, bias
 unknown), below which no unbiased estimator can go. Simulator, bound and log-log fit are the benchmark's own
-and share no code with allanjax. Reproduce with `python benchmarks/accuracy.py`.
+and share no code with allanjax. Reproduce with `python benchmarks/studies/accuracy.py`.
 
 {machine}
 
@@ -276,7 +277,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few short records, to see that all of it runs")
     parser.add_argument("--cases", help="true models, e.g. N+K,N+B; all by default")
     parser.add_argument("--lengths", help="record lengths and counts, e.g. 16384:400,65536:200")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "accuracy.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "accuracy.md")
     options = parser.parse_args()
     names = options.cases.split(",") if options.cases else [case.name for case in CASES]
     cases = [case for case in CASES if case.name in names]
@@ -294,10 +295,7 @@ def main() -> None:
         print("\n\n".join(tables), flush=True)
         groups.append((records, outcomes))
     text = report(groups, bound_check(cases), time.perf_counter() - started)
-    print(text)
-    if not options.quick or options.results != parser.get_default("results"):
-        options.results.parent.mkdir(exist_ok=True)
-        options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results, options.quick)
 
 
 if __name__ == "__main__":

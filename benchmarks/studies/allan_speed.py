@@ -1,6 +1,7 @@
 """The Allan deviation's speed beside other packages', its growth with the record, and its compile time.
 
-    python benchmarks/allan_speed.py [--samples 10000000] [--repeats 7] [--lengths 100000,…] [--results PATH]
+    python benchmarks/studies/allan_speed.py [--samples 10000000] [--repeats 7] [--lengths 100000,…]
+                                             [--results PATH]
 
 White noise at octaves of the cluster time. All run in this process in turn, round after round; times are
 medians over the rounds and ratios are medians of each round's ratio, so that a busy machine slows both sides.
@@ -22,9 +23,10 @@ import allantools
 import avar
 import jax
 import numpy as np
+import paths
 from allan_variance import compute_avar
-from machine import describe
-from report import table
+from common.machine import describe
+from common.report import publish, table
 
 import allanjax as aj
 
@@ -161,7 +163,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=10_000_000)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--lengths", default="100000,1000000,10000000,100000000")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "allan_speed.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "allan_speed.md")
     arguments = parser.parse_args()
     n, repeats = arguments.samples, arguments.repeats
     load = os.getloadavg()[0]
@@ -194,8 +196,7 @@ def main() -> None:
             "",
         ]
     )
-    print(text)
-    arguments.results.write_text(text, encoding="utf-8")
+    publish(text, arguments.results)
 
 
 if __name__ == "__main__":

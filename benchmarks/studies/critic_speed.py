@@ -1,6 +1,6 @@
 """How long the critic takes: six axes × 10⁶ samples, cold and warm.
 
-    python benchmarks/critic_speed.py [FILE ...] [--results PATH]
+    python benchmarks/studies/critic_speed.py [FILE ...] [--results PATH]
 
 Each run is a process of its own: cold with an empty compilation cache, warm with that of the run before. The
 recordings: noise alone, noise with five effects, and any FILE (Parquet, gyros in deg/s, accelerometers in
@@ -20,8 +20,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from machine import describe
-from report import table
+import paths
+from common.machine import describe
+from common.report import publish, table
 
 SAMPLES, RATE = 1_000_000, 100.0
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
@@ -81,7 +82,7 @@ def run(name: str, cache: str) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="*", type=Path)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "critic_speed.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "critic_speed.md")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
@@ -106,14 +107,13 @@ def main() -> None:
 
 Six axes × 10⁶ samples, `aj.critique(recording)`, wall-clock; cold: all programs compiled anew; warm: with
 the compilation cache of the run before. In ten FFTs: in the time of ten passes of NumPy's FFT over the
-recording, in the same process. Reproduce with `python benchmarks/critic_speed.py`.
+recording, in the same process. Reproduce with `python benchmarks/studies/critic_speed.py`.
 
 {table(head, lines)}
 
 {describe()}
 """
-    print(text)
-    options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """A fleet of recordings on one and on two workers, with a killed worker, a corrupt file and a second run.
 
-    python benchmarks/fleet.py [--recordings 200] [--samples 60000] [--results PATH]
+    python benchmarks/studies/fleet.py [--recordings 200] [--samples 60000] [--results PATH]
 
 Six axes at 100 Hz a recording, Parquet, terms chosen by the fit. Every run is a process of its own with a
 local cluster of its own, started and closed within the time given. Programs are compiled before the first
@@ -21,8 +21,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from machine import PACKAGES, describe
-from report import table
+import paths
+from common.machine import PACKAGES, describe
+from common.report import publish, table
 
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 # White noise and random walk a sample, deg/s and g; units scatter by 10 %, and one has five times the walk.
@@ -121,7 +122,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recordings", type=int, default=200)
     parser.add_argument("--samples", type=int, default=60_000)
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "fleet.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "fleet.md")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["ALLANJAX_CACHE"] = str(Path(folder) / "cache")
@@ -142,8 +143,7 @@ def main() -> None:
             "",
         ]
     )
-    print(text)
-    arguments.results.write_text(text, encoding="utf-8")
+    publish(text, arguments.results)
 
 
 if __name__ == "__main__":

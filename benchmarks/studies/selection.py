@@ -1,6 +1,7 @@
 """Which terms does `fit(recording)` choose? Ranking by evidence, from records whose terms are known.
 
-    python benchmarks/selection.py [--quick] [--cases N,N+K] [--lengths 16384:300,131072:100] [--results PATH]
+    python benchmarks/studies/selection.py [--quick] [--cases N,N+K]
+                                           [--lengths 16384:300,131072:100] [--results PATH]
 
 Every record has coefficients of its own, drawn from a range in which all its terms are clearly seen
 (draws.py). Simulator: truth.py, independent of the package.
@@ -14,11 +15,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from draws import SCENARIOS
-from machine import describe
-from ours import TERM_LABELS, fit_all, recording_of
-from report import run_tasks, share, standard_error, table
-from truth import SHAPES, simulate
+import paths
+from common.draws import SCENARIOS
+from common.machine import describe
+from common.ours import TERM_LABELS, fit_all, recording_of
+from common.report import publish, run_tasks, share, standard_error, table
+from common.truth import SHAPES, simulate
 
 CASES = ("N", "N+K", "Q+N+K", "N+B", "N+B+K", "N+Markov+K", "N+K+R", "Q+N+B+K+R")
 LENGTHS = "16384:300,131072:100"
@@ -40,7 +42,7 @@ def outcomes(name: str, n: int, records: int, seed: int) -> tuple[np.ndarray, li
         size = min(CHUNK, records - first)
         x = simulate(scenario.draw(n, size, rng), n, size, rng)
         axes, ranking = fit_all(recording_of(x))
-        for ranked, axis in zip(ranking, axes, strict=True):
+        for ranked, axis in zip(ranking.results, axes, strict=True):
             chosen = frozenset(ranked.chosen.terms)
             detected = (
                 {c.term for c in axis.coefficients.values() if c.detected} if axis is not None else chosen
@@ -124,7 +126,7 @@ Records of known terms, simulated independently of the package, go through `fit(
 sets of the five basic terms and a Markov process by their evidence. Every record has coefficients of its own,
 log-uniform over a factor of three (the five terms: two) around values that are clearly seen: their Cramér-Rao
 bounds are at most some 20 %. Longer records have their noise stretched along. Reproduce with
-`python benchmarks/selection.py`.
+`python benchmarks/studies/selection.py`.
 
 {machine}
 
@@ -157,7 +159,7 @@ def main() -> None:
     parser.add_argument("--cases", help="true sets, e.g. N,N+K; all by default")
     parser.add_argument("--lengths", help="record lengths and counts, e.g. 16384:300")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "selection.md")
+    parser.add_argument("--results", type=Path, default=paths.RESULTS / "selection.md")
     options = parser.parse_args()
     names = options.cases.split(",") if options.cases else list(CASES)
     lengths = options.lengths or (f"16384:{CHUNK}" if options.quick else LENGTHS)
@@ -174,10 +176,7 @@ def main() -> None:
         )
     groups = {n: {name: done[n, name] for name in names} for n in dict.fromkeys(task[1] for task in tasks)}
     text = report(groups, time.perf_counter() - started)
-    print(text)
-    if not options.quick or options.results != parser.get_default("results"):
-        options.results.parent.mkdir(exist_ok=True)
-        options.results.write_text(text, encoding="utf-8")
+    publish(text, options.results, options.quick)
 
 
 if __name__ == "__main__":
