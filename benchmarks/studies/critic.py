@@ -105,8 +105,8 @@ def examine(*task: Any) -> Row:
                 "parameters": parameters,
             }
     if not t.cause:
-        row["p_values"] = {f"test of {name}": p for axis in found for name, p in axis.tests.items()}
-        row["p_values"] |= {d.statistic: d.p_value for axis in found for d in axis.before}
+        row["p_values"] = {f"test of {name}": p for axis in found.results for name, p in axis.tests.items()}
+        row["p_values"] |= {d.statistic: d.p_value for axis in found.results for d in axis.before}
     return row
 
 

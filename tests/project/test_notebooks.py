@@ -16,7 +16,7 @@ from places import DATA, ROOT
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 # The real recordings that some of the notebooks read.
 UNITS = ("adis16405_unit1.parquet", "adis16405_unit2.parquet")
-RECORDINGS = {"02_uncertainty": UNITS, "03_what_the_simulation_gets_wrong": UNITS}
+RECORDINGS = {"03_uncertainty": UNITS, "04_what_the_simulation_gets_wrong": UNITS}
 # What is no prose: code, formulas and links.
 APART = re.compile(r"`[^`]*`|\$[^$]*\$|\]\([^)]*\)|ADIS16405")
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[-+]?\d+)?")
