@@ -59,7 +59,9 @@ def outcomes(name: str, n: int, records: int, seed: tuple[int, ...], posterior: 
             "truth": np.stack(list(case.truth.values()), axis=1),
             "bound": np.stack([bound(one(case, k), n, block=0) for k in range(size)]),
             "Allan": stacked(columns_of(axes, case)),
-            "Whittle": stacked(columns_of([axis if axis.converged else None for axis in whittle], case)),
+            "Whittle": stacked(
+                columns_of([axis if axis.converged else None for axis in whittle.results], case)
+            ),
         }
         if posterior:
             seeds = rng.integers(2**31, size=size)

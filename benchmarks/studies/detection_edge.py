@@ -68,7 +68,7 @@ def outcomes(K: float, edge: float, records: int, seed: int) -> dict[str, np.nda
             if given:
                 statistics.append(columns["value"][:, 0])
             elif objective == "allan":
-                statistics.append(np.array([odds(axis) for axis in ranking]))
+                statistics.append(np.array([odds(axis) for axis in ranking.results]))
         c = dct(x, norm="ortho", axis=0)[1:].T
         statistics.append(0.5 * c**2 @ (1.0 / null - 1.0 / there))
         parts["statistics"].append(np.stack(statistics, axis=1))

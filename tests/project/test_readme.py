@@ -4,7 +4,6 @@ import re
 import shlex
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from places import ROOT
 from typer.testing import CliRunner
@@ -38,13 +37,12 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_python_blocks_run_in_order(folder, capsys):
-    given = {"samples": np.random.default_rng(0).normal(size=(2000, 3))}
+    given = {}
     for text in blocks("python"):
         exec(compile(text, str(README), "exec"), given)
-    for name in ("allan.png", "corner.png", "bands.png", "psd.png", "pictures", "rig.npz"):
+    for name in ("allan.png", "corner.png", "pictures"):
         assert (folder / name).exists(), name
-    assert given["rig"].n == 2000
-    assert given["FlickerAngle"](1e-5).phase_covariance(10.0) == pytest.approx(-1e-10 * np.log(10.0))
+    assert given["accumulator"].n == 45_000
     assert "noise terms by evidence" in capsys.readouterr().out
 
 
