@@ -14,14 +14,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 
-class Whitened(NamedTuple):
+class CholeskyWhitened(NamedTuple):
     """L⁻¹X and ln det L of a Cholesky factorization C = LL'."""
 
     values: Float[Array, "m k"]
     log_det: Float[Array, ""]
 
 
-def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> Whitened:
+def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> CholeskyWhitened:
     """L⁻¹X with C = LL' positive definite; NaN if it is not.
 
     Row k of [L' | L⁻¹X] is that of [C | X] less what the rows above it explain: one pass over memory a row,
@@ -37,7 +37,7 @@ def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> Whitened:
         return done.at[k].set(rest / pivot), log_det + jnp.log(pivot)
 
     done, log_det = jax.lax.fori_loop(0, m, row, (jnp.zeros_like(both), jnp.zeros(())))
-    return Whitened(done[:, m:], log_det)
+    return CholeskyWhitened(done[:, m:], log_det)
 
 
 def inverse(C: Float[Array, "m m"]) -> Float[Array, "m m"]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from allanjax.allan.covariance import AllanCovariance
-from allanjax.base.linalg import Whitened, whiten
+from allanjax.base.linalg import CholeskyWhitened, whiten
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import NoiseTerm
 
@@ -85,7 +85,7 @@ class Design(eqx.Module):
         mean: Float[Array, " m"],
         discrepancy: Float[Array, ""],
         X: Float[Array, "m k"],
-    ) -> Whitened:
+    ) -> CholeskyWhitened:
         """L⁻¹X, LL' the covariance of the relative residuals with a relative model error `discrepancy`."""
 
     @abc.abstractmethod
@@ -174,7 +174,7 @@ class AllanDesign(Design):
         mean: Float[Array, " m"],
         discrepancy: Float[Array, ""],
         X: Float[Array, "m k"],
-    ) -> Whitened:
+    ) -> CholeskyWhitened:
         """The model error is correlated over about an octave."""
         relative = covariance / (mean[:, None] * mean)
         relative += self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves

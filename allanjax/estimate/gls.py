@@ -22,20 +22,21 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.linalg import non_negative_least_squares
 from allanjax.estimate.design import Design
 
 # How far shapes may move from their start, in ln: the spectrum knows better than the Allan curve where
 # a line is; other starts are two to a decade or denser.
-_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
+_SHAPE_BOUND = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 # Upper bounds are open: shapes keep away from them by so much in ln.
 _INSIDE = 1e-2
 _OUTER_STEPS = 100
 _INNER_STEPS = 50
 # Acceleration multiplies the last move by at most as much.
-_STRIDE = 5.0
+_MAX_EXTRAPOLATION = 5.0
 # Steps taken in full, before they are cut short; shapes then move by so much in ln, each time less.
-_PATIENCE = 25
+_DAMPING_AFTER_STEP = 25
 _LATE, _SHORTER = 0.5, 0.92
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
@@ -88,12 +89,12 @@ def _solve(
     owner = jnp.asarray([p.term for p in design.shapes], int)
     power = jnp.where(active, power, 0.0)
     start = shape
-    reach = jnp.asarray([_REACH[p.parameter.kind] for p in design.shapes])
+    reach = jnp.asarray([_SHAPE_BOUND[p.parameter.kind] for p in design.shapes])
     end = jnp.asarray([np.log(p.parameter.upper - p.parameter.lower) for p in design.shapes]) - _INSIDE
     moves = active[owner] & design.movable
     dof = jnp.maximum(design.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
-    # Wilson & Hilferty's (1931) point of χ² at 1e-6; its tail is heavier here, where few clusters remain.
-    limit = dof * (1.0 - 2.0 / (9.0 * dof) + 4.75 * jnp.sqrt(2.0 / (9.0 * dof))) ** 3
+    # The tail is heavier than that of χ² where few clusters remain.
+    limit = beyond_doubt(dof)
 
     def within(u: Array) -> Array:
         """Shapes that the data can know of: lines where they were found, times inside the record's span."""
@@ -144,7 +145,7 @@ def _solve(
                 residual, solver, shape, max_steps=_INNER_STEPS, throw=False
             )
             shape = jnp.where(jnp.isfinite(found.value), within(found.value), shape)
-            late = state.step - _PATIENCE
+            late = state.step - _DAMPING_AFTER_STEP
             longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
             shape = state.shape + jnp.clip(shape - state.shape, -longest, longest)
         step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
@@ -156,11 +157,11 @@ def _solve(
         gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
         # Steps that grow in one direction leave a place where there was almost a solution: on, not back.
         leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
-        gamma = jnp.where(leaving, -_STRIDE, gamma)
+        gamma = jnp.where(leaving, -_MAX_EXTRAPOLATION, gamma)
         # While warming up each step solves another problem: nothing to extrapolate; nor after many, when
         # the iteration goes round in circles.
-        steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _PATIENCE)
-        gamma = jnp.where(steady, jnp.clip(gamma, -_STRIDE, 0.5), 0.0)
+        steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _DAMPING_AFTER_STEP)
+        gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
         here = (state.power, state.shape)
         power, shape = (
             x + f - gamma * (x - x_last + f - f_last)

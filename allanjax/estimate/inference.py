@@ -11,6 +11,7 @@ import numpy as np
 from jax.scipy.special import gammaln, ndtri
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.linalg import inverse, non_negative_least_squares
 from allanjax.estimate.design import Design
 from allanjax.estimate.gls import Solution
@@ -48,11 +49,10 @@ class _Linearized(NamedTuple):
 def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
-    Few clusters make estimates skew, so that a positive t is less surprising than a negative one. Cube roots
-    of gamma variates are nearly normal (Wilson & Hilferty 1931).
+    Few clusters make estimates skew, so that a positive t is less surprising than a negative one.
     """
     g = jnp.where(jnp.abs(skewness) > 1e-3, skewness, 1e-3)
-    return (jnp.cbrt(jnp.maximum(1.0 + g * t / 2.0, 0.0)) - 1.0 + g**2 / 36.0) * 6.0 / g
+    return jnp.sign(g) * cube_root_score(jnp.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
 
 
 # Hypothetical powers, in standard deviations from the estimate; the first is zero power.

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
@@ -37,7 +38,6 @@ from allanjax.spectrum.cosine import (
     CosineBins,
     Levels,
     cosine_transform,
-    cube_root_score,
     ramp_column,
     term_column,
 )
@@ -54,8 +54,6 @@ _ODDS = 20.0
 _PARSIMONY = 5.0
 # A further term that is improbable is no ambiguity worth a word: any might be there, unseen.
 _WORTH_SAYING = 0.1
-# χ² beyond all doubt, as in `gls`.
-_DOUBTLESS = 4.75
 # How often the sets are weighed anew with the discrepancy of the best one.
 _ROUNDS = 2
 
@@ -310,14 +308,15 @@ def _discrepancy(
     rss, dof = (np.asarray(x) for x in taken_out(Levels(*(x[k] for x in levels)), size, mean, ramp))
     known = dof > 0.05
     dof = np.maximum(dof, 1e-3)
-    z = np.asarray(cube_root_score(rss / dof / mean, dof))[known]
+    z = np.asarray(exact_cube_root_score(rss / dof / mean, dof))[known]
 
     def chi2(s: float) -> float:
         return float(np.sum(z**2 / (1.0 + 0.5 * size * per_octave * s**2)[known]))
 
     degrees = max(known.sum() - 3.0, 1.0)
-    limit = degrees * (1.0 - 2.0 / (9.0 * degrees) + _DOUBTLESS * np.sqrt(2.0 / (9.0 * degrees))) ** 3
-    return float(brentq(lambda s: chi2(s) - degrees, 0.0, 1e3)) if chi2(0.0) > limit else 0.0
+    if chi2(0.0) <= beyond_doubt(degrees):
+        return 0.0
+    return float(brentq(lambda s: chi2(s) - degrees, 0.0, 1e3))
 
 
 def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:

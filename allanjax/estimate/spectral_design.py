@@ -8,10 +8,11 @@ import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
-from allanjax.base.linalg import Whitened
+from allanjax.base.chi_squared import exact_cube_root_score
+from allanjax.base.linalg import CholeskyWhitened
 from allanjax.estimate.design import Design
 from allanjax.noise.model import Model
-from allanjax.spectrum.cosine import Bins, cube_root_score
+from allanjax.spectrum.cosine import Bins
 
 
 class SpectralDesign(Design):
@@ -48,7 +49,7 @@ class SpectralDesign(Design):
         return covariance
 
     def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
-        return cube_root_score(ratio, self.dof) * jnp.sqrt(variance)
+        return exact_cube_root_score(ratio, self.dof) * jnp.sqrt(variance)
 
     def whiten(
         self,
@@ -56,11 +57,11 @@ class SpectralDesign(Design):
         mean: Float[Array, " m"],
         discrepancy: Float[Array, ""],
         X: Float[Array, "m k"],
-    ) -> Whitened:
+    ) -> CholeskyWhitened:
         relative = covariance / mean**2 + discrepancy**2 * self.per_octave
         known = jnp.asarray(self.dof) > 0.0
         scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
-        return Whitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
+        return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
 
     def cost(
         self,

@@ -128,7 +128,7 @@ class AllanAccumulator:
             values[:, silent] = 0.0
         self._gathered.append(values)
         if sum(map(len, self._gathered)) >= _GATHERED:
-            self._look()
+            self._flush()
 
     def merge(self, right: AllanAccumulator) -> AllanAccumulator:
         """An accumulator of this one's samples and those of the piece after it; both stay as they are.
@@ -147,7 +147,7 @@ class AllanAccumulator:
                 "leave the axis out, or take a stretch in which it has numbers"
             )
         for piece in (self, right):
-            piece._look()
+            piece._flush()
         merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name)
         merged._pyramid = self._pyramid.merge(right._pyramid)
         merged._spectra = self._spectra.merge(right._spectra)
@@ -158,7 +158,7 @@ class AllanAccumulator:
     @property
     def dead(self) -> tuple[DeadAxis, ...]:
         """The axes that have no result: constant so far, or without a single number."""
-        self._look()
+        self._flush()
         if self.n < 2:
             return ()
         still = np.flatnonzero(self._pyramid.variance()[0] == 0.0)
@@ -254,7 +254,7 @@ class AllanAccumulator:
         Raises:
             OSError: the file can not be written.
         """
-        self._look()
+        self._flush()
         header = {
             "format": _FORMAT,
             "rate": self.rate,
@@ -304,8 +304,8 @@ class AllanAccumulator:
             raise RecordingError(f"{path}: not a snapshot of an accumulator, or damaged: {error}") from error
         return found
 
-    def _look(self) -> None:
-        """Take in what has been gathered."""
+    def _flush(self) -> None:
+        """Merge the buffered samples into the statistics."""
         if not self._gathered:
             return
         values, start = np.concatenate(self._gathered), self.start + self._pyramid.n
@@ -318,7 +318,7 @@ class AllanAccumulator:
         if not isinstance(other, AllanAccumulator):
             return NotImplemented
         for each in (self, other):
-            each._look()
+            each._flush()
         return equal(vars(self), vars(other))
 
     __hash__ = None  # type: ignore[assignment]  # It grows.

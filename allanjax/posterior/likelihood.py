@@ -15,6 +15,7 @@ import numpy as np
 from jax.scipy.special import i0e
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import whiten
 from allanjax.estimate.design import AllanDesign, Design
@@ -194,8 +195,7 @@ class AllanLikelihood(Likelihood):
         covariance = self.design.covariance(power, jnp.asarray(self.products))
         own = self.design.variances(covariance) / mean**2 + self.discrepancy**2
         ratio = self.variance / mean
-        g = own / 9.0
-        score = (jnp.cbrt(ratio) - 1.0 + g) / jnp.sqrt(g)
+        score = cube_root_score(ratio, own)
         whitened = self.design.whiten(
             covariance, mean, jnp.asarray(self.discrepancy), (score * jnp.sqrt(own))[:, None]
         )

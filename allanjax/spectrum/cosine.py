@@ -31,8 +31,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, Float, Int
 
 from allanjax.allan.covariance import discrete_gauss
 from allanjax.base.errors import FitError
@@ -263,22 +262,6 @@ def _exact_expectation(
     at_end = np.where(j % 2, -1.0, 1.0) * (1.0 + np.cos(a)) / n
     all_weights = -(rate**2) * np.concatenate([at_zero, 2.0 * w * inside, 2.0 * at_end], axis=1)
     return np.concatenate([[0.0], s, [n]]) / rate, all_weights
-
-
-def cube_root_score(ratio: Float[Array, " m"], dof: Float[ArrayLike, " m"]) -> Float[Array, " m"]:
-    """A nearly normal score of a χ² variate over its mean: its cube root (Wilson & Hilferty 1931).
-
-    Standardized with the exact moments E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2), of which the usual
-    approximation is 15 % off at one degree of freedom.
-    """
-    dof = jnp.maximum(jnp.asarray(dof), 1e-3)
-    few = jnp.minimum(dof, 1e3) / 2.0
-    first, second = (
-        jnp.exp(gammaln(few + p) - gammaln(few) - p * jnp.log(few)) for p in (1.0 / 3.0, 2.0 / 3.0)
-    )
-    g = 2.0 / (9.0 * dof)
-    mean = jnp.where(dof < 1e3, first, 1.0 - g)
-    return (jnp.cbrt(ratio) - mean) / jnp.sqrt(jnp.where(dof < 1e3, second - first**2, g))
 
 
 class Levels(NamedTuple):
