@@ -24,7 +24,7 @@ from allanjax.estimate.bulk import BulkFit, fit_many
 from allanjax.estimate.fit import fit
 from allanjax.estimate.loading import load
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet, basic_terms, select_terms
+from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet, select_terms
 from allanjax.fleet.fleet import FleetResult, characterize_fleet
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.inspection import Inspection, inspect
@@ -94,7 +94,6 @@ __all__ = [
     "UnitError",
     "accumulate",
     "allan_deviation",
-    "basic_terms",
     "characterize_fleet",
     "convert",
     "critic",

@@ -10,13 +10,13 @@ from jaxtyping import Array, ArrayLike, Float
 _BEYOND_DOUBT = 4.75
 
 
-def cube_root_score(ratio: Float[Array, ...], variance: Float[Array, ...]) -> Float[Array, ...]:
+def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...]) -> Float[Array, ...]:
     """Normal score of a χ² (or gamma) variate over its mean, given the variance of this ratio.
 
     The usual approximation to the moments of the cube root, mean 1 − variance/9 and variance/9: for few
     degrees of freedom see `exact_cube_root_score`.
     """
-    g = variance / 9.0
+    g = jnp.asarray(variance) / 9.0
     return (jnp.cbrt(ratio) - 1.0 + g) / jnp.sqrt(g)
 
 
@@ -38,5 +38,6 @@ def exact_cube_root_score(ratio: Float[Array, " m"], dof: Float[ArrayLike, " m"]
 
 def beyond_doubt(dof: Float[ArrayLike, ""]) -> Float[Array, ""]:
     """χ² that a model which is right exceeds with a probability of 10⁻⁶ only."""
+    dof = jnp.asarray(dof)
     g = 2.0 / (9.0 * dof)
     return dof * (1.0 - g + _BEYOND_DOUBT * jnp.sqrt(g)) ** 3

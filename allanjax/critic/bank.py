@@ -20,6 +20,7 @@ from scipy.stats import norm
 
 from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
+from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 
 _DRAWS = 400
 _GROWTH = 0.6
@@ -61,7 +62,7 @@ class Scan:
 
 def log_occam_factor(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
     """What an unknown amplitude costs [nats], with the prior of `evidence` for either sign."""
-    return np.log((np.abs(snr) + 1.0) * 2.0 * np.log1p(1e4) / np.sqrt(2.0 * np.pi))
+    return np.log((np.abs(snr) + 1.0) * 2.0 * LOG_PRIOR_RANGE / np.sqrt(2.0 * np.pi))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

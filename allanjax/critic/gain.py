@@ -14,8 +14,7 @@ from allanjax.critic.profiles import ANGLE
 from allanjax.critic.result import CoefficientChange, DriftChange
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
-from allanjax.estimate.selection import basic_terms
-from allanjax.noise.terms import Markov
+from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 
 _HORIZONS = 4.0 ** np.arange(0.0, 10.0)

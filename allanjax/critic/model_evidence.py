@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.critic.noise import EXPONENTS, FIXED, GRID, MARKOV, POWER_LAW, RAMP, Noise, NoiseFamily
 from allanjax.estimate.evidence import BLOCK, ROUGH, Evidence
-from allanjax.spectrum.cosine import Levels
+from allanjax.spectrum.cosine import SpectralStatistics
 
 #: Sets of noise terms of which one may be the right one, and how much less likely they may be [nats].
 SETS, _LESS = 4, 3.0
@@ -86,7 +86,7 @@ class SpectralMask:
         if self.weight is not None:
             squares *= self.weight
         found = (self.family.bins.sums(z)[self.family.keep] for z in (squares, self.ramp * c))
-        levels = Levels(*(z[None] for z in (*found, self.gram)))
+        levels = SpectralStatistics(*(z[None] for z in (*found, self.gram)))
         return ModelEvidence(self.family, levels, self.size, self.constant)
 
 
@@ -95,7 +95,7 @@ class ModelEvidence:
     """The statistics of one hypothetical record, from which sets of noise terms are weighed."""
 
     family: NoiseFamily
-    levels: Levels
+    levels: SpectralStatistics
     size: Float[np.ndarray, " m"]
     constant: float
 

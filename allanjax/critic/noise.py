@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from allanjax.estimate.evidence import FURTHER, Evidence, Job, evidences
-from allanjax.estimate.selection import basic_terms, jobs_of
+from allanjax.estimate.evidence import FURTHER, Evidence, TermSubset, evidences, term_subsets
+from allanjax.estimate.starts import correlation_times
 from allanjax.noise.model import Model
-from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw
-from allanjax.spectrum.cosine import CosineBins, Levels, cosine_transform, ramp_column
+from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
+from allanjax.spectrum.cosine import CosineBins, SpectralStatistics, cosine_transform, ramp_column
 
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
@@ -99,13 +99,13 @@ class NoiseFamily:
         self.bins = CosineBins.of(n, rate)
         self.keep = self.bins.size > 0
         self.size = self.bins.size[self.keep].astype(float)
-        self.times = np.geomspace(4.0 / rate, n / rate / 4.0, GRID)
+        self.times = correlation_times(n / rate, rate)
         self.frequency = np.arange(1, n) * rate / (2.0 * n)
         self._padded = jnp.asarray(_padded(self.frequency))
         unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
         self.spectra = np.stack([self.spectrum(term) for term in unit])
         self.columns = np.asarray(_levels(tuple(unit), self.bins, Markov, self.times))[:, self.keep]
-        self.jobs = jobs_of(len(FIXED), GRID, True)
+        self.jobs = term_subsets(len(FIXED), GRID, True)
         self.ramp = ramp_column(n, rate)
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
@@ -130,7 +130,7 @@ class NoiseFamily:
 
     def run(
         self,
-        levels: Levels,
+        levels: SpectralStatistics,
         size: Float[np.ndarray, " m"],
         grid: Float[np.ndarray, "grid m"],
         rows: Int[np.ndarray, " jobs"],
@@ -138,7 +138,7 @@ class NoiseFamily:
         steps: int = FURTHER,
     ) -> Evidence:
         """Evidence and powers of these jobs after so many steps, from powers to start with."""
-        jobs, share = Job(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
+        jobs, share = TermSubset(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
         known = self.columns[: len(FIXED)]
         first = None if first is None else first[None]
         found = evidences(jobs, levels, known, grid, size, share, first, steps)

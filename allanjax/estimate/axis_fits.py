@@ -46,7 +46,7 @@ def fit_allan(
     variance = curve.variance.T
     records = [None] * len(axes) if values is None else values.T
     starts = find_starts(design, variance, active, records, curve.n, curve.rate)
-    free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
+    free = np.array([term.has_free_amplitude for term in template.terms])
     # A line is seen in the record far better than in its Allan variances, which get to know of it.
     indices, wanted = lines_of(template)
     lines = [
@@ -236,7 +236,7 @@ def _parameters(
     """Powers and transformed shapes of the fitted models; zero where there is none."""
     power = np.zeros((len(results), len(design.model)))
     shape = np.zeros((len(results), len(design.shapes)))
-    amplitudes = [p for p in design.model.parameters if p.parameter.kind == "amplitude"]
+    amplitudes = [p for p in design.model.parameters if p.parameter.is_amplitude]
     for k, result in enumerate(results):
         if result.converged:
             values = {label: c.value for label, c in result.coefficients.items()}

@@ -52,7 +52,7 @@ class Design(eqx.Module):
 
     def units(self, shape: Float[Array, " shapes"]) -> list[NoiseTerm]:
         """The terms with unit amplitude at these shapes."""
-        terms = [unit(t) for t in self.model.terms]
+        terms = [t.with_unit_amplitude() for t in self.model.terms]
         for p, u in zip(self.shapes, shape, strict=True):
             value = p.parameter.lower + jnp.exp(u)
             terms[p.term] = terms[p.term].replace(**{p.parameter.name: value})
@@ -203,12 +203,7 @@ class AllanDesign(Design):
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
     """The free parameters of a model that are not amplitudes."""
-    return tuple(p for p in model.parameters if p.free and p.parameter.kind != "amplitude")
-
-
-def unit(term: NoiseTerm) -> NoiseTerm:
-    """The term with unit amplitude."""
-    return term.replace(**{term.parameters()[0].name: 1.0})
+    return tuple(p for p in model.parameters if p.free and not p.parameter.is_amplitude)
 
 
 def _products(
@@ -242,7 +237,7 @@ def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Ar
 @eqx.filter_jit
 def _constants(model: Model, geometry: AllanCovariance) -> _Constants:
     with_shape = {p.term for p in free_shapes(model)}
-    units = [unit(t) for t in model.terms]
+    units = [t.with_unit_amplitude() for t in model.terms]
     steady = [k not in with_shape for k in range(len(units))]
     T = geometry.cluster_time
     means = tuple(t.allan_variance(T) if s else None for t, s in zip(units, steady, strict=True))

@@ -1,18 +1,19 @@
 """The evidence for sets of noise terms: Whittle's likelihood integrated over the amplitudes of each set.
 
-An amplitude c has the prior 1/[(c + knee)·Y], uniform where the term could not be seen and uniform in ln c
-above (the modified Jeffreys prior, Gregory 2005, ApJ 631:1198). The knee is the amplitude whose power
-would be one standard deviation in these data; Y = ln(1 + 10⁴): four decades. So the price of a term
-depends on how sharply the data determine it, not on units, and is two to five nats. (The knee of a ramp is
-its standard deviation under each set's own noise.)
+An amplitude c has the prior 1/[(c + c0)·Y], uniform where the term could not be seen and uniform in ln c
+above (the modified Jeffreys prior, Gregory 2005, ApJ 631:1198). Its scale c0 is the amplitude whose power
+would be one standard deviation in these data; Y = ln(1 + 10⁴): four decades. So a term's Occam factor
+depends on how sharply the data determine it, not on units, and is two to five nats. (The scale of a ramp's
+prior is the standard deviation of the ramp under each set's own noise.)
 
-The integral is Laplace's over the powers, where the Fisher information is exact; the factor of each
-amplitude along its own axis is a quadrature, which keeps it right next to and at the boundary
-c = 0. A correlation time is integrated over a grid, uniform in its logarithm. The sign of a ramp is averaged.
+The integral over the powers is Laplace's approximation, with the exact Fisher information; the factor of
+each amplitude along its own axis is a quadrature, which keeps it right next to and at the boundary c = 0. A
+correlation time is integrated over a grid, uniform in its logarithm. The sign of a ramp is averaged.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,56 +23,83 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.linalg import inverse, whiten
-from allanjax.spectrum.cosine import Levels
+from allanjax.spectrum.cosine import SpectralStatistics
 
-_DECADES = np.log1p(1e4)
-#: Steps of scoring to the maximum. After the few of `ROUGH` sets that matter can be told from others, and
-#: these are `FURTHER` ones from it (less than 10⁻⁵ nats).
+#: Largest amplitude that the prior allows, over the prior's scale, and the normalization ln(1 + that).
+PRIOR_RANGE = 1e4
+LOG_PRIOR_RANGE = np.log1p(PRIOR_RANGE)
+#: Steps of Fisher scoring: from zero to the maximum; to tell the sets that matter from the others; and from
+#: there to the maximum (within 10⁻⁵ nats).
 STEPS, ROUGH, FURTHER = 20, 3, 6
+# Sweeps over the powers within a step, each of which goes on from the last.
 _SWEEPS = 40
-# Within 10⁻⁷ nats where a set matters; half of what weighing costs is these.
+# Points of the integral over one amplitude: within 10⁻⁷ nats, for half of the time that the evidence takes.
 _QUADRATURE = 48
-#: Sets looked at together: a fourth of those of six basic terms, half of those with every other shape.
+#: Sets computed together, for one compilation: a fourth of those of six basic terms.
 BLOCK = 143
 
 
-class Job(NamedTuple):
-    """A set of terms: which of the fixed ones, which column of the grid if any, and whether a ramp."""
+class TermSubset(NamedTuple):
+    """A subset of the candidate terms, or several, stacked [subsets].
+
+    Attributes:
+        terms: which of the terms without a free shape it has, and whether the one with a free shape.
+        column: index of the latter's shape in its grid, 0 without.
+        ramp: whether it has a ramp.
+    """
 
     terms: Any
     column: Any
     ramp: Any
 
 
+def term_subsets(fixed: int, grid: int, ramp: bool) -> TermSubset:
+    """All subsets: first those of the terms without a free shape, then those with each shape of the grid."""
+    subsets = [
+        (*terms, r)
+        for terms in itertools.product([False, True], repeat=fixed)
+        for r in (False, True)[: 1 + ramp]
+    ]
+    rows = [((*s[:-1], False), 0, s[-1]) for s in subsets if any(s[:-1])]
+    rows += [((*s[:-1], True), column, s[-1]) for s in subsets for column in range(grid)]
+    terms, columns, with_ramp = (np.array(values) for values in zip(*rows, strict=True))
+    return TermSubset(terms, columns, with_ramp)
+
+
 class Evidence(NamedTuple):
-    """Log-evidence [nats] of a set, and the powers of its terms."""
+    """Log-evidence [nats] of a subset, and the powers of its terms at the maximum of the likelihood."""
 
     log_evidence: Any
     power: Any
 
 
-def taken_out(levels: Levels, size: ArrayLike, mean: ArrayLike, ramp: ArrayLike) -> tuple[Array, Array]:
-    """Sums of squares and degrees of freedom without the ramp, if there is one."""
-    u = jnp.sum(levels.gram / mean)
-    beta = jnp.where(ramp, jnp.sum(levels.cross / mean) / u, 0.0)
-    squares = levels.squares - 2.0 * beta * levels.cross + beta**2 * levels.gram
-    return jnp.maximum(squares, 0.0), jnp.asarray(size) - jnp.where(ramp, levels.gram / (mean * u), 0.0)
+def without_ramp(
+    statistics: SpectralStatistics, size: ArrayLike, mean: ArrayLike, ramp: ArrayLike
+) -> tuple[Array, Array]:
+    """Sums of squares and degrees of freedom in each bin with the ramp, if there is one, projected out."""
+    u = jnp.sum(statistics.gram / mean)
+    beta = jnp.where(ramp, jnp.sum(statistics.cross / mean) / u, 0.0)
+    squares = statistics.squares - 2.0 * beta * statistics.cross + beta**2 * statistics.gram
+    return jnp.maximum(squares, 0.0), jnp.asarray(size) - jnp.where(ramp, statistics.gram / (mean * u), 0.0)
 
 
-def _log_likelihood(levels: Levels, size: Array, share: Array, mean: Array, ramp: Array) -> Array:
-    """With the ramp integrated over all amplitudes, but for a constant of its unit."""
-    base = -0.5 * jnp.sum(share * (size * jnp.log(mean) + levels.squares / mean))
-    u, p = jnp.sum(share * levels.gram / mean), jnp.sum(share * levels.cross / mean)
+def _log_likelihood(
+    statistics: SpectralStatistics, size: Array, share: Array, mean: Array, ramp: Array
+) -> Array:
+    """Whittle log-likelihood, integrated over all amplitudes of the ramp but for a constant of its unit."""
+    base = -0.5 * jnp.sum(share * (size * jnp.log(mean) + statistics.squares / mean))
+    u, p = jnp.sum(share * statistics.gram / mean), jnp.sum(share * statistics.cross / mean)
     return base + jnp.where(ramp, 0.5 * p**2 / u - 0.5 * jnp.log(u), 0.0)
 
 
 def _fisher(columns: Array, size: Array, share: Array, mean: Array) -> Array:
+    """Fisher information of the powers."""
     scaled = columns / mean
     return (scaled * (0.5 * share * size)) @ scaled.T
 
 
-def _positive(normal: Array, target: Array, allowed: Array, start: Array) -> Array:
-    """x ≥ 0 that minimizes x'Ax/2 − x'b, one entry after the other (the next step goes on from here)."""
+def _non_negative_powers(normal: Array, target: Array, allowed: Array, start: Array) -> Array:
+    """Powers x ≥ 0 that minimize x'Ax/2 − x'b, approached by coordinate descent from `start`."""
 
     def sweep(_: int, x: Array) -> Array:
         for k in range(len(target)):
@@ -82,65 +110,70 @@ def _positive(normal: Array, target: Array, allowed: Array, start: Array) -> Arr
     return jax.lax.fori_loop(0, _SWEEPS, sweep, start)
 
 
-def _along(precision: Array, power: Array, score: Array, knee: Array) -> Array:
-    """ln ∫ prior(c) exp[score·c² − ½ precision (c² − power)²] dc."""
-    # Uniform in y = ln(1 + c/knee), as the prior is, from zero to where the integrand has ended.
+def _marginal_factor(precision: Array, power: Array, score: Array, prior_scale: Array) -> Array:
+    """Factor of one amplitude in the evidence: ln ∫ prior(c) exp[score·c² − ½ precision (c² − power)²] dc."""
+    # Uniform in y = ln(1 + c/prior_scale), as the prior is, from zero to where the integrand has ended.
     width = 1.0 / jnp.sqrt(precision)
-    top = jnp.log1p(jnp.sqrt(power + 8.0 * width) / knee)
+    top = jnp.log1p(jnp.sqrt(power + 8.0 * width) / prior_scale)
     # Where the power is known well, only its surroundings.
-    bottom = jnp.log1p(jnp.sqrt(jnp.maximum(power - 8.0 * width, 0.0)) / knee)
+    bottom = jnp.log1p(jnp.sqrt(jnp.maximum(power - 8.0 * width, 0.0)) / prior_scale)
     y = bottom + (top - bottom) * (jnp.arange(_QUADRATURE) + 0.5) / _QUADRATURE
-    v = (knee * jnp.expm1(y)) ** 2
+    v = (prior_scale * jnp.expm1(y)) ** 2
     exponent = score * v - 0.5 * precision * (v - power) ** 2
-    return jax.nn.logsumexp(exponent) + jnp.log((top - bottom) / _QUADRATURE / _DECADES)
+    return jax.nn.logsumexp(exponent) + jnp.log((top - bottom) / _QUADRATURE / LOG_PRIOR_RANGE)
 
 
-def _ramp_evidence(levels: Levels, share: Array, mean: Array) -> Array:
-    """ln ∫ prior(R) cosh(Rp) exp(−½R²u) dR, less what `_log_likelihood` has of it."""
-    u, p = jnp.sum(share * levels.gram / mean), jnp.sum(share * levels.cross / mean)
-    knee = 1.0 / jnp.sqrt(u)
+def _ramp_evidence(statistics: SpectralStatistics, share: Array, mean: Array) -> Array:
+    """Factor of the ramp, ln ∫ prior(R) cosh(Rp) exp(−½R²u) dR, less the part that `_log_likelihood` has."""
+    u, p = jnp.sum(share * statistics.gram / mean), jnp.sum(share * statistics.cross / mean)
+    prior_scale = 1.0 / jnp.sqrt(u)
     centre = jnp.abs(p) / u
-    top = jnp.log1p((centre + 8.0 * knee) / knee)
-    bottom = jnp.log1p(jnp.maximum(centre - 8.0 * knee, 0.0) / knee)
+    top = jnp.log1p((centre + 8.0 * prior_scale) / prior_scale)
+    bottom = jnp.log1p(jnp.maximum(centre - 8.0 * prior_scale, 0.0) / prior_scale)
     y = bottom + (top - bottom) * (jnp.arange(_QUADRATURE) + 0.5) / _QUADRATURE
-    R = knee * jnp.expm1(y)
+    R = prior_scale * jnp.expm1(y)
     log_cosh = jnp.abs(R * p) + jnp.log1p(jnp.exp(-2.0 * jnp.abs(R * p))) - jnp.log(2.0)
-    integral = jax.nn.logsumexp(log_cosh - 0.5 * R**2 * u) + jnp.log((top - bottom) / _QUADRATURE / _DECADES)
+    integral = jax.nn.logsumexp(log_cosh - 0.5 * R**2 * u) + jnp.log(
+        (top - bottom) / _QUADRATURE / LOG_PRIOR_RANGE
+    )
     return integral - (0.5 * p**2 / u - 0.5 * jnp.log(u))
 
 
 def _evidence(
-    job: Job,
+    subset: TermSubset,
     first: Array,
-    levels: Levels,
+    statistics: SpectralStatistics,
     fixed: Array,
     grid: Array,
     size: Array,
     share: Array,
     smooth: Array,
-    knees: Array,
+    prior_scales: Array,
     steps: Array,
 ) -> Evidence:
-    columns = jnp.concatenate([fixed, grid[job.column][None]])
+    """Evidence of one subset: Fisher scoring to the maximum, then the integral around it."""
+    columns = jnp.concatenate([fixed, grid[subset.column][None]])
     start = jnp.where(jnp.any(first > 0.0), jnp.maximum(first @ columns, 1e-300), smooth)
-    knee = knees[jnp.append(jnp.arange(len(fixed)), len(fixed) + job.column)]
+    prior_scale = prior_scales[jnp.append(jnp.arange(len(fixed)), len(fixed) + subset.column)]
 
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         power, mean = state
-        squares, dof = taken_out(levels, size, mean, job.ramp)
+        squares, dof = without_ramp(statistics, size, mean, subset.ramp)
         level = jnp.where(dof > 1e-3, squares / jnp.maximum(dof, 1e-3), mean)
         weight = share * dof / 2.0 / mean**2
-        new = _positive(columns * weight @ columns.T, columns @ (weight * level), job.terms, power)
+        new = _non_negative_powers(
+            columns * weight @ columns.T, columns @ (weight * level), subset.terms, power
+        )
         # Fisher's scoring overshoots now and then; half the step is for that.
         tried = jnp.stack([new, 0.5 * (power + new)])
         means = jnp.maximum(tried @ columns, 1e-300)
-        values = jax.vmap(lambda mean: _log_likelihood(levels, size, share, mean, job.ramp))(means)
+        values = jax.vmap(lambda mean: _log_likelihood(statistics, size, share, mean, subset.ramp))(means)
         best = jnp.argmax(values)
         return tried[best], means[best]
 
     power, mean = jax.lax.fori_loop(0, steps, step, (first, start))
-    likelihood = _log_likelihood(levels, size, share, mean, job.ramp)
-    present = job.terms & (power > 0.0)
+    likelihood = _log_likelihood(statistics, size, share, mean, subset.ramp)
+    present = subset.terms & (power > 0.0)
     information = _fisher(columns, size, share, mean)
     both = present[:, None] & present
     scale = 1.0 / jnp.sqrt(jnp.diag(information))
@@ -150,69 +183,73 @@ def _evidence(
     spread = jnp.diag(inverse(scaled + 1e-12 * jnp.eye(len(scale))))
     log_det = 2.0 * whiten(scaled + 1e-12 * jnp.eye(len(scale)), jnp.eye(len(scale))).log_det
     precision = jnp.diag(information) / jnp.where(present, spread, 1.0)
-    squares, dof = taken_out(levels, size, mean, job.ramp)
+    squares, dof = without_ramp(statistics, size, mean, subset.ramp)
     score = columns @ (0.5 * share * (squares / mean - dof) / mean)
-    each = jax.vmap(_along)(precision, power, jnp.where(present, 0.0, jnp.minimum(score, 0.0)), knee)
+    each = jax.vmap(_marginal_factor)(
+        precision, power, jnp.where(present, 0.0, jnp.minimum(score, 0.0)), prior_scale
+    )
     correlation = -0.5 * (log_det + jnp.sum(jnp.where(present, jnp.log(spread), 0.0)))
-    log_evidence = likelihood + jnp.sum(jnp.where(job.terms, each, 0.0)) + correlation
-    log_evidence += jnp.where(job.ramp, _ramp_evidence(levels, share, mean), 0.0)
+    log_evidence = likelihood + jnp.sum(jnp.where(subset.terms, each, 0.0)) + correlation
+    log_evidence += jnp.where(subset.ramp, _ramp_evidence(statistics, share, mean), 0.0)
     return Evidence(log_evidence, power)
 
 
 @eqx.filter_jit
 def _evidences(
-    jobs: Job,
-    first: Float[Any, "axes jobs terms"],
-    levels: Levels,
+    subsets: TermSubset,
+    first: Float[Any, "axes subsets terms"],
+    statistics: SpectralStatistics,
     fixed: Float[Any, "fixed m"],
     grid: Float[Any, "grid m"],
     size: Float[Any, " m"],
     share: Float[Any, "axes m"],
     steps: Any,
 ) -> Evidence:
-    def of_axis(first: Array, levels: Levels, share: Array) -> Evidence:
+    """Evidence of a block of subsets for every axis."""
+
+    def of_axis(first: Array, statistics: SpectralStatistics, share: Array) -> Evidence:
         columns = jnp.concatenate([fixed, grid])
         window = jnp.ones(7)
-        smooth = jnp.convolve(levels.squares, window, "same") / jnp.convolve(size, window, "same")
+        smooth = jnp.convolve(statistics.squares, window, "same") / jnp.convolve(size, window, "same")
         information = jnp.sum(0.5 * share * size * (columns / smooth) ** 2, axis=1)
-        knees = information**-0.25
-        of_job = lambda job, first: _evidence(  # noqa: E731
-            job, first, levels, fixed, grid, size, share, smooth, knees, steps
+        prior_scales = information**-0.25
+        of_subset = lambda subset, first: _evidence(  # noqa: E731
+            subset, first, statistics, fixed, grid, size, share, smooth, prior_scales, steps
         )
-        return jax.vmap(of_job)(jobs, first)
+        return jax.vmap(of_subset)(subsets, first)
 
-    return jax.lax.map(lambda of: of_axis(*of), (first, levels, share))
+    return jax.lax.map(lambda of: of_axis(*of), (first, statistics, share))
 
 
 def evidences(
-    jobs: Job,
-    levels: Levels,
+    subsets: TermSubset,
+    statistics: SpectralStatistics,
     fixed: Float[np.ndarray, "fixed m"],
     grid: Float[np.ndarray, "grid m"],
     size: Float[np.ndarray, " m"],
     share: Float[np.ndarray, "axes m"],
-    first: Float[np.ndarray, "axes jobs terms"] | None = None,
+    first: Float[np.ndarray, "axes subsets terms"] | None = None,
     steps: int = STEPS,
 ) -> Evidence:
-    """The evidence of every set of terms for every axis, [axes, jobs].
+    """Evidence of every subset of terms for every axis, [axes, subsets].
 
     Args:
-        jobs: the sets, their fields stacked [jobs].
-        levels: statistics, stacked [axes].
-        fixed: expectations of the terms without a free shape, unit amplitude.
-        grid: those of the term with one, at each of its values.
+        subsets: their fields stacked [subsets].
+        statistics: sums over the bins, stacked [axes].
+        fixed: expectations [rate²] of the terms without a free shape, of unit amplitude.
+        grid: expectations of the term with a free shape, for each shape of the grid.
         size: coefficients in each bin.
-        share: what a bin counts, less than one where the model has an error of its own.
+        share: weight of each bin, less than one where the model has an error of its own.
         first: powers to start from.
-        steps: of scoring.
+        steps: number of scoring steps.
     """
-    count, blocks = len(jobs.ramp), []
+    count, blocks = len(subsets.ramp), []
     if first is None:
         first = np.zeros((len(share), count, len(fixed) + 1))
     for begin in range(0, count, BLOCK):
         # The last block is filled up: one shape, one compilation.
         rows = np.minimum(np.arange(begin, begin + BLOCK), count - 1)
-        block = Job(*(x[rows] for x in jobs))
-        found = _evidences(block, first[:, rows], levels, fixed, grid, size, share, np.asarray(steps))
+        block = TermSubset(*(x[rows] for x in subsets))
+        found = _evidences(block, first[:, rows], statistics, fixed, grid, size, share, np.asarray(steps))
         blocks.append(jax.device_get(found))
     return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))

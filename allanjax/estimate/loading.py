@@ -127,7 +127,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
     coefficients = {}
     for c in a["coefficients"]:
         p, si = parameters[c["label"]].parameter, c["si"]
-        limited = p.kind == "amplitude" and c["measured"] and not c["held"]
+        limited = p.is_amplitude and c["measured"] and not c["held"]
         limit = si["upper_limit_95"]
         coefficients[c["label"]] = Estimate(
             label=c["label"],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
@@ -17,26 +16,18 @@ from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
-from allanjax.estimate.design import unit
-from allanjax.estimate.evidence import Evidence, Job, evidences, taken_out
+from allanjax.estimate.evidence import Evidence, TermSubset, evidences, term_subsets, without_ramp
 from allanjax.estimate.spectral_design import bins_per_octave
+from allanjax.estimate.starts import correlation_times
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.noise.terms import (
-    AngleRandomWalk,
-    BiasInstability,
-    DriftRamp,
-    Markov,
-    NoiseTerm,
-    Quantization,
-    RateRandomWalk,
-)
+from allanjax.noise.terms import Markov, NoiseTerm, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import (
     Bins,
     CosineBins,
-    Levels,
+    SpectralStatistics,
     cosine_transform,
     ramp_column,
     term_column,
@@ -46,7 +37,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NUMBERS = ("probability", "nats behind")
-_GRID = 16
 # Sets whose odds against the best are shorter than this cannot be told from it (Kass & Raftery 1995: "strong"
 # evidence begins at 20).
 _ODDS = 20.0
@@ -56,11 +46,6 @@ _PARSIMONY = 5.0
 _WORTH_SAYING = 0.1
 # How often the sets are weighed anew with the discrepancy of the best one.
 _ROUNDS = 2
-
-
-def basic_terms() -> Model:
-    """The thesis's five basic terms: quantization, random walk, bias instability, rate random walk, ramp."""
-    return Quantization() + AngleRandomWalk() + BiasInstability() + RateRandomWalk() + DriftRamp()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -242,8 +227,8 @@ def select_terms(
     ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
     c = cosine_transform(recording.values - recording.values.mean(axis=0))
     squares, cross, gram = (bins.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
-    levels = Levels(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
-    return rank_terms(model, bins, levels, recording.axes, recording.name)
+    statistics = SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
+    return rank_terms(model, bins, statistics, recording.axes, recording.name)
 
 
 def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
@@ -251,7 +236,9 @@ def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
     return (basic_terms() + Markov() if candidates is None else as_model(candidates)).sampled(rate)
 
 
-def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], name: str) -> TermSelection:
+def rank_terms(
+    model: Model, bins: Bins, statistics: SpectralStatistics, axes: Sequence[Axis], name: str
+) -> TermSelection:
     """As `select_terms`, from the statistics [axes, m] of a spectrum instead of a recording.
 
     The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
@@ -259,26 +246,30 @@ def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], n
     fixed, shaped, ramps = _sorted(model)
     columns, times = _columns(model, fixed, shaped, bins)
     keep = bins.size > 0
-    levels = Levels(*(np.asarray(x)[:, keep] for x in levels))
-    jobs = jobs_of(len(fixed), len(times) if shaped else 0, bool(ramps))
+    statistics = SpectralStatistics(*(np.asarray(x)[:, keep] for x in statistics))
+    subsets = term_subsets(len(fixed), len(times) if shaped else 0, bool(ramps))
     size, columns = bins.size[keep].astype(float), columns[:, keep]
     cut = len(fixed)
     grid = columns[cut:] if shaped else np.ones((1, len(size)))
 
     def run(share: Float[np.ndarray, "axes m"], last: int) -> Evidence:
         """The evidence of the sets up to this one."""
-        return evidences(Job(*(x[:last] for x in jobs)), levels, columns[:cut], grid, size, share)
+        return evidences(
+            TermSubset(*(x[:last] for x in subsets)), statistics, columns[:cut], grid, size, share
+        )
 
-    def off(k: int, job: int) -> float:
-        used = np.concatenate([columns[:cut], grid[jobs.column[job]][None]])
-        return _discrepancy(levels, k, power[k, job] @ used, bool(jobs.ramp[job]), size, per_octave)
+    def off(k: int, subset: int) -> float:
+        used = np.concatenate([columns[:cut], grid[subsets.column[subset]][None]])
+        return _discrepancy(
+            statistics, k, power[k, subset] @ used, bool(subsets.ramp[subset]), size, per_octave
+        )
 
     every = range(len(axes))
     per_octave = bins_per_octave(bins)[keep]
-    log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(jobs.ramp)))
+    log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(subsets.ramp)))
     incomplete = np.array([off(k, int(np.argmax(log_evidence[k]))) > 0.0 for k in every])
     # The sets without a free time come first; only these are left where none suffices.
-    plain = int((~jobs.terms[:, -1]).sum())
+    plain = int((~subsets.terms[:, -1]).sum())
     log_evidence[incomplete, plain:] = -np.inf
     discrepancy = np.zeros(len(axes))
     for _ in range(_ROUNDS if incomplete.any() else 0):
@@ -288,14 +279,14 @@ def rank_terms(model: Model, bins: Bins, levels: Levels, axes: Sequence[Axis], n
         log_evidence[incomplete, :plain] = found.log_evidence[incomplete]
         power[incomplete, :plain] = found.power[incomplete]
     ranked = (
-        _ranked(axis, model, (fixed, shaped, ramps), jobs, log_evidence[k], float(discrepancy[k]) / 2.0)
+        _ranked(axis, model, (fixed, shaped, ramps), subsets, log_evidence[k], float(discrepancy[k]) / 2.0)
         for k, axis in enumerate(axes)
     )
     return TermSelection(name, tuple(ranked))
 
 
 def _discrepancy(
-    levels: Levels,
+    statistics: SpectralStatistics,
     k: int,
     mean: Float[np.ndarray, " m"],
     ramp: bool,
@@ -305,7 +296,9 @@ def _discrepancy(
     """Relative error of an axis's spectrum that brings χ² down to its degrees of freedom, or 0."""
     from scipy.optimize import brentq
 
-    rss, dof = (np.asarray(x) for x in taken_out(Levels(*(x[k] for x in levels)), size, mean, ramp))
+    rss, dof = (
+        np.asarray(x) for x in without_ramp(SpectralStatistics(*(x[k] for x in statistics)), size, mean, ramp)
+    )
     known = dof > 0.05
     dof = np.maximum(dof, 1e-3)
     z = np.asarray(exact_cube_root_score(rss / dof / mean, dof))[known]
@@ -326,7 +319,7 @@ def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
     ramps: list[int] = []
     for k, term in enumerate(model.terms):
         free = [p for p in term.parameters()[1:] if term.is_free(p)]
-        if not term.is_free(term.parameters()[0]):
+        if not term.has_free_amplitude:
             raise AllanjaxError(f"{term.name()}: a held amplitude leaves nothing to choose")
         if term.deterministic and len(term.parameters()) == 1:
             ramps.append(k)
@@ -348,9 +341,9 @@ def _columns(
     model: Model, fixed: list[int], shaped: list[int], bins: Bins
 ) -> tuple[Float[np.ndarray, "columns m"], Float[np.ndarray, " grid"]]:
     """Unit expectations of the fixed terms, then of the shaped one over its grid; and the grid."""
-    times = np.geomspace(4.0 / bins.rate, bins.n / bins.rate / 4.0, _GRID)
-    terms = tuple(unit(model.terms[k]) for k in fixed)
-    with_time = unit(model.terms[shaped[0]]) if shaped else None
+    times = correlation_times(float(bins.n / bins.rate), bins.rate)
+    terms = tuple(model.terms[k].with_unit_amplitude() for k in fixed)
+    with_time = model.terms[shaped[0]].with_unit_amplitude() if shaped else None
     return np.asarray(_expectations(terms, with_time, bins, times)), times
 
 
@@ -366,32 +359,19 @@ def _expectations(
     return jnp.stack(rows)
 
 
-def jobs_of(fixed: int, grid: int, ramp: bool) -> Job:
-    """All sets: first those of fixed terms, then those with each value of the grid."""
-    subsets = [
-        (*terms, r)
-        for terms in itertools.product([False, True], repeat=fixed)
-        for r in (False, True)[: 1 + ramp]
-    ]
-    rows = [((*s[:-1], False), 0, s[-1]) for s in subsets if any(s[:-1])]
-    rows += [((*s[:-1], True), column, s[-1]) for s in subsets for column in range(grid)]
-    terms, columns, with_ramp = (np.array(values) for values in zip(*rows, strict=True))
-    return Job(terms, columns, with_ramp)
-
-
 def _ranked(
     axis: Axis,
     model: Model,
     sorts: tuple[list[int], list[int], list[int]],
-    jobs: Job,
-    log_evidence: Float[np.ndarray, " jobs"],
+    subsets: TermSubset,
+    log_evidence: Float[np.ndarray, " subsets"],
     discrepancy: float,
 ) -> AxisSelection:
     labels = model.term_labels
     fixed, shaped, ramps = sorts
     places = fixed + (shaped or [-1])
     by_set: dict[tuple[str, ...], list[float]] = {}
-    for terms, _, ramp, value in zip(*jobs, log_evidence, strict=True):
+    for terms, _, ramp, value in zip(*subsets, log_evidence, strict=True):
         if value == -np.inf:
             continue
         chosen = {places[i] for i in np.flatnonzero(terms)} | (set(ramps) if ramp else set())

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from allanjax.base.chi_squared import exact_cube_root_score
 from allanjax.base.linalg import CholeskyWhitened
-from allanjax.estimate.design import Design
+from allanjax.estimate.design import Design, free_shapes
 from allanjax.noise.model import Model
 from allanjax.spectrum.cosine import Bins
 
@@ -89,10 +89,10 @@ class SpectralDesign(Design):
 @eqx.filter_jit
 def _constants(model: Model, bins: Bins) -> tuple[Float[Array, " m"] | None, ...]:
     """Expectations of the terms whose shape is not free, with unit amplitude."""
-    from allanjax.estimate.design import free_shapes, unit
-
     with_shape = {p.term for p in free_shapes(model)}
-    return tuple(None if k in with_shape else bins.expected(unit(t)) for k, t in enumerate(model.terms))
+    return tuple(
+        None if k in with_shape else bins.expected(t.with_unit_amplitude()) for k, t in enumerate(model.terms)
+    )
 
 
 def bins_per_octave(bins: Bins) -> Float[np.ndarray, " m"]:

@@ -60,13 +60,13 @@ def best_starts(
     """
     from scipy.ndimage import median_filter
 
-    given = [getattr(t, t.parameters()[0].name) for t in design.model.terms]
+    given = [getattr(t, t.amplitude_parameter().name) for t in design.model.terms]
     # One estimate that happens to be small must not pull everything down.
     smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
     rough, misfit = _rough_powers(design, smooth, active, shape)
     power = np.array(rough)
     for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
-        if value is not None and not term.is_free(term.parameters()[0]):
+        if value is not None and not term.has_free_amplitude:
             power[:, :, k] = value**2
     apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in design.shapes])
     best = np.stack([_different(*of_axis, apart) for of_axis in zip(shape, np.asarray(misfit), strict=True)])
@@ -118,6 +118,11 @@ def _rough_powers(
     return jax.vmap(of_axis)(jnp.asarray(V), jnp.asarray(active), jnp.asarray(shape))
 
 
+def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"]:
+    """Sixteen correlation times [s] that a record of this duration [s] may show."""
+    return np.geomspace(4.0 / rate, duration / 4.0, 16)
+
+
 def shape_candidates(
     shapes: tuple[ModelParameter, ...],
     duration: float,
@@ -135,7 +140,7 @@ def shape_candidates(
         if p.start is not None:
             choices.append(np.array([p.start]))
         elif p.parameter.kind == "time":
-            choices.append(np.geomspace(4.0 / rate, duration / 4.0, 16))
+            choices.append(correlation_times(duration, rate))
         elif p.parameter.kind == "frequency":
             choices.append(np.geomspace(4.0 / duration, rate / 4.0, 16))
         elif p.parameter.kind == "line":

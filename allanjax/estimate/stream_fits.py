@@ -49,7 +49,7 @@ def select_stream_terms(
     _check_axes(spectra, axes)
     model = candidates_of(candidates, spectra.rate)
     check_terms(model)
-    return rank_terms(model, *spectra.levels(), tuple(axes), name)
+    return rank_terms(model, *spectra.statistics(), tuple(axes), name)
 
 
 def fit_stream(
@@ -68,11 +68,11 @@ def fit_stream(
     """
     _check_axes(spectra, axes)
     check_terms(template)
-    bins, levels = spectra.levels()
+    bins, statistics = spectra.statistics()
     ramps = [k for k, term in enumerate(template.terms) if term.deterministic]
     results = []
     for k, axis in enumerate(axes):
-        squares, cross, gram = (np.asarray(x[k]) for x in levels)
+        squares, cross, gram = (np.asarray(x[k]) for x in statistics)
         columns = (len(squares), len(ramps))
         spectrum = AxisSpectrum(
             bins,

@@ -154,7 +154,7 @@ def fit_spectrum(
 
 
 def _free(noise: Model) -> Bool[np.ndarray, " terms"]:
-    return np.array([term.is_free(term.parameters()[0]) for term in noise.terms])
+    return np.array([term.has_free_amplitude for term in noise.terms])
 
 
 def _expected(design: Design, solution: Solution) -> Float[np.ndarray, " m"]:

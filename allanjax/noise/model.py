@@ -156,12 +156,17 @@ class NoiseTerm(eqx.Module):
             for field in dataclasses.fields(cls)
             if "parameter" in field.metadata
         )
-        if not found or found[0].kind != "amplitude":
+        if not found or not found[0].is_amplitude:
             raise AllanjaxError(
                 f"{cls.__name__}: the first parameter of a noise term must be its amplitude; "
                 "declare it with `coefficient: float | None = allanjax.parameter('c', time_exponent=…)`"
             )
         return found
+
+    @classmethod
+    def amplitude_parameter(cls) -> Parameter:
+        """The amplitude, to the square of which the phase covariance is proportional."""
+        return cls.parameters()[0]
 
     @classmethod
     def name(cls) -> str:
@@ -173,6 +178,11 @@ class NoiseTerm(eqx.Module):
         value = getattr(self, p.name)
         infinite = isinstance(value, float) and math.isinf(value)
         return p.name not in self.held and not infinite
+
+    @property
+    def has_free_amplitude(self) -> bool:
+        """Whether a fit estimates the amplitude."""
+        return self.is_free(self.amplitude_parameter())
 
     def hold(self, *names: str, **values: float) -> Self:
         """A copy whose named parameters a fit leaves alone, e.g. `Markov().hold(correlation_time=100.0)`."""
@@ -191,6 +201,10 @@ class NoiseTerm(eqx.Module):
         """A copy with these parameter values."""
         return dataclasses.replace(self, **values)
 
+    def with_unit_amplitude(self) -> Self:
+        """A copy of amplitude 1."""
+        return self.replace(**{self.amplitude_parameter().name: 1.0})
+
     def __repr__(self) -> str:
         """As it is written in Python, values in SI: `Markov(correlation_time=3).hold("correlation_time")`."""
         usual = {field.name: field.default for field in dataclasses.fields(self)}
@@ -208,10 +222,9 @@ class NoiseTerm(eqx.Module):
         for p in self.parameters():
             value = getattr(self, p.name)
             if isinstance(value, int | float | np.floating):
-                amplitude = p.kind == "amplitude"
                 bound = ""
-                if not (value >= 0 if amplitude else value > p.lower):
-                    bound = "≥ 0" if amplitude else f"> {p.lower:g}"
+                if not (value >= 0 if p.is_amplitude else value > p.lower):
+                    bound = "≥ 0" if p.is_amplitude else f"> {p.lower:g}"
                 # Infinity is a limit that a term may know, e.g. of a cutoff.
                 elif value >= p.upper < math.inf:
                     bound = f"< {p.upper:g}"

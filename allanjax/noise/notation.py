@@ -54,7 +54,7 @@ def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
     parsed = parse_model(model, next(iter(sensors)) if len(sensors) == 1 else None)
     if len(sensors) > 1:
         for p in parsed.parameters:
-            if p.parameter.kind == "amplitude" and p.start is not None:
+            if p.parameter.is_amplitude and p.start is not None:
                 raise AllanjaxError(
                     f"{p.label} in {model!r} has a value in the unit of one sensor, and there are axes of "
                     'both: leave out the value, or take those of one, recording["gyro"]'
@@ -105,7 +105,7 @@ def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
             f"cannot read the term {text!r}; write a name such as angle_random_walk or N=0.1 deg/√h"
         )
     cls = _class(match["name"])
-    amplitude = cls.parameters()[0]
+    amplitude = cls.amplitude_parameter()
     arguments = [(amplitude.name, match["value"])] if match["value"] else []
     for argument in _split(match["arguments"], ",") if match["arguments"] else []:
         pair = _ARGUMENT.fullmatch(argument)
@@ -123,9 +123,9 @@ def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
 
 def _class(name: str) -> type[NoiseTerm]:
     classes = term_classes()
-    by_symbol = {c.parameters()[0].symbol: c for c in classes.values()}
+    by_symbol = {c.amplitude_parameter().symbol: c for c in classes.values()}
     if name.lower() not in classes and name not in by_symbol:
-        known = ", ".join(f"{label} ({c.parameters()[0].symbol})" for label, c in classes.items())
+        known = ", ".join(f"{label} ({c.amplitude_parameter().symbol})" for label, c in classes.items())
         raise AllanjaxError(f"there is no term {name!r}; there are {known}")
     return classes.get(name.lower()) or by_symbol[name]
 
@@ -145,7 +145,7 @@ def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]
     if match is None:
         raise AllanjaxError(f"{p.name}: cannot read the value {text!r}; write a number and a unit")
     number, unit, held = float(match["number"]), match["unit"], match["held"] is not None
-    if p.kind == "amplitude":
+    if p.is_amplitude:
         return number * _amplitude_scale(unit, p, sensor), held
     si_unit = _KIND_UNIT.get(p.kind)
     if si_unit is None:

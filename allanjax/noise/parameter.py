@@ -36,6 +36,11 @@ class Parameter:
     lower: float
     upper: float
 
+    @property
+    def is_amplitude(self) -> bool:
+        """Whether it is a term's amplitude, not one of its shape parameters."""
+        return self.kind == "amplitude"
+
 
 def parameter(
     symbol: str,

@@ -57,7 +57,7 @@ class AxisPreset(ByValue):
     @property
     def model(self) -> Model:
         """The sum of these terms with these values."""
-        amplitudes = ((term, term.parameters()[0].name, c.si) for term, c in self.coefficients.items())
+        amplitudes = ((term, term.amplitude_parameter().name, c.si) for term, c in self.coefficients.items())
         return Model(tuple(term().replace(**{name: value}) for term, name, value in amplitudes))
 
     def __repr__(self) -> str:

@@ -20,14 +20,15 @@ from allanjax.base.errors import FitError
 from allanjax.base.linalg import whiten
 from allanjax.estimate.design import AllanDesign, Design
 from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_columns
+from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.spectral_design import SpectralDesign
 from allanjax.noise.model import Model, ModelParameter
 
 # The Allan variances' likelihood looks at every so-manieth cluster time of the fit's four an octave.
 _THINNED = 2
-# Priors of amplitudes end at the larger of these: multiples of the knee, and of what fits under the data.
-_KNEES, _CEILING = 1e4, 1e2
+# Priors of amplitudes reach beyond what fits under the data by this factor at least.
+_CEILING = 1e2
 # How far a resonance may move from its fit, in ln.
 _LINE_RANGE = 0.3
 
@@ -39,7 +40,8 @@ class Likelihood(eqx.Module):
         parameters: what they are.
         start, scatter: the fit's estimate (zero for amplitudes of absent terms) and its rough 1-σ.
         lower, upper: a range that holds all reasonable values.
-        knee: of an amplitude, that at which its power would be one standard deviation in these data; NaN
+        prior_scale: the amplitude whose power would be one standard deviation in these data; NaN for other
+            parameters.
         for others. found: which belong to terms that the fit found.
     """
 
@@ -48,7 +50,7 @@ class Likelihood(eqx.Module):
     scatter: eqx.AbstractVar[Float[np.ndarray, " params"]]
     lower: eqx.AbstractVar[Float[np.ndarray, " params"]]
     upper: eqx.AbstractVar[Float[np.ndarray, " params"]]
-    knee: eqx.AbstractVar[Float[np.ndarray, " params"]]
+    prior_scale: eqx.AbstractVar[Float[np.ndarray, " params"]]
     found: eqx.AbstractVar[Bool[np.ndarray, " params"]]
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
@@ -75,11 +77,11 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
         )
     # The frequency of a line is none of the Allan variances' business.
     lines = [k for k, term in enumerate(fit.template.terms) if term.deterministic]
-    parameters = tuple(p for p in parameters if p.term not in lines or p.parameter.kind == "amplitude")
+    parameters = tuple(p for p in parameters if p.term not in lines or p.parameter.is_amplitude)
     return _allan(fit, result, parameters, fit.axes.index(axis))
 
 
-class _Placed(eqx.Module):
+class _ParameterLayout(eqx.Module):
     """How a vector of free parameters becomes powers and shapes of a design's terms."""
 
     amplitude: Int[np.ndarray, " terms"]
@@ -89,9 +91,9 @@ class _Placed(eqx.Module):
     held_shape: Float[np.ndarray, " shapes"]
 
     @classmethod
-    def of(cls, design: Design, parameters: Sequence[ModelParameter], result: AxisFit) -> _Placed:
+    def of(cls, design: Design, parameters: Sequence[ModelParameter], result: AxisFit) -> _ParameterLayout:
         labels = [p.label for p in parameters]
-        amplitudes = [p for p in design.model.parameters if p.parameter.kind == "amplitude"]
+        amplitudes = [p for p in design.model.parameters if p.parameter.is_amplitude]
         return cls(
             np.array([labels.index(p.label) if p.free else -1 for p in amplitudes], int),
             np.array([0.0 if p.free else float(p.start or 0.0) for p in amplitudes]),
@@ -128,10 +130,10 @@ class WhittleLikelihood(Likelihood):
     scatter: Float[np.ndarray, " params"]
     lower: Float[np.ndarray, " params"]
     upper: Float[np.ndarray, " params"]
-    knee: Float[np.ndarray, " params"]
+    prior_scale: Float[np.ndarray, " params"]
     found: Bool[np.ndarray, " params"]
     design: SpectralDesign
-    placed: _Placed
+    layout: _ParameterLayout
     squares: Float[np.ndarray, " m"]
     cross: Float[np.ndarray, "m columns"]
     gram: Float[np.ndarray, "m columns columns"]
@@ -141,7 +143,7 @@ class WhittleLikelihood(Likelihood):
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
         bins = self.design.bins
-        mean = self.placed.power(values) @ self.design.means(self.placed.shapes(values))
+        mean = self.layout.power(values) @ self.design.means(self.layout.shapes(values))
         weight = jnp.asarray(self.share) / mean
         total = -0.5 * jnp.sum(self.share * bins.size * jnp.log(mean) + self.squares * weight)
         p, U = weight @ self.cross, jnp.einsum("m,mab->ab", weight, self.gram)
@@ -181,17 +183,17 @@ class AllanLikelihood(Likelihood):
     scatter: Float[np.ndarray, " params"]
     lower: Float[np.ndarray, " params"]
     upper: Float[np.ndarray, " params"]
-    knee: Float[np.ndarray, " params"]
+    prior_scale: Float[np.ndarray, " params"]
     found: Bool[np.ndarray, " params"]
     design: AllanDesign
-    placed: _Placed
+    layout: _ParameterLayout
     variance: Float[np.ndarray, " m"]
     products: Float[np.ndarray, "pairs terms terms"]
     discrepancy: Float[np.ndarray, ""]
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
-        power = self.placed.power(values)
-        mean = power @ self.design.means(self.placed.shapes(values))
+        power = self.layout.power(values)
+        mean = power @ self.design.means(self.layout.shapes(values))
         covariance = self.design.covariance(power, jnp.asarray(self.products))
         own = self.design.variances(covariance) / mean**2 + self.discrepancy**2
         ratio = self.variance / mean
@@ -210,19 +212,19 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     assert spectrum is not None
     noise = Model(tuple(term for term in fit.template.terms if not term.deterministic))
     design = SpectralDesign.of(noise, spectrum.bins, spectrum.bins.size.astype(float))
-    placed = _Placed.of(design, parameters, result)
+    layout = _ParameterLayout.of(design, parameters, result)
     labels = [p.label for p in parameters]
     share = 1.0 / (1.0 + 2.0 * spectrum.bins.size * design.per_octave * result.discrepancy**2)
     columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
     ramps = [owner for owner in spectrum.owners if isinstance(owner, int) and owner not in spectrum.lines]
     own = {p.term: [labels.index(q.label) for q in parameters if q.term == p.term] for p in parameters}
     start, scatter = _estimates(result, parameters)
-    mean = np.asarray(placed.power(jnp.asarray(start)) @ design.means(placed.shapes(jnp.asarray(start))))
+    mean = np.asarray(layout.power(jnp.asarray(start)) @ design.means(layout.shapes(jnp.asarray(start))))
     known = spectrum.bins.size > 0
     level = np.where(known, spectrum.squares / np.maximum(spectrum.bins.size, 1), np.inf)
-    knee, ceiling = _amplitude_scales(
+    prior_scale, ceiling = _amplitude_scales(
         design,
-        placed,
+        layout,
         start,
         mean,
         2.0 * mean**2 / np.maximum(share * spectrum.bins.size, 1e-9),
@@ -231,24 +233,22 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
         len(parameters),
     )
     for k, owner in enumerate(spectrum.owners):
-        if isinstance(owner, int) and fit.template.terms[owner].is_free(
-            fit.template.terms[owner].parameters()[0]
-        ):
+        if isinstance(owner, int) and fit.template.terms[owner].has_free_amplitude:
             place = own[owner][0]
             u = float(np.sum(share * spectrum.gram[:, k, k] / mean))
-            knee[place] = 1.0 / np.sqrt(u)
-            ceiling[place] = max(_KNEES * knee[place], _CEILING * start[place])
+            prior_scale[place] = 1.0 / np.sqrt(u)
+            ceiling[place] = max(PRIOR_RANGE * prior_scale[place], _CEILING * start[place])
     lower, upper = _ranges(parameters, result, fit, ceiling)
     return WhittleLikelihood(
         parameters,
         start,
-        np.where(scatter > 0.0, scatter, np.where(np.isnan(knee), 0.1 * start, 0.5 * knee)),
+        np.where(scatter > 0.0, scatter, np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)),
         lower,
         upper,
-        knee,
+        prior_scale,
         _found(result, parameters),
         design,
-        placed,
+        layout,
         # Each line's own likelihood ratio knows nothing of the others.
         spectrum.squares - spectrum.overlap,
         spectrum.cross[:, columns],
@@ -282,29 +282,29 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     chosen = slice(0, None, _THINNED)
     sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
     design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
-    placed = _Placed.of(design, parameters, result)
+    layout = _ParameterLayout.of(design, parameters, result)
     start, scatter = _estimates(result, parameters)
     values = jnp.asarray(start)
-    products = design.products(placed.shapes(values))
-    power = placed.power(values)
-    mean = np.asarray(power @ design.means(placed.shapes(values)))
+    products = design.products(layout.shapes(values))
+    power = layout.power(values)
+    mean = np.asarray(power @ design.means(layout.shapes(values)))
     covariance = design.covariance(power, products)
     V = curve.variance[chosen, k]
     discrepancy = 2.0 * result.discrepancy
-    knee, ceiling = _amplitude_scales(
-        design, placed, start, mean, covariance, V, discrepancy, len(parameters)
+    prior_scale, ceiling = _amplitude_scales(
+        design, layout, start, mean, covariance, V, discrepancy, len(parameters)
     )
     lower, upper = _ranges(parameters, result, fit, ceiling)
     return AllanLikelihood(
         parameters,
         start,
-        np.where(scatter > 0.0, scatter, np.where(np.isnan(knee), 0.1 * start, 0.5 * knee)),
+        np.where(scatter > 0.0, scatter, np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)),
         lower,
         upper,
-        knee,
+        prior_scale,
         _found(result, parameters),
         design,
-        placed,
+        layout,
         V,
         np.asarray(products),
         np.asarray(discrepancy),
@@ -327,7 +327,7 @@ def _found(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Bool[np.n
 
 def _amplitude_scales(
     design: Design,
-    placed: _Placed,
+    layout: _ParameterLayout,
     start: Float[np.ndarray, " params"],
     mean: Float[np.ndarray, " m"],
     covariance: ArrayLike,
@@ -336,8 +336,8 @@ def _amplitude_scales(
     count: int,
 ) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
     """Knee and ceiling of the amplitudes of a design's terms; NaN elsewhere."""
-    knee, ceiling = np.full(count, np.nan), np.full(count, np.nan)
-    means = np.asarray(design.means(placed.shapes(jnp.asarray(start))))
+    prior_scale, ceiling = np.full(count, np.nan), np.full(count, np.nan)
+    means = np.asarray(design.means(layout.shapes(jnp.asarray(start))))
     relative = jnp.asarray((means / mean).T)
     whitened = design.whiten(
         jnp.asarray(covariance), jnp.asarray(mean), jnp.asarray(discrepancy), relative
@@ -345,11 +345,11 @@ def _amplitude_scales(
     own = np.sum(np.asarray(whitened) ** 2, axis=0) ** -0.25
     # At most as much of a term as fits under the data everywhere.
     fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
-    for term, place in enumerate(placed.amplitude):
+    for term, place in enumerate(layout.amplitude):
         if place >= 0:
-            knee[place] = own[term]
-            ceiling[place] = max(_KNEES * own[term], _CEILING * fits[term])
-    return knee, ceiling
+            prior_scale[place] = own[term]
+            ceiling[place] = max(PRIOR_RANGE * own[term], _CEILING * fits[term])
+    return prior_scale, ceiling
 
 
 def _ranges(

@@ -160,8 +160,8 @@ def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
     priors: dict[str, Prior] = {}
     for i, p in enumerate(likelihood.parameters):
         lower, upper = float(likelihood.lower[i]), float(likelihood.upper[i])
-        if p.parameter.kind == "amplitude":
-            priors[p.label] = ModifiedLogUniform(float(likelihood.knee[i]), upper)
+        if p.parameter.is_amplitude:
+            priors[p.label] = ModifiedLogUniform(float(likelihood.prior_scale[i]), upper)
         elif p.parameter.kind == "line":
             priors[p.label] = Uniform(lower, upper)
         else:

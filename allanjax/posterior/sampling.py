@@ -37,7 +37,7 @@ _STUDENT_DOF = 4.0
 class LogPosterior(eqx.Module):
     """The posterior of the parameters of one axis, in coordinates in which the default priors are uniform.
 
-    Coordinates are ln(1 + c/knee) of an amplitude c, ln(x − lower bound) of a time, frequency or number, and
+    Coordinates are ln(1 + c/scale) of an amplitude c, ln(x − lower bound) of a time, frequency or number, and
     the frequency itself of a line.
     """
 
@@ -57,7 +57,7 @@ class LogPosterior(eqx.Module):
             tuple(priors[p.label] for p in likelihood.parameters),
             kinds == "amplitude",
             kinds == "line",
-            np.where(kinds == "amplitude", likelihood.knee, 1.0),
+            np.where(kinds == "amplitude", likelihood.prior_scale, 1.0),
             np.array([p.parameter.lower for p in likelihood.parameters]),
         )
 

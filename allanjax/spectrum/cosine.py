@@ -245,8 +245,8 @@ def _exact_expectation(
     n: int, rate: float, top: int
 ) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, "top lags"]]:
     """Lags [s], and the weights of G there that make up E c_j² for j = 1 … top."""
-    knee = max(n // (top // 2), 1)
-    edges = np.concatenate([2.0 ** np.arange(np.log2(knee)), np.linspace(knee, n, max(top // 2, 1))])
+    spacing = max(n // (top // 2), 1)
+    edges = np.concatenate([2.0 ** np.arange(np.log2(spacing)), np.linspace(spacing, n, max(top // 2, 1))])
     edges = np.unique(np.rint(edges)).astype(int)
     nodes, weights = discrete_gauss(np.diff(edges), _LAG_ORDER)
     s = (edges[:-1, None] + nodes).ravel()
@@ -264,7 +264,7 @@ def _exact_expectation(
     return np.concatenate([[0.0], s, [n]]) / rate, all_weights
 
 
-class Levels(NamedTuple):
+class SpectralStatistics(NamedTuple):
     """Statistics of one axis: sums over bins, and the ramp's products with the record and with itself."""
 
     squares: Any

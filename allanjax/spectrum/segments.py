@@ -25,9 +25,9 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.spectrum.cosine import (
     Bins,
     CosineBins,
-    Levels,
     Part,
     PooledBins,
+    SpectralStatistics,
     bin_edges,
     cosine_transform,
     ramp_column,
@@ -216,7 +216,7 @@ class SegmentSpectra:
         )
         return dataclasses.replace(self, segmented=segmented, last=self.last[:, keep])
 
-    def levels(self) -> tuple[Bins, Levels]:
+    def statistics(self) -> tuple[Bins, SpectralStatistics]:
         """The bins of the spectrum, lowest frequency first, and sums over each bin, [axes, m].
 
         The ramp of these sums is one of 1 per second.
@@ -231,7 +231,7 @@ class SegmentSpectra:
         ramp = ramp_column(n, self.rate / _FACTOR**depth)[:, None]
         if not depth:
             bins = CosineBins.of(n, self.rate)
-            return bins, _levels(*(bins.sums(x) for x in (c**2, c * ramp, ramp**2)))
+            return bins, _statistics(*(bins.sums(x) for x in (c**2, c * ramp, ramp**2)))
         edges = bin_edges(1, -(-n * _LOWEST * _FACTOR // _SEGMENT), _LAST_BINS)
         parts = [Part(n, self.rate / _FACTOR**depth, edges, 1)]
         c, ramp = c[: edges[-1] - 1], ramp[: edges[-1] - 1]
@@ -241,7 +241,9 @@ class SegmentSpectra:
             parts.append(Part(_SEGMENT, rate, edges, level.count))
             gram = level.count * _binned(_segment_ramp(edges) ** 2, edges)
             sums.append([level.squares, level.cross / rate, gram / rate**2])
-        return PooledBins.of(self.n, self.rate, parts), _levels(*map(np.concatenate, zip(*sums, strict=True)))
+        return PooledBins.of(self.n, self.rate, parts), _statistics(
+            *map(np.concatenate, zip(*sums, strict=True))
+        )
 
     def _with_level(self) -> SegmentSpectra:
         """The same with the last level cut into segments, and a shorter one after it."""
@@ -292,7 +294,7 @@ def _whole_segment_ramp() -> Float[np.ndarray, " k"]:
     return ramp_column(_SEGMENT, 1.0)
 
 
-def _levels(
+def _statistics(
     squares: Float[np.ndarray, "m axes"], cross: Float[np.ndarray, "m axes"], gram: Float[np.ndarray, "m 1"]
-) -> Levels:
-    return Levels(squares.T, cross.T, np.broadcast_to(gram.T, squares.T.shape))
+) -> SpectralStatistics:
+    return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram.T, squares.T.shape))

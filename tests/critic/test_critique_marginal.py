@@ -18,15 +18,15 @@ from allanjax.critic.view import FALSE_ALARMS, Candidate
 
 DECADES = np.log1p(1e4)
 #: Amplitudes that such records hardly tell from none: below, the prior is uniform.
-KNEES = {"angle_random_walk": 0.25, "rate_random_walk": 0.12}
-Levels, LARGEST = 30, 300.0
+PRIOR_SCALES = {"angle_random_walk": 0.25, "rate_random_walk": 0.12}
+LEVELS, LARGEST = 30, 300.0
 
 
 def levels(name):
     """Coefficients, and the logarithms of their prior probabilities, half of which is that of none."""
     top = np.log1p(LARGEST)
-    y = (np.arange(Levels) + 0.5) * top / Levels
-    return [(0.0, 0.0), *((KNEES[name] * np.expm1(u), np.log(top / Levels / DECADES)) for u in y)]
+    y = (np.arange(LEVELS) + 0.5) * top / LEVELS
+    return [(0.0, 0.0), *((PRIOR_SCALES[name] * np.expm1(u), np.log(top / LEVELS / DECADES)) for u in y)]
 
 
 def summed_odds(x, steps):

@@ -19,10 +19,10 @@ from allanjax.estimate.axis_fits import fit_allan, result_of
 from allanjax.estimate.coefficients import _within
 from allanjax.estimate.deterministic import AxisSpectrum
 from allanjax.estimate.misfit import LIMIT, OCTAVE, deviation, misfit_of, spectral_misfit
-from allanjax.estimate.selection import basic_terms
 from allanjax.estimate.whittle import fit_spectrum
 from allanjax.fleet.table import mark_outlying, rows_of, table_of
 from allanjax.noise.estimate import Estimate
+from allanjax.noise.terms import basic_terms
 from allanjax.record.recording import Axis, Recording
 from allanjax.report.files import write_coefficients_csv, write_json, write_results
 from allanjax.spectrum.cosine import CosineBins, cosine_transform

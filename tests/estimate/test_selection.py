@@ -72,15 +72,15 @@ SHORT = 512
 FOUR_DECADES = np.log1p(1e4)
 
 
-def log_prior(c, knee):
-    return -np.log((c + knee) * FOUR_DECADES)
+def log_prior(c, scale):
+    return -np.log((c + scale) * FOUR_DECADES)
 
 
 def integrated(x, sets):
-    """ln ∫ likelihood · prior for sets of N, K and R, on grids uniform in ln(1 + c/knee), likelihood
+    """ln ∫ likelihood · prior for sets of N, K and R, on grids uniform in ln(1 + c/scale), likelihood
     coefficient-wise.
 
-    The knee is where a term's power is one standard deviation: knee⁻⁴ = Σ ½ (s_j/S_j)², S at the maximum.
+    The scale is where a term's power is one standard deviation: scale⁻⁴ = Σ ½ (s_j/S_j)², S at the maximum.
     """
     c = dct(x - x.mean(), norm="ortho")[1:]
     ramp = dct(np.arange(SHORT) / RATE, norm="ortho")[1:]
@@ -93,20 +93,20 @@ def integrated(x, sets):
     both = np.array([[likelihood(a**2 * columns["N"] + b**2 * columns["K"]) for b in coarse] for a in coarse])
     a, b = (coarse[i] for i in np.unravel_index(np.argmax(both), both.shape))
     S = a**2 * columns["N"] + b**2 * columns["K"]
-    knees = {term: np.sum(0.5 * (columns[term] / S) ** 2) ** -0.25 for term in "NK"}
+    scales = {term: np.sum(0.5 * (columns[term] / S) ** 2) ** -0.25 for term in "NK"}
     # That of a ramp follows the set's own noise: here white, of what the ramp leaves.
     left = c - ramp * (ramp @ c) / (ramp @ ramp)
-    knees["R"] = np.sqrt(np.mean(left**2) / np.sum(ramp**2))
+    scales["R"] = np.sqrt(np.mean(left**2) / np.sum(ramp**2))
     found = {}
     for terms in sets:
         axes = []
         for term in terms:
             # Steps well below the width of a ramp a hundred times its standard deviation.
             steps = 4000 if term == "R" else 300
-            limit = 1e4 if term == "R" else 90.0 / knees[term]
+            limit = 1e4 if term == "R" else 90.0 / scales[term]
             y = (np.arange(steps) + 0.5) / steps * np.log1p(limit)
-            y = y[knees[term] * np.expm1(y) < (0.3 if term == "R" else 0.6)]
-            axes.append((knees[term] * np.expm1(y), y[1] - y[0]))
+            y = y[scales[term] * np.expm1(y) < (0.3 if term == "R" else 0.6)]
+            axes.append((scales[term] * np.expm1(y), y[1] - y[0]))
         total = []
         for first in axes[0][0]:
             mean = first**2 * columns[terms[0]]
@@ -120,7 +120,7 @@ def integrated(x, sets):
                 amplitude = axes[1][0]
                 ratio = np.logaddexp(amplitude * p, -amplitude * p) - np.log(2.0) - 0.5 * amplitude**2 * u
                 total.append(likelihood(mean) + logsumexp(ratio))
-        # Uniform in y, as the prior is: dc/((c + knee)·Y) = dy/Y.
+        # Uniform in y, as the prior is: dc/((c + scale)·Y) = dy/Y.
         found[terms] = logsumexp(total) + sum(np.log(step / FOUR_DECADES) for _, step in axes)
     return found
 
@@ -169,11 +169,11 @@ def test_a_grid_of_times_is_one_set():
     def likelihood(mean):
         return -0.5 * np.sum(np.log(mean) + c**2 / mean, axis=-1)
 
-    def points(knee, low, high, steps):
-        """Amplitudes uniform in ln(1 + c/knee), and the prior probability of a step."""
-        edges = np.log1p(np.array([low, high]) / knee)
+    def points(scale, low, high, steps):
+        """Amplitudes uniform in ln(1 + c/scale), and the prior probability of a step."""
+        edges = np.log1p(np.array([low, high]) / scale)
         y = edges[0] + (np.arange(steps) + 0.5) / steps * np.diff(edges)
-        return knee * np.expm1(y), float(np.log(np.diff(edges)[0] / steps / FOUR_DECADES))
+        return scale * np.expm1(y), float(np.log(np.diff(edges)[0] / steps / FOUR_DECADES))
 
     # Of the white noise all but 8 standard deviations is far from the data; a Markov process may be as large.
     a, of_white = points(size * (len(c) / 2.0) ** -0.25, 0.7 * size, 1.3 * size, 60)
@@ -181,8 +181,8 @@ def test_a_grid_of_times_is_one_set():
     ratios = []
     for T in np.geomspace(4.0 / RATE, SHORT / RATE / 4.0, 16):
         markov = expected_squares(lambda t, T=T: -(T**3) / 2.0 * (np.expm1(-t / T) + t / T), SHORT)
-        knee = np.sum(0.5 * (markov / (size**2 * white)) ** 2) ** -0.25
-        b, of_markov = points(knee, 0.0, 30.0 * knee, 100)
+        scale = np.sum(0.5 * (markov / (size**2 * white)) ** 2) ** -0.25
+        b, of_markov = points(scale, 0.0, 30.0 * scale, 100)
         means = a[:, None, None] ** 2 * white + b[:, None] ** 2 * markov
         ratios.append(logsumexp(likelihood(means)) + of_white + of_markov - alone)
     expected = logsumexp(ratios) - np.log(len(ratios))

@@ -346,7 +346,7 @@ def by_allan(pairs):
 
 
 @pytest.mark.parametrize("objective", ["whittle", "allan"])
-def test_the_knee_of_a_prior_is_what_these_data_could_just_tell_from_zero(pairs, by_allan, dense, objective):
+def test_the_scale_of_a_prior_is_what_these_data_could_just_tell_from_zero(pairs, by_allan, dense, objective):
     """The amplitude whose square is one standard deviation, by the information of the dense likelihood.
 
     ½ Σ (λ/variance)² over its modes at the fit. Cosine levels have all of it, Allan variances at two cluster
@@ -358,9 +358,9 @@ def test_the_knee_of_a_prior_is_what_these_data_could_just_tell_from_zero(pairs,
         ours = likelihood_of(fit, name)
         n, k = (fit[name][label].value for label in ("angle_random_walk", "rate_random_walk"))
         variance = n**2 * RATE + k**2 * walk
-        for knee, power in zip(ours.knee, (RATE * np.ones_like(walk), walk), strict=True):
+        for scale, power in zip(ours.prior_scale, (RATE * np.ones_like(walk), walk), strict=True):
             exact = np.sum(0.5 * (power / variance) ** 2) ** -0.25
-            assert knee == pytest.approx(exact, rel=0.05 if objective == "whittle" else 0.3)
+            assert scale == pytest.approx(exact, rel=0.05 if objective == "whittle" else 0.3)
 
 
 def test_the_likelihood_of_the_allan_variances_peaks_near_their_fit(by_allan):

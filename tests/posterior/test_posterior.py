@@ -164,9 +164,9 @@ def test_a_chain_that_is_too_short_warns_what_to_do(two_terms):
 
 def test_a_users_prior_is_obeyed(two_terms):
     likelihood = spectral_levels((N, 0.03 * K))
-    # The data allow K = 0 … knee; the prior only a band of it.
-    knee = likelihood.knee[1]
-    prior = LogUniform(0.2 * knee, 0.6 * knee)
+    # The data allow K = 0 … prior_scale; the prior only a band of it.
+    prior_scale = likelihood.prior_scale[1]
+    prior = LogUniform(0.2 * prior_scale, 0.6 * prior_scale)
     fit = two_terms(likelihood, chosen=False)
     posterior = sample(fit, "gyro_x", priors={"rate_random_walk": prior})["gyro_x"]
     walk = posterior.chain[:, :, 1]
@@ -189,7 +189,7 @@ def test_default_priors_are_those_documented():
     likelihood = spectral_levels()
     priors = default_priors(likelihood)
     assert priors["rate_random_walk"] == ModifiedLogUniform(
-        float(likelihood.knee[1]), float(likelihood.upper[1])
+        float(likelihood.prior_scale[1]), float(likelihood.upper[1])
     )
 
 
@@ -265,7 +265,7 @@ def test_reweighting_is_exact_where_the_terms_are_strongly_correlated():
     random = np.random.RandomState(0)
     # At b = 0, a² is Gaussian around 1 with 1/σ² = 1/0.01² + 1/0.08²; a by its square root.
     a = np.sqrt(1.0 + random.standard_normal(4000) / np.hypot(100.0, 12.5))
-    # Such draws have the density 2a·p(a²); the posterior has 1/(a + knee) instead of 2a.
+    # Such draws have the density 2a·p(a²); the posterior has 1/(a + prior_scale) instead of 2a.
     weight = 1.0 / (a * (a + 0.1))
     a = random.choice(a, 1000, p=weight / weight.sum())
     y = np.log1p(a / 0.1)[:, None]
@@ -291,7 +291,7 @@ def test_draws_of_the_prior_say_nothing_about_zero(prior):
     priors = default_priors(ours) | ({} if prior is None else {"rate_random_walk": prior})
     posterior = LogPosterior.of(ours, priors)
     draws = posterior.priors[1].quantile((np.arange(40_000) + 0.5) / 40_000)
-    assert np.any(draws < 0.3 * ours.knee[1])
+    assert np.any(draws < 0.3 * ours.prior_scale[1])
     assert bayes_factor(posterior, 1, draws) == pytest.approx(1.0, abs=0.01)
 
 

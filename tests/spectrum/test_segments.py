@@ -10,11 +10,11 @@ import pytest
 from scipy.fft import dct
 
 import allanjax as aj
-from allanjax.estimate.evidence import taken_out
+from allanjax.estimate.evidence import without_ramp
 from allanjax.estimate.stream_fits import fit_stream, select_stream_terms
 from allanjax.estimate.whittle import fit_axis
 from allanjax.noise.terms.exponential import exponential_density
-from allanjax.spectrum.cosine import Levels, PooledBins
+from allanjax.spectrum.cosine import PooledBins, SpectralStatistics
 from allanjax.spectrum.segments import SegmentSpectra
 
 RATE = 100.0
@@ -31,7 +31,7 @@ def white(seed, n=LONG, axes=2):
 
 def same(found, wanted):
     """The same statistics, to the rounding of sums of 10⁵ squares."""
-    (bins, levels), (other_bins, other_levels) = found.levels(), wanted.levels()
+    (bins, levels), (other_bins, other_levels) = found.statistics(), wanted.statistics()
     np.testing.assert_array_equal(bins.size, other_bins.size)
     np.testing.assert_array_equal(bins.frequency, other_bins.frequency)
     scale = np.sqrt(other_levels.squares * other_levels.gram)
@@ -46,7 +46,7 @@ def same(found, wanted):
 def test_levels_are_the_squares_of_transformed_block_means():
     """Each level anew with NumPy alone: means of blocks, orthonormal transforms, sums over the same bins."""
     x = white(1) + 9.8
-    bins, levels = SegmentSpectra.of(x, RATE).levels()
+    bins, levels = SegmentSpectra.of(x, RATE).statistics()
     squares, cross, gram, sizes = [], [], [], []
     for k in (2, 1, 0):
         rate, n = RATE / FACTOR**k, len(x) // FACTOR**k
@@ -156,11 +156,11 @@ def test_levels_scatter_around_their_expectations(records, name):
     """
     model, x = records[name]
     x = x + 9.8 - 0.02 * np.arange(LONG) / RATE
-    bins, levels = SegmentSpectra.of(x[:, None], RATE).levels()
+    bins, levels = SegmentSpectra.of(x[:, None], RATE).statistics()
     assert isinstance(bins, PooledBins)
     mean = np.sum([bins.expected(term) for term in model.sampled(RATE).terms], axis=0)
-    one = Levels(*(np.asarray(part[0]) for part in levels))
-    squares, dof = (np.asarray(part) for part in taken_out(one, bins.size, mean, True))
+    one = SpectralStatistics(*(np.asarray(part[0]) for part in levels))
+    squares, dof = (np.asarray(part) for part in without_ramp(one, bins.size, mean, True))
     z = (squares / mean - dof) / np.sqrt(2.0 * dof)
     # All bins, and those of each level: 128 of the last, three octaves of the middle one, five of the first.
     for part in (slice(None), slice(0, 128), slice(128, 146), slice(146, None)):
@@ -253,7 +253,7 @@ def test_fit_of_a_stream_finds_the_truth(drifting):
 
 def test_streams_of_all_lengths_with_as_many_levels_share_compiled_functions():
     def shapes(n):
-        bins = SegmentSpectra.of(np.zeros((n, 1)), RATE).levels()[0]
+        bins = SegmentSpectra.of(np.zeros((n, 1)), RATE).statistics()[0]
         leaves, structure = jax.tree.flatten(bins)
         return [np.shape(leaf) for leaf in leaves], structure
 

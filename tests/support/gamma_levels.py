@@ -23,7 +23,7 @@ class Likelihood(eqx.Module):
     scatter: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    knee: np.ndarray
+    prior_scale: np.ndarray
     found: np.ndarray
 
 
@@ -48,14 +48,14 @@ def spectral_levels(truth=(N, K), seed=0, found=(True, True)):
     mean = np.asarray(SpectralLevels.densities(truth**2))
     derivative = np.asarray(SpectralLevels.densities(np.eye(2))) / mean
     sd = np.sqrt(1.0 / np.sum(ORDINATES * derivative**2, axis=1))
-    knee = np.sqrt(sd)
+    prior_scale = np.sqrt(sd)
     return SpectralLevels(
         parameters=(AngleRandomWalk() + RateRandomWalk()).parameters,
         start=truth * np.array(found),
-        scatter=sd / 2.0 / np.maximum(truth, knee),
+        scatter=sd / 2.0 / np.maximum(truth, prior_scale),
         lower=np.zeros(2),
-        upper=1e3 * np.maximum(truth, knee),
-        knee=knee,
+        upper=1e3 * np.maximum(truth, prior_scale),
+        prior_scale=prior_scale,
         found=np.array(found),
         levels=random.gamma(ORDINATES) / ORDINATES * mean,
     )
@@ -65,7 +65,7 @@ def quadrature(likelihood, priors, points=401):
     """Marginal distribution functions of N and K on a two-dimensional grid: (values, probability) of each."""
     grids = []
     for i, p in enumerate(likelihood.parameters):
-        top = likelihood.start[i] + 8.0 * likelihood.scatter[i] + 5.0 * likelihood.knee[i]
+        top = likelihood.start[i] + 8.0 * likelihood.scatter[i] + 5.0 * likelihood.prior_scale[i]
         bottom = max(likelihood.start[i] - 8.0 * likelihood.scatter[i], 0.0)
         grids.append(np.linspace(bottom, top, points))
         assert priors[p.label] is not None

@@ -13,8 +13,7 @@ from allanjax.critic.causes.spectral import SHAPE, FineLevels, limited, relative
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, coefficient_folds
-from allanjax.estimate.selection import basic_terms
-from allanjax.noise.terms import Markov
+from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 
 

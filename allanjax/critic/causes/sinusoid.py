@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from allanjax.critic.bank import folds
 from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
+from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
 
 # Below so many periods a record, a line is not told from drift.
@@ -42,7 +43,7 @@ class Sinusoid(Cause):
         snr = np.sqrt(2.0 * z)
         gain = after.noise.log_evidence - view.noise.log_evidence
         # Prior: the amplitude's of `evidence`, any phase, any frequency.
-        gain -= np.log(snr * (snr + 1.0) * np.log1p(1e4))
+        gain -= np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE)
         gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
         parameters = {"frequency": Quantity(f, f_std, "Hz"), "amplitude": view.own(amplitude, std)}
         # One of fewer periods is seen as near to it as is looked at, and less of it.

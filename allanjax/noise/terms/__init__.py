@@ -1,6 +1,6 @@
 """Noise terms: one class a term, in one file each; nothing outside this package knows which there are."""
 
-from allanjax.noise.model import NoiseTerm
+from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.parameter import Parameter, parameter
 from allanjax.noise.terms.bias_instability import BiasInstability
 from allanjax.noise.terms.bias_step import BiasStep
@@ -14,6 +14,12 @@ from allanjax.noise.terms.resonance import Resonance
 from allanjax.noise.terms.sinusoid import Sinusoid
 from allanjax.noise.terms.telegraph import Telegraph
 from allanjax.noise.terms.warm_up import WarmUp
+
+
+def basic_terms() -> Model:
+    """The thesis's five basic terms: quantization, random walk, bias instability, rate random walk, ramp."""
+    return Quantization() + AngleRandomWalk() + BiasInstability() + RateRandomWalk() + DriftRamp()
+
 
 __all__ = [
     "AngleRandomWalk",
@@ -31,5 +37,6 @@ __all__ = [
     "Sinusoid",
     "Telegraph",
     "WarmUp",
+    "basic_terms",
     "parameter",
 ]
