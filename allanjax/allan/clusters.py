@@ -1,4 +1,4 @@
-"""Cluster sizes: which a record allows, and how many differences each leaves."""
+"""Cluster sizes that a record allows, and the number of differences that each leaves."""
 
 from collections.abc import Sequence
 from typing import Literal, TypeVar, get_args
@@ -14,12 +14,12 @@ Spacing = Literal["octave", "decade", "all"] | int | Sequence[float] | Float[np.
 _Sizes = TypeVar("_Sizes", np.ndarray, Array)
 
 WEIGHTS = {"allan": (1, -2, 1), "modified": (-1, 3, -3, 1), "hadamard": (-1, 3, -3, 1)}
-"""Weights of the phases one cluster time apart.
+"""Weights of the phases one cluster time apart in the difference that each variance is the mean square of.
 
-The modified variance sums its second differences by their increments, which are third differences.
+The modified variance sums second differences; these sums are updated by third differences, given here.
 """
 
-# A cluster time may be this far from a whole number of samples, in samples.
+# Largest distance of a cluster time from a whole number of samples, in samples: room for rounding.
 _CLUSTER_SIZE_TOLERANCE = 1e-3
 
 
@@ -79,6 +79,7 @@ def cluster_sizes(
 
 
 def _sizes_of_times(times: Float[np.ndarray, " m"], rate: float, largest: int) -> Int[np.ndarray, " m"]:
+    """Cluster sizes in samples of the given cluster times [s]."""
     if times.ndim != 1 or times.size == 0:
         raise AllanjaxError("cluster times must be a non-empty sequence of seconds")
     for time in times:
@@ -97,13 +98,13 @@ def _sizes_of_times(times: Float[np.ndarray, " m"], rate: float, largest: int) -
 
 
 def too_few(n: int, kind: Kind) -> str:
-    """Message for a record without a single difference."""
+    """Error message for a record too short for a single difference."""
     shortest = 3 if kind == "hadamard" else 2
     return f"{n} samples are too few for the {kind} variance: it needs at least {shortest}"
 
 
 def check_member(value: str, literal: object, name: str) -> None:
-    """Raise AllanjaxError if an option is none of a Literal's."""
+    """Raise AllanjaxError if an option is not one of the values of a Literal type."""
     known = get_args(literal)
     if value not in known:
         raise AllanjaxError(f"unknown {name} {value!r}: expected one of {', '.join(map(repr, known))}")

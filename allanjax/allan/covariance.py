@@ -1,4 +1,4 @@
-"""How Allan variance estimates scatter: their covariance and degrees of freedom under a model.
+"""Covariance and degrees of freedom of Allan variance estimates under a noise model.
 
 For a Gaussian process with phase covariance G, the overlapping estimates V_i at cluster sizes m_i, of
 M_i = N + 1 − 2m_i differences each (N rate samples), have
@@ -44,9 +44,9 @@ from allanjax.noise.terms import AngleRandomWalk
 if TYPE_CHECKING:
     from allanjax.noise.model import Model
 
-# Points a stretch between two kinks; 8 sum polynomials up to degree 15 exactly.
+# Quadrature nodes between two neighbouring kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
-# With more than twice as many points, a longer sum than this is taken for an integral.
+# Longer sums than this are approximated by an integral where more than twice as many nodes are asked for.
 _LONG_SUM = 256
 # Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
 # in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
@@ -56,7 +56,7 @@ _TAIL = (2, 5, 20, 80, 320)
 def discrete_gauss(
     count: Int[np.ndarray, ...], order: int = _ORDER
 ) -> tuple[Float[np.ndarray, "... order"], Float[np.ndarray, "... order"]]:
-    """Nodes and weights that sum a function over the integers 0 … count−1.
+    """Quadrature nodes and weights for the sum of a function over the integers 0 … count−1.
 
     Gauss quadrature of the counting measure (Golub & Welsch 1969, with the recurrence of the discrete
     Chebyshev polynomials): exact for polynomials up to degree 2·order − 1, and for every function where
@@ -83,7 +83,7 @@ def discrete_gauss(
 def _sum_over_lags(
     kinks: Int[np.ndarray, "pairs k"], support: Int[np.ndarray, " pairs"], order: int = _ORDER
 ) -> tuple[Float[np.ndarray, "pairs lags"], Float[np.ndarray, "pairs lags"]]:
-    """Nodes u ≥ 0 and weights of a sum over all integers −support < u < support of an even function.
+    """Quadrature nodes u ≥ 0 and weights for the sum of an even function over integers |u| < support.
 
     The function is smooth between `kinks` (which include 0); the last kink ends the sum.
     """
@@ -105,7 +105,7 @@ def _pairs_at_lag(
     Mj: Int[np.ndarray, "pairs 1"],
     shift: Int[np.ndarray, "pairs 1"],
 ) -> Float[np.ndarray, "pairs lags"]:
-    """Pairs of differences at distance u from lag m_j − m_i, on the side that has this shift."""
+    """Number of pairs of differences at distance u from lag m_j − m_i, on the side with this shift d."""
     beyond = (u - (mj - mi) - shift) / sj
     # Nodes of the tail are far apart: they stand for the mean of the steps, of which equal strides have none.
     steps = np.where((si < sj) & (u <= mi + mj), np.ceil(beyond), beyond + (1.0 - si / sj) / 2.0)
@@ -113,15 +113,15 @@ def _pairs_at_lag(
 
 
 class AllanCovariance(eqx.Module):
-    """The geometry of the covariance: what does not depend on the model.
+    """Quadrature for the covariance of Allan variance estimates: all of it that no model enters.
 
     Attributes:
         sample_interval: t0 [s].
-        duration: of the record [s].
+        duration: length of the record [s].
         sizes: cluster sizes in samples, increasing.
         pairs: row and column of each pair with i ≤ j.
-        lags: distances u of the quadrature, in samples.
-        weights: their weights, with w_ij and the factors before the sum.
+        lags: distances u of the quadrature nodes, in samples.
+        weights: weights of the nodes, which include w_ij and the factors before the sum.
     """
 
     sample_interval: Float[np.ndarray, ""]
@@ -140,11 +140,11 @@ class AllanCovariance(eqx.Module):
         order: int = _ORDER,
         strides: Int[np.ndarray, " m"] | None = None,
     ) -> AllanCovariance:
-        """The geometry for estimates at these cluster sizes of n rate samples at `rate` [Hz].
+        """Quadrature for estimates at these cluster sizes of n rate samples at `rate` [Hz].
 
         Args:
-            n, rate, sizes: as above.
-            order: nodes a stretch between two kinks.
+            n, rate, sizes: number of samples, sample rate [Hz], cluster sizes in samples.
+            order: nodes between two neighbouring kinks.
             strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
                 of the strides after it, and an eighth of the size at least where these are larger; 1 for
                 overlapping estimates, if there are none.
@@ -170,7 +170,7 @@ class AllanCovariance(eqx.Module):
         return jnp.asarray(self.sizes) * self.sample_interval
 
     def kernel(self, term: NoiseTerm) -> Float[Array, "pairs lags"]:
-        """C_ij(u) of one term at the lags of the quadrature."""
+        """C_ij(u) of one noise term at the quadrature's lags."""
         coefficient = jnp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
         i, j = self.pairs
         sizes = jnp.asarray(self.sizes)
@@ -183,7 +183,7 @@ class AllanCovariance(eqx.Module):
         return jax.vmap(of_pair)(sizes[i], sizes[j], jnp.asarray(self.lags))
 
     def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
-        """The symmetric matrix with these values for the pairs."""
+        """Symmetric matrix with these values for the pairs."""
         i, j = self.pairs
         full = jnp.zeros((len(self.sizes),) * 2).at[i, j].set(values)
         return full + jnp.triu(full, 1).T
@@ -199,7 +199,7 @@ class AllanCovariance(eqx.Module):
 
 # Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.
 _FILTERS = {"allan": (6.0, -4.0, 1.0), "modified": (6.0, -4.0, 1.0), "hadamard": (20.0, -15.0, 6.0, -1.0)}
-# A modified variance with more samples a cluster than this is treated as one with so many.
+# Samples a cluster beyond which a record is thinned for the degrees of freedom of the modified variance.
 _FINEST_MODIFIED = 64
 
 
@@ -220,7 +220,7 @@ def equivalent_degrees_of_freedom(
         sizes: cluster sizes in samples.
         kind: "allan", "modified" or "hadamard".
         overlapping: False for clusters that do not overlap.
-        model: the model they are estimates of; white rate noise if there is none.
+        model: the noise model; white rate noise if there is none.
         strides: samples from one start of a cluster to the next, each a divisor of its cluster size; if there
             are none, 1 or, where clusters do not overlap, their size.
 
@@ -244,6 +244,7 @@ def equivalent_degrees_of_freedom(
 
 
 def _edf(terms: Any, n: int, rate: float, m: int, kind: str, stride: int) -> Any:
+    """Equivalent degrees of freedom of the estimate at one cluster size m."""
     alpha = _FILTERS[kind]
     reach = len(alpha)
     if kind == "modified":
@@ -274,4 +275,5 @@ def _edf(terms: Any, n: int, rate: float, m: int, kind: str, stride: int) -> Any
 
 
 def _integers(u: Int[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Nodes and weights of a plain sum of an even function over these integers u ≥ 0 and their negatives."""
     return u.astype(float), np.where(u > 0, 2.0, 1.0)

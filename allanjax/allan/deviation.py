@@ -66,7 +66,7 @@ class AllanDeviation(ByValue):
     def of_pyramid(
         cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
     ) -> "AllanDeviation":
-        """The deviations that a pyramid has gathered from samples at `rate` [Hz].
+        """Allan deviations from the sums of a pyramid over samples at `rate` [Hz].
 
         Raises:
             AllanjaxError: fewer than two samples.
@@ -89,14 +89,14 @@ class AllanDeviation(ByValue):
 
     @property
     def strides(self) -> Int[np.ndarray, " m"]:
-        """Samples from one start of a cluster to the next, [m]."""
+        """Samples between the starts of successive clusters, [m]."""
         if self.estimator == "pyramid":
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
 
     @property
     def variance(self) -> Float[np.ndarray, "m axes"]:
-        """Square of the deviation."""
+        """Variances [rate²], the squares of the deviations."""
         return self.deviation**2
 
     @property
@@ -137,9 +137,9 @@ class AllanDeviation(ByValue):
         return tuple(axis.name for axis in self.axes)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """One row a cluster time: every axis's deviation, its 68 % interval and its degrees of freedom.
+        """Table with one row a cluster time: each axis's deviation, 68 % interval and degrees of freedom.
 
-        Headers state the units, deg/h or µg; without them, of an array, deviations are in its own.
+        Headings state the units, deg/h or µg; deviations of an array without units are in its own.
         """
         import pandas as pd
 
@@ -175,7 +175,7 @@ class AllanDeviation(ByValue):
 
 
 def rate_unit(axis: Axis) -> tuple[str, float]:
-    """Unit for people of an axis's Allan deviation, and its factor to SI."""
+    """Display unit of an axis's Allan deviation, and its factor to SI."""
     unit = default_coefficient_unit(axis.sensor, 0.0)
     return unit, unit_scale(unit, axis.sensor)
 
@@ -207,7 +207,7 @@ def allan_deviation(
         gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
             deviations are in the array's own, whatever that is.
 
-    The degrees of freedom are those of white noise, the noise that most of the curve's short end shows.
+    The degrees of freedom are those under white noise, which dominates most curves at short cluster times.
 
     Raises:
         AllanjaxError: no rate or not a positive one, samples that are not finite, too few of them, an unknown

@@ -1,4 +1,4 @@
-"""The estimators of the Allan variance and its relatives at any cluster sizes, compiled.
+"""Estimators of the Allan, modified and Hadamard variances at any cluster sizes, compiled.
 
 All are sums of squared differences of the phase. They are taken in chunks that a core's cache holds, for all
 cluster sizes on one block of chunks before the next, so that a record is read from memory a few times only.
@@ -23,7 +23,7 @@ DataType = Literal["rate", "phase"]
 
 # Differences are taken this many at a time: few enough to stay in cache, enough to hide the loop's overhead.
 _CHUNK = 8192
-# Chunks of which all cluster sizes are done before going on.
+# Chunks for which all cluster sizes are computed before the next block is read.
 _BLOCK = 16
 # Running sums inside a chunk are products with a triangular matrix of this size, which XLA vectorises.
 _ROW = 32
@@ -77,6 +77,7 @@ def _sums_of_axes(
     overlapping: bool,
     data_type: DataType,
 ) -> Float[Array, "m axes"]:
+    """Sums of squared differences of every axis, one axis after the other in one compiled program."""
     table = jnp.asarray(values, dtype=float)
     n = len(table) - (data_type == "phase")
 
@@ -95,7 +96,7 @@ def _shared_sums_of_axes(
     overlapping: bool,
     data_type: DataType,
 ) -> Float[np.ndarray, "m axes"]:
-    """The same on all cores."""
+    """Sums of squared differences of every axis, blocks of the record shared out among all cores."""
     table = values if isinstance(values, jax.Array) else np.asarray(values, dtype=float)
     n = len(table) - (data_type == "phase")
     cores = os.cpu_count() or 1
@@ -113,6 +114,7 @@ def _shared_sums_of_axes(
 
 
 def _chunk(n: int) -> int:
+    """Differences taken at a time in a record of n samples."""
     return min(_CHUNK, max(_ROW, 1 << n.bit_length()))
 
 
@@ -120,10 +122,10 @@ def _chunk(n: int) -> int:
 def _phases(
     values: Float[ArrayLike, " samples"], rate: ArrayLike, data_type: DataType
 ) -> Float[Array, " padded"]:
-    """n + 1 phases in the rate's unit times the sample interval, and then a chunk of no meaning.
+    """The n + 1 phases in the rate's unit times the sample interval, padded by a chunk of no meaning.
 
-    The end-to-end line has been taken from them: no estimator sees a straight line, and without it they keep
-    more digits for the differences.
+    The straight line between their ends is subtracted: no estimator sees it, and the differences keep more
+    digits without it.
     """
     x = jnp.asarray(values)
     n = len(x) - (data_type == "phase")
@@ -222,5 +224,6 @@ def _square_sums_of_sums(
 
 
 def _running_sum(x: Float[Array, " chunk"]) -> Float[Array, " chunk"]:
+    """Cumulative sum of a chunk, by products with triangular matrices."""
     rows = x.reshape(-1, _ROW) @ jnp.triu(jnp.ones((_ROW, _ROW)))
     return (rows + jnp.tri(len(rows), k=-1) @ rows[:, -1:]).reshape(-1)

@@ -25,24 +25,24 @@ from allanjax.allan.pyramid_pass import LEVELS, WINDOWS, climb, differences, pai
 from allanjax.base.errors import AllanjaxError
 
 _WINDOW = WINDOWS[-1]
-# Cluster sizes below those of the levels' own windows.
+# Number of cluster sizes below that of the lowest level's largest window.
 _SMALL = len(WINDOWS) - 1
 # Blocks kept at either end of a level: one fewer than two adjacent windows have.
 _HELD = 2 * _WINDOW - 1
-# Samples of each axis whose upper levels are in memory at once.
+# Samples of each axis that are processed at once, which bounds the memory that their upper levels take.
 _PART = 1 << 24
 
 _Blocks = Float[np.ndarray, "axes blocks"]
 
 
 def pyramid_strides(sizes: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
-    """Samples from one start of a cluster to the next, [m], at cluster sizes that are powers of two."""
+    """Samples between the starts of successive clusters, [m], at cluster sizes that are powers of two."""
     return np.maximum(1, np.asarray(sizes) // _WINDOW)
 
 
 @dataclass(frozen=True, eq=False)
 class Pyramid:
-    """What a piece of a recording says of its Allan variances, with what the pieces beside it need to know.
+    """Sums of squared differences of a piece of a recording, and the block means at its ends for merging.
 
     Attributes:
         start: index of the piece's first sample in the recording.
@@ -60,7 +60,7 @@ class Pyramid:
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "n axes"] | Float[Array, "n axes"], start: int = 0) -> Pyramid:
-        """The pyramid of n samples of each axis, the first of them number `start` of the recording.
+        """Pyramid of n samples of each axis, the first of them number `start` of the recording.
 
         The values are read piece by piece, so they may be a memory map. The compiled program is the same for
         every n; on a CPU each core runs it on pieces of its own.
@@ -80,7 +80,7 @@ class Pyramid:
             return reduce(cls.merge, parts)
 
     def merge(self, right: Pyramid) -> Pyramid:
-        """The pyramid of this piece and the one after it: that of both in one, to rounding.
+        """Pyramid of this piece and the next one together: that of both in one, to rounding.
 
         Raises:
             AllanjaxError: `right` does not start where this piece ends, or has other axes.
@@ -123,12 +123,12 @@ class Pyramid:
         return merged
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Pyramid:
-        """The pyramid of some of the axes."""
+        """Pyramid of some of the axes."""
         return Pyramid(self.start, self.n, self.sums[:, keep], self.head[:, keep], self.tail[:, keep])
 
     @property
     def cluster_size(self) -> Int[np.ndarray, " m"]:
-        """The cluster sizes in samples, 1, 2, 4, …, at which the piece has at least one difference."""
+        """Cluster sizes in samples, 1, 2, 4, …, at which the piece has at least one difference."""
         return 2 ** np.arange(len(self.count))
 
     @property
@@ -151,29 +151,31 @@ class Pyramid:
         return self.head[k, :, :held], self.tail[k, :, _HELD - held :]
 
     def _hold(self, k: int, first: _Blocks, last: _Blocks) -> None:
-        """Write the outermost of these blocks of a level, while the pyramid is being built."""
+        """Store the outermost of these blocks of a level; only while the pyramid is being built."""
         held = min(_block_count(self.start, self.n, k), _HELD)
         self.head[k, :, :held] = first[:, :held]
         self.tail[k, :, _HELD - held :] = last[:, last.shape[1] - held :]
 
 
 def _empty(start: int, n: int, axes: int) -> Pyramid:
+    """Pyramid of n samples whose sums are zero and whose blocks are not yet known."""
     levels = n.bit_length()
     held = (levels, axes, _HELD)
     return Pyramid(start, n, np.zeros((_SMALL + levels, axes)), np.full(held, np.nan), np.full(held, np.nan))
 
 
 def _block_count(start: int, n: int, k: int) -> int:
-    """Whole blocks of level k among n samples from `start` on."""
+    """Number of whole blocks of level k among n samples from `start` on."""
     return max(((start + n) >> k) - -(-start >> k), 0)
 
 
 def _square_sum(blocks: _Blocks, window: int) -> Float[np.ndarray, " axes"]:
+    """Sum of squared differences between the means of adjacent windows of so many blocks."""
     return (differences(window_sums(blocks, window), window) ** 2).sum(axis=1) / window**2
 
 
 def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecutor) -> Pyramid:
-    """The pyramid of samples that fit into memory with their upper levels; a message counts from `origin`."""
+    """Pyramid of samples that fit into memory with their upper levels; error messages count from `origin`."""
     n, axes = values.shape
     pyramid = _empty(start, n, axes)
     rows, first = values.T, start
@@ -194,7 +196,7 @@ def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecu
 
 
 def _hold_ends(pyramid: Pyramid, k: int, rows: Any, first: int) -> None:
-    """Write the outermost blocks of the levels that a pass from level k climbs, given all of level k."""
+    """Store the outermost blocks of the levels that a pass from level k computes, given all of level k."""
     enough = (_HELD + 1) << (LEVELS - 1)
     head, tail = np.asarray(rows[:, :enough], float), np.asarray(rows[:, -enough:], float)
     head_first, tail_first = first, first + rows.shape[1] - tail.shape[1]
@@ -205,18 +207,14 @@ def _hold_ends(pyramid: Pyramid, k: int, rows: Any, first: int) -> None:
 
 
 def _next_level(blocks: _Blocks, first: int) -> tuple[_Blocks, int]:
-    """The whole blocks of the next level, and the index of the first of them."""
+    """Whole blocks of the next level, and the index of the first of them."""
     odd = first % 2
     pairs = (blocks.shape[1] - odd) // 2
     return pair_means(blocks[:, odd : odd + 2 * pairs]), (first + odd) // 2
 
 
 def check_finite(values: Any, origin: int = 0) -> None:
-    """Check samples [n, axes] that are number `origin` and on of what a user gave.
-
-    Raises:
-        AllanjaxError: values that are not finite.
-    """
+    """Raise AllanjaxError if a sample [n, axes] is not finite; the first is number `origin` of the data."""
     bad = ~np.isfinite(np.asarray(values))
     if bad.any():
         row, axis = np.argwhere(bad)[0]

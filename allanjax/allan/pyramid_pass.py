@@ -20,9 +20,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 LEVELS = 4
-"""Levels that a pass climbs."""
+"""Levels of the pyramid that one pass computes."""
 WINDOWS = (1, 2, 4, 8)
-"""Blocks in the windows at the lowest level; the largest of them is that of every other level."""
+"""Blocks in a window at the lowest level; every other level has windows of the largest size only."""
 
 _WINDOW = WINDOWS[-1]
 # Blocks of the lowest level that the differences starting in a chunk reach beyond it.
@@ -34,12 +34,12 @@ _LANES = 1 << 13
 def climb(
     rows: Float[np.ndarray, "axes n"] | Float[Array, "axes n"], first: int, pool: ThreadPoolExecutor
 ) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "axes above"] | Float[Array, "axes above"]]:
-    """Sums of squared differences of window means over four levels, and the blocks of the level above them.
+    """Sums of squared differences of window means at four levels, and the blocks of the level above them.
 
     Args:
         rows: consecutive blocks of the lowest level; copied piece by piece only.
         first: index of the first of them.
-        pool: where pieces are computed at the same time.
+        pool: the threads that compute pieces at the same time.
 
     Returns:
         Sums for windows of 1, 2, 4 and 8 blocks of the lowest level and of 8 of each of the others, and the
@@ -70,12 +70,12 @@ def _on_cpu() -> bool:
 
 
 def _shape() -> tuple[int, int]:
-    """Blocks in a chunk, which a core's cache holds or fill a larger device, and in what is compiled for."""
+    """Number of blocks in a chunk (a core's cache, or a large share of a device) and in a compiled piece."""
     return (_LANES, 16 * _LANES) if _on_cpu() else (1 << 24, 1 << 24)
 
 
 def _padded(row: Any, begin: int, length: int) -> Any:
-    """`length` values from `begin` on, which may be before the first; NaN where there are none."""
+    """A stretch of `length` values from `begin` on, which may be negative; NaN where there are none."""
     found = row[max(begin, 0) : begin + length]
     before = max(-begin, 0)
     after = length - before - len(found)
@@ -89,8 +89,10 @@ def _padded(row: Any, begin: int, length: int) -> Any:
 def _climb_piece(
     blocks: Float[Array, " piece"], chunks: Int[Array, ""], *, chunk: int
 ) -> tuple[Float[Array, " sizes"], Float[Array, " above"]]:
+    """Sums of squared differences and the blocks of the level above, for one axis of one piece."""
+
     def stored(function: Callable[[Array], Array], x: Array) -> Array:
-        """The result in an array of its own, as that of a branch is.
+        """Result of the function, forced into an array of its own by a branch.
 
         Otherwise XLA repeats the arithmetic wherever the result is used, and then does not vectorise it.
         """
@@ -134,7 +136,7 @@ def pair_means(blocks: Any) -> Any:
 
 
 def window_sums(blocks: Any, window: int, of: int = 1) -> Any:
-    """Sums over windows from each start along the last dimension, given those over windows of `of` blocks."""
+    """Sums over windows from every start along the last dimension, given sums over windows of `of` blocks."""
     while of < window:
         blocks = blocks[..., :-of] + blocks[..., of:]
         of *= 2
@@ -142,5 +144,5 @@ def window_sums(blocks: Any, window: int, of: int = 1) -> Any:
 
 
 def differences(sums: Any, window: int) -> Any:
-    """Differences of adjacent windows, from each start along the last dimension, given the windows' sums."""
+    """Differences of the sums of adjacent windows, from every start along the last dimension."""
     return sums[..., window:] - sums[..., :-window]

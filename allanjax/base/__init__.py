@@ -1,1 +1,1 @@
-"""What every room uses: errors, equality by value, text for people, linear algebra, compiled programs."""
+"""Foundations of all packages: errors, equality by value, tables and wording, linear algebra, caching."""

@@ -1,11 +1,11 @@
-"""Where compiled programs are kept, so that only the first run on a machine compiles."""
+"""Cache of compiled programs on disk, so that only the first run on a machine compiles."""
 
 import os
 import sys
 import warnings
 from pathlib import Path
 
-# Shorter compilations take no longer than reading their results back.
+# Programs that compile in less time [s] are not kept: reading them back would take as long.
 _MIN_COMPILE_SECONDS = 0.1
 
 
@@ -42,6 +42,7 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
 
 
 def _warn(path: Path, why: str | None) -> None:
+    """Warn that the directory that was asked for cannot be used."""
     warnings.warn(
         f"{path}: {why}; programs are compiled anew every time; set ALLANJAX_CACHE to a directory or to off",
         stacklevel=3,
@@ -49,6 +50,7 @@ def _warn(path: Path, why: str | None) -> None:
 
 
 def _user_cache() -> Path:
+    """Directory for cached data of the user, as the operating system has it."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     if sys.platform == "darwin":
@@ -57,11 +59,11 @@ def _user_cache() -> Path:
 
 
 def release_programs(share: float) -> None:
-    """Forget all compiled programs if they take more than a share of what the operating system allows.
+    """Drop all compiled programs if this process uses more than a share of its allowed memory mappings.
 
-    Each is in memory in many pieces, and Linux lets a process have so many (65,530, unless it was told
-    otherwise): a process that goes through recordings of all lengths would come to an end after some dozens
-    of them. What is needed again is loaded from the cache of programs, or compiled.
+    A program takes many mappings, of which Linux allows a process 65,530 by default (vm.max_map_count): a
+    process that fits recordings of many lengths would fail after some dozens of them. Programs that are
+    needed again are loaded from the cache, or compiled.
     """
     used, limit = _mapped()
     if used > share * limit:
@@ -71,7 +73,7 @@ def release_programs(share: float) -> None:
 
 
 def _mapped() -> tuple[int, float]:
-    """Pieces of memory that this process has, and may have."""
+    """Number of memory mappings that this process has, and the number that it may have."""
     try:
         limit = int(Path("/proc/sys/vm/max_map_count").read_text())
         with open("/proc/self/maps", "rb") as file:

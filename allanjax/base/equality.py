@@ -1,10 +1,10 @@
-"""Results are equal if their values are, arrays and NaN included: a pickle of one equals it."""
+"""Equality of results by their values, arrays and NaN included: a pickle of one equals it."""
 
 import copyreg
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -12,15 +12,15 @@ import numpy as np
 class ByValue:
     """Equality of a dataclass by its fields' values, for `@dataclass(frozen=True, eq=False)`.
 
-    The generated equality asks an array whether it is true, and takes two NaN for different. The hash
-    is that of the texts, whole numbers and flags among the fields: of arrays it would take long.
+    The generated equality fails on arrays, and takes two NaN for different. The hash is that of the texts,
+    integers and flags among the fields: hashing arrays would take long.
     """
 
     def __eq__(self, other: object) -> bool:
         return _same_fields(self, other) if type(other) is type(self) else NotImplemented
 
     def __hash__(self) -> int:
-        values = (getattr(self, field.name) for field in _fields(self))
+        values = (getattr(self, field.name) for field in dataclasses.fields(cast(Any, self)))
         return hash((type(self), *(v for v in values if isinstance(v, str | int))))
 
 
@@ -44,18 +44,17 @@ def equal(a: Any, b: Any) -> bool:
 
 
 def _same_array(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two arrays are equal, NaN being equal to NaN."""
     return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc")
 
 
 def _same_fields(a: Any, b: Any) -> bool:
-    return all(equal(getattr(a, field.name), getattr(b, field.name)) for field in _fields(a))
-
-
-def _fields(instance: Any) -> tuple[dataclasses.Field, ...]:
-    return dataclasses.fields(instance)
+    """Whether all fields of two dataclasses of one class are equal."""
+    return all(equal(getattr(a, field.name), getattr(b, field.name)) for field in dataclasses.fields(a))
 
 
 def _read_only(items: dict) -> MappingProxyType:
+    """Read-only view of a dictionary: what a pickle of such a view is made anew by."""
     return MappingProxyType(items)
 
 

@@ -1,8 +1,8 @@
-"""The errors that allanjax raises for what a user gives it."""
+"""Errors that allanjax raises for invalid input."""
 
 
 class AllanjaxError(ValueError):
-    """Base of all errors that a user's input can cause; its message says what to do about it."""
+    """Base class of all errors that a user's input can cause; the message says what to do about it."""
 
 
 class UnitError(AllanjaxError):
@@ -14,4 +14,4 @@ class RecordingError(AllanjaxError):
 
 
 class FitError(AllanjaxError):
-    """A fit that gives no result: it did not converge, or the data cannot determine the model."""
+    """A fit without a result: it did not converge, or the data cannot determine the model."""

@@ -1,4 +1,4 @@
-"""Small dense linear algebra for batches.
+"""Small dense linear algebra that is safe to batch.
 
 Batched LAPACK calls of jaxlib wait, inside a worker thread, for tasks on the same thread pool: two of them at
 once on a machine with two cores never return (seen with jaxlib 0.10.2 as a stopped vmapped Cholesky). These
@@ -15,14 +15,14 @@ from jaxtyping import Array, Bool, Float
 
 
 class CholeskyWhitened(NamedTuple):
-    """L⁻¹X and ln det L of a Cholesky factorization C = LL'."""
+    """Columns X whitened by a Cholesky factorization C = LL': L⁻¹X, and ln det L."""
 
     values: Float[Array, "m k"]
     log_det: Float[Array, ""]
 
 
 def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> CholeskyWhitened:
-    """L⁻¹X with C = LL' positive definite; NaN if it is not.
+    """Whiten the columns of X by C = LL', positive definite: L⁻¹X and ln det L, NaN if it is not.
 
     Row k of [L' | L⁻¹X] is that of [C | X] less what the rows above it explain: one pass over memory a row,
     several times faster than eliminating it from all rows below.
@@ -47,14 +47,14 @@ def inverse(C: Float[Array, "m m"]) -> Float[Array, "m m"]:
 
 
 def solve(C: Float[Array, "m m"], b: Float[Array, " m"]) -> Float[Array, " m"]:
-    """C⁻¹b for positive definite C."""
+    """Solution C⁻¹b of a positive definite system."""
     return inverse(C) @ b
 
 
 def non_negative_least_squares(
     A: Float[Array, "m terms"], b: Float[Array, " m"], allowed: Bool[Array, " terms"]
 ) -> Float[Array, " terms"]:
-    """x ≥ 0 that minimizes |Ax − b|, zero where not allowed; differentiable in A and b.
+    """Non-negative x that minimizes |Ax − b|, zero where not allowed; differentiable in A and b.
 
     Principal pivoting (Portugal, Júdice & Vicente 1994): a set of positive entries is changed until all of
     them are positive and no gradient says that another should be. Exchanging all offenders at once

@@ -1,4 +1,4 @@
-"""Text for an output that can not show all of it: `deg/sqrt(h)`, `+-`, `tau` where there is no Unicode."""
+"""Text in ASCII for an output without Unicode: `deg/sqrt(h)`, `+-`, `tau`."""
 
 import codecs
 import io
@@ -8,7 +8,7 @@ import unicodedata
 from typing import TextIO
 
 ERRORS = "allanjax"
-"""Name of the error handler that writes such words, for `str.encode` and for streams."""
+"""Name of the error handler that writes these replacements, for `str.encode` and for streams."""
 
 _ROOT = re.compile(r"√([A-Za-z]+)")
 _RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻]+")
@@ -45,7 +45,7 @@ _WORDS = {
 
 
 def _in_words(error: UnicodeError) -> tuple[str, int]:
-    """What to write instead of a character that can not be, and where to go on."""
+    """Replacement for characters that cannot be encoded, and the index at which to go on."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text, at = error.object, error.start
@@ -57,6 +57,7 @@ def _in_words(error: UnicodeError) -> tuple[str, int]:
 
 
 def _word(character: str) -> str:
+    """ASCII replacement of one character."""
     if character in _WORDS:
         return _WORDS[character]
     name = unicodedata.name(character, "")
@@ -73,7 +74,7 @@ codecs.register_error(ERRORS, _in_words)
 
 
 def printable(text: str) -> str:
-    """The text, or what stands for it on a standard output that can not show it."""
+    """The text, with ASCII replacements for what the standard output cannot show."""
     encoding = getattr(sys.stdout, "encoding", None)
     try:
         return text.encode(encoding, ERRORS).decode(encoding) if encoding else text
@@ -82,11 +83,11 @@ def printable(text: str) -> str:
 
 
 def speak_plainly(stream: TextIO) -> None:
-    """Make a stream write words for what it can not show, instead of failing."""
+    """Make a stream write ASCII replacements for what it cannot show, instead of failing."""
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors=ERRORS)
 
 
 def is_unicode(stream: TextIO) -> bool:
-    """Whether a stream can show everything."""
+    """Whether a stream can show all of Unicode."""
     return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "").startswith("utf")

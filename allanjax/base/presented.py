@@ -1,4 +1,4 @@
-"""Methods of results that draw, tell or export: declared with the result, written where people look.
+"""Methods of results that draw, print or export: declared with the result, implemented in `report`.
 
 A result is data, and the rooms that make results know nothing of pictures. So a result declares such a method
 with its signature and docstring, and `report`, which knows all results, says by `present` which function of
@@ -18,7 +18,7 @@ _FUNCTIONS: dict[str, str] = {}
 
 
 def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Decorator of a method without a body: a call goes to the function registered by `present`."""
+    """Decorator of a method without a body: calls go to the function that `present` has registered for it."""
 
     @functools.wraps(method)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
@@ -28,10 +28,11 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def present(functions: Mapping[str, str]) -> None:
-    """Register the functions that are methods of results: {"Fit.plot": "package.module.function"}."""
+    """Register functions as methods of results, e.g. {"Fit.plot": "package.module.function"}."""
     _FUNCTIONS.update(functions)
 
 
 def _function(name: str) -> Callable[..., Any]:
+    """Function registered for a method, its module imported."""
     module, _, function = _FUNCTIONS[name].rpartition(".")
     return getattr(importlib.import_module(module), function)

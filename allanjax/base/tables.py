@@ -1,4 +1,4 @@
-"""Tables for people: of text for a terminal, of HTML for a notebook."""
+"""Tables of results: as text for a terminal, as HTML for a notebook."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from allanjax.base.plain import printable
 
 WIDTH = 110
-"""Columns of what is printed."""
+"""Width of printed tables, in characters."""
 
 
 def text_table(
     title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()
 ) -> str:
-    """A table whose first column names the group of rows; it is written once a group.
+    """Table as text, whose first column names the group of a row and is printed once a group.
 
-    Names are data: no markup is looked for. `right` are the headings of columns that end at the right.
+    Cells are printed as they are, without markup. `right` are the headings of right-aligned columns.
     """
     from rich.console import Console
     from rich.table import Table
@@ -39,7 +39,7 @@ def text_table(
 
 
 def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The same for a notebook."""
+    """Table as HTML for a notebook."""
     head = "".join(f"<th>{html.escape(heading)}</th>" for heading in headings)
     body = "".join(
         "<tr>" + "".join(f"<td style='text-align:left'>{html.escape(cell)}</td>" for cell in row) + "</tr>"

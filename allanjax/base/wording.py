@@ -1,4 +1,4 @@
-"""How numbers are written for people: values with errors, intervals, limits, durations; one style everywhere.
+"""Numbers as text in one style: values with errors, intervals, limits, durations.
 
 An error has two significant digits, and its value and interval as many decimals; thousands are set apart by
 commas; an exponent is written only for what is below 1e-4 or from 1e7 on.
@@ -6,11 +6,12 @@ commas; an exponent is written only for what is below 1e-4 or from 1e7 on.
 
 import math
 
+# Numbers from _SMALL up to _LARGE are written without an exponent.
 _SMALL, _LARGE = 1e-4, 1e7
 
 
 def format_with_error(value: float, std: float) -> str:
-    """Value and 1-σ to two digits of the latter, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05".
+    """Value and standard deviation, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05".
 
     Without an error the value alone, to six digits.
     """
@@ -21,9 +22,9 @@ def format_with_error(value: float, std: float) -> str:
 
 
 def format_interval(lower: float, upper: float, value: float, std: float) -> str:
-    """Both ends with the decimals that `format_with_error` gives the value, e.g. "0.4985 … 0.5257".
+    """Interval with the decimals that `format_with_error` gives the value, e.g. "0.4985 … 0.5257".
 
-    Without an error the ends say how well the value is known.
+    Without an error the width of the interval sets the decimals.
     """
     if not _known(value, std):
         std = (upper - lower) / 4.0
@@ -34,7 +35,7 @@ def format_interval(lower: float, upper: float, value: float, std: float) -> str
 
 
 def significant(x: float, digits: int = 3) -> str:
-    """So many significant digits, zeros included, e.g. "3,470", "0.500" or "1.20e-06"."""
+    """Number with so many significant digits, zeros included, e.g. "3,470", "0.500" or "1.20e-06"."""
     if not math.isfinite(x) or x == 0.0:
         return f"{x:g}"
     place = 10.0 ** (_exponent(x, digits) - digits + 2)
@@ -44,7 +45,7 @@ def significant(x: float, digits: int = 3) -> str:
 
 
 def plain(x: float, digits: int = 6) -> str:
-    """Of a given number, so many digits at most and no zeros at the end, e.g. "0.5" or "1,234.5"."""
+    """Number with so many digits at most and no trailing zeros, e.g. "0.5" or "1,234.5"."""
     text, _, power = significant(x, digits).partition("e")
     text = text.rstrip("0").rstrip(".") if "." in text else text
     return f"{text}e{power}" if power else text
@@ -63,21 +64,22 @@ def finite_or_none(x: float) -> float | None:
 
 
 def _known(value: float, std: float) -> bool:
+    """Whether there is a value with an error."""
     return math.isfinite(value) and math.isfinite(std) and std > 0.0
 
 
 def _exponent(x: float, digits: int) -> int:
-    """The power of ten of x once rounded to so many significant digits."""
+    """Power of ten of x once rounded to so many significant digits."""
     return int(f"{x:.{digits - 1}e}".partition("e")[2])
 
 
 def _power(largest: float) -> int:
-    """The power of ten to write after a number; none where it is easily read without."""
+    """Power of ten to write after a number; 0 where it is easily read without."""
     return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else _exponent(largest, 16)
 
 
 def _fixed(x: float, error: float, power: int) -> str:
-    """x/10^power with as many decimals as the second digit of its error."""
+    """Number x/10^power with decimals down to the second digit of its error."""
     decimals = power + 1 - _exponent(error, 2)
     # Adding zero makes minus zero plain.
     rounded = round(x / 10.0**power, decimals) + 0.0
@@ -85,4 +87,5 @@ def _fixed(x: float, error: float, power: int) -> str:
 
 
 def _with_power(text: str, power: int) -> str:
+    """Text in brackets with its power of ten, if there is one."""
     return f"({text})e{power:+03d}" if power else text

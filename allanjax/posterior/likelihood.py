@@ -42,7 +42,7 @@ class Likelihood(eqx.Module):
         lower, upper: a range that holds all reasonable values.
         prior_scale: the amplitude whose power would be one standard deviation in these data; NaN for other
             parameters.
-        for others. found: which belong to terms that the fit found.
+        found: which parameters belong to terms that the fit found.
     """
 
     parameters: eqx.AbstractVar[tuple[ModelParameter, ...]]
