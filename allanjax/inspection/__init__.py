@@ -1,4 +1,4 @@
-"""What is looked at before a fit: handling, motion, units and resolution."""
+"""Checks of a recording before a fit: handling, motion, units and resolution."""
 
 from allanjax.inspection.look import Inspection, inspect, look
 from allanjax.inspection.windows import Windows

@@ -1,4 +1,4 @@
-"""What happened to a recording: stretches that are unlike the rest, and how much they would matter."""
+"""Stretches of a recording that are unlike the rest, and their effect on the Allan variance."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from allanjax.inspection.windows import Windows
 # benchmarks/first_look.py) the largest were 6.8 but for telegraphs, and for steps 10.2.
 _UNLIKE = 8.0
 _STEP = 11.0
-# Scores down to which an unlike stretch goes on.
+# Scores down to which a stretch that is unlike the rest is extended.
 _STILL = 3.0
-# Standard deviations of a step down to which a slow change goes on.
+# Standard deviations of a step down to which a slow change is extended.
 _STILL_MOVING = 4.0
-# Jumps at least this share of the largest that make a telegraph of them.
+# Jumps of at least this share of the largest, and so many of them, are telegraph noise, not steps.
 _COMPARABLE = 0.4
 _TELEGRAPH = 3
-# Share of a step that is seen at once where it is sudden.
+# Share of a sudden step's size that shows over fewer windows, too.
 _SUDDEN = 0.7
-# Windows without any change that are more than chance, where fewer than this share of values repeat.
+# So many constant windows are no chance on an axis whose samples repeat less often than this share.
 _STUCK, _MOSTLY_NEW = 3, 0.5
-# Windows between two unlike stretches that are one.
+# Stretches at most so many windows apart are one.
 _GAP = 3
-# Windows of quiet on both sides by which the mean before and after is known.
+# Quiet windows on either side of a stretch over which the mean is taken.
 _BESIDE = 16
 
 
 @dataclasses.dataclass(frozen=True)
 class Stretch:
-    """Windows `first` up to but not including `last` that are unlike the rest.
+    """Run of windows, `first` up to but not including `last`, that are unlike the rest.
 
     Attributes:
-        kind: "silent", "noisier", "quieter", or "moved", of which the mean alone changes.
+        kind: "silent", "noisier", "quieter", or "moved" if only the mean changes.
     """
 
     first: int
@@ -74,6 +74,7 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
 
 
 def _touched(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
+    """Which windows are in one of the stretches."""
     touched = np.zeros(len(windows), bool)
     for s in stretches:
         touched[s.first : s.last] = True
@@ -81,14 +82,14 @@ def _touched(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray,
 
 
 def _silent(windows: Windows) -> list[tuple[int, int]]:
-    """Runs of windows in which an axis that usually changes does not: it is stuck, or switched off."""
+    """Runs of windows in which an axis is constant that usually is not: it is stuck, or switched off."""
     constant = windows.low == windows.high
     usual = np.median(windows.repeated, axis=0) < _MOSTLY_NEW
     return [(a, b) for a, b in _spans((constant & usual).any(axis=1)) if b - a >= _STUCK]
 
 
 def _runs(rows: Sequence[Row], count: int, sign: float) -> list[tuple[int, int]]:
-    """Runs of windows with a score beyond the threshold, grown by those that are still unlike."""
+    """Runs of windows with a score beyond the threshold, extended by neighbours with a lower one."""
     peak, still = np.zeros(count, bool), np.zeros(count, bool)
     for row in rows:
         score = sign * row.score
@@ -108,9 +109,9 @@ def _runs(rows: Sequence[Row], count: int, sign: float) -> list[tuple[int, int]]
 
 
 def _moves(rows: Sequence[Row], k: int, groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
-    """Where the mean moves as it does nowhere else, as row k of the steps shows it: windows, from and to.
+    """Runs of windows in which the mean moves as nowhere else, according to row k of the steps.
 
-    None where it jumps by as much three times or more: that is a telegraph, a noise of the sensor.
+    There are none if it jumps by as much three times or more: that is telegraph noise of the sensor.
     """
     row = rows[k]
     alarmed = row.score.max(axis=1) > _STEP
@@ -131,7 +132,7 @@ def _moves(rows: Sequence[Row], k: int, groups: Sequence[Sequence[int]]) -> list
 
 
 def _where(rows: Sequence[Row], k: int, first: int, last: int, place: int) -> tuple[int, int]:
-    """The windows in which the mean moves, of a run of places that see it, and the one that sees most."""
+    """Run of windows in which the mean moves, given the run of places that see it and the clearest one."""
     row = rows[k]
     lag, places = row.width // 2, row.score.shape[1]
     # Place p compares the windows p … p+lag−1 with as many that follow: it sees a change around p + lag.
@@ -156,7 +157,7 @@ def _where(rows: Sequence[Row], k: int, first: int, last: int, place: int) -> tu
 
 
 def _spans(mask: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
-    """Runs of true values, those apart by few others joined."""
+    """Runs of true values; runs that are a few windows apart are joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     spans: list[tuple[int, int]] = []
     for a, b in zip(edges[::2], edges[1::2], strict=True):
@@ -168,11 +169,12 @@ def _spans(mask: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
 
 
 def _overlaps(first: int, last: int, others: Sequence[Stretch]) -> bool:
+    """Whether a run of windows overlaps one of the stretches."""
     return any(o.first < last and first < o.last for o in others)
 
 
 def _merged(found: Sequence[Stretch]) -> list[Stretch]:
-    """Overlapping stretches as one, of the kind of the first whose noise is another."""
+    """Stretches with overlapping ones joined; of their kinds "moved" has the least priority."""
     merged: list[Stretch] = []
     for s in found:
         if merged and s.first <= merged[-1].last:
@@ -187,11 +189,11 @@ def _merged(found: Sequence[Stretch]) -> list[Stretch]:
 def excesses(
     windows: Windows, stretches: Sequence[Stretch]
 ) -> tuple[Float[np.ndarray, " stretches"], Float[np.ndarray, " stretches"]]:
-    """How much each stretch would matter.
+    """Effect of each stretch on the Allan variance, in standard errors and as a share.
 
     Returns:
-        The largest excess over all cluster times and axes of the mean square difference, which is twice the
-        Allan variance, in standard deviations of its estimate; and the same as a share of itself.
+        The largest excess, over all cluster times and axes, of the mean square difference (twice the Allan
+        variance) in standard deviations of its estimate; and that excess as a share of the mean square.
     """
     touched = _touched(windows, stretches)
     sigmas, shares = np.zeros(len(stretches)), np.zeros(len(stretches))
@@ -219,7 +221,7 @@ def excesses(
 def _squares(
     windows: Windows,
 ) -> Iterator[tuple[Float[np.ndarray, "places axes"], Float[np.ndarray, " places"], int]]:
-    """Mean squares at each cluster size, their weights, and how many windows each is of."""
+    """Mean square differences at each cluster size, their weights, and how many windows each spans."""
     for square, pairs in zip(mean_squares(windows), windows.pairs, strict=True):
         yield np.nan_to_num(square), pairs.astype(float), 1
     for row in step_rows(windows, ["axis"] * windows.mean.shape[1]):
@@ -227,7 +229,7 @@ def _squares(
 
 
 def longest_quiet(count: int, stretches: Sequence[Stretch], pad: int = 1) -> tuple[int, int]:
-    """The longest run of windows that is outside of all stretches, a window apart from each."""
+    """Longest run of windows outside of all stretches, `pad` windows away from each."""
     edges = [0]
     for s in stretches:
         edges += [0 if s.first <= pad else s.first - pad, count if s.last >= count - pad else s.last + pad]
@@ -238,7 +240,7 @@ def longest_quiet(count: int, stretches: Sequence[Stretch], pad: int = 1) -> tup
 def beside(
     windows: Windows, stretch: Stretch, others: Sequence[Stretch]
 ) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """How far the mean after a stretch is from that before, and its usual scatter; zero at the ends."""
+    """Change of the mean across a stretch, and its usual scatter; zero at the record's ends."""
     before = max([s.last for s in others if s.last <= stretch.first], default=0)
     after = min([s.first for s in others if s.first >= stretch.last], default=len(windows))
     left = windows.mean[max(before, stretch.first - _BESIDE) : stretch.first]

@@ -1,4 +1,4 @@
-"""Look at a recording before its coefficients are estimated."""
+"""Inspection of a recording before its coefficients are estimated."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from allanjax.inspection.windows import Windows
 from allanjax.inspection.words import cannot_cut, grid, refused, said_of_events, said_of_motion, span, unclear
 from allanjax.record.recording import Axis, Recording
 
-#: Least share of the recording that coefficients may be of: one event leaves half of it wherever it is, two
-#: leave a third.
+#: Least share of the recording that coefficients may be estimated from: one event leaves half of the
+#: recording wherever it is, two leave a third.
 LEAST_SHARE = 0.3
 # A part that is quieter by this factor, and this share of the recording, may be the sensor at rest.
 _MUCH, _LONG = 1.5, 0.1
@@ -28,19 +28,19 @@ _SLIGHT = 0.1
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Inspection:
-    """What a recording looks like, before anything is estimated from it.
+    """Findings about a recording before anything is estimated from it.
 
     Attributes:
-        name, rate, n, axes: the recording's.
-        mean, rms: of each axis, over the stretch [rad/s or m/s²]; rms about the mean.
-        stretch: what coefficients should be of, in s from the first sample; None: of all.
+        name, rate, n, axes: name, sample rate [Hz], number of samples and axes of the recording.
+        mean, rms: mean and rms about it of each axis, over the stretch [rad/s or m/s²].
+        stretch: start and end [s from the first sample] of the part to estimate from; None for all of it.
         refusal: why coefficients cannot be given; "" if they can.
         warnings: sentences for people, the most important first.
         notes: sentences of less weight.
         moving: indices of the axes that are not at rest; one alone may be broken, two are a moving platform,
             and then all of its axes are.
         events: what happened to the sensor.
-        said: what happened that matters, in words.
+        said: the events that matter, in words.
     """
 
     name: str
@@ -59,15 +59,15 @@ class Inspection:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether no axis shows motion."""
         return not self.moving
 
     def quiet(self, recording: Recording) -> Recording:
-        """The stretch of the recording that coefficients should be of."""
+        """The stretch of the recording that coefficients should be estimated from."""
         return recording if self.stretch is None else recording.between(*self.stretch)
 
     def uncut(self) -> Inspection:
-        """The same of samples that cannot be cut any more: what should be, is refused."""
+        """This inspection for samples that cannot be cut any more: where a cut is needed, a refusal."""
         if self.stretch is None:
             return self
         refusal = cannot_cut(self.said, span(*self.stretch, grid(self.n / self.rate)), self.stretch)
@@ -90,22 +90,23 @@ class Inspection:
 def inspect(
     recording: Recording, *, as_is: bool = False, vibrating: bool = False, may_move: bool = False
 ) -> Inspection:
-    """Look at a recording as one looks at a plot of it: was it handled, or moved, and are its units likely?
+    """Check a recording for handling, motion, and implausible units, rate or resolution.
 
-    Noise and mean of windows are compared with those of the others, in the scatter that most of them have;
-    so noise of any colour is nothing unusual. What is unusual, and changes the Allan variance at some
-    cluster time by more than its own error, is left out: coefficients are of the longest part without it, on
-    all axes, if that is at least 30 % of the recording. Otherwise they are refused, unless the Allan
-    deviation is off by 5 % at most.
+    Noise and mean of each window are compared with those of the others, relative to the scatter of most of
+    them; so noise of any colour is nothing unusual. Unusual stretches that change the Allan variance at some
+    cluster time by more than its own error are left out: coefficients are estimated from the longest part
+    without them, on all axes, if that is at least 30 % of the recording. Otherwise they are refused, unless
+    the Allan deviation is off by 5 % at most.
 
     Args:
         recording: the recording.
         as_is: whether all of it is to be used in any case; the warnings stay.
-        vibrating: whether its platform moves and vibrates, and is to: then it is not tested for rest.
-        may_move: whether steps and the like are expected, as where a model has terms for them.
+        vibrating: whether its platform is meant to move and vibrate: then it is not tested for rest.
+        may_move: whether steps and other changes of the mean are expected, as where a model has terms for
+            them.
 
     Returns:
-        The stretch to use, and what to say. It takes a tenth of a second for 10⁶ samples of six axes.
+        The stretch to use, and warnings. It takes a tenth of a second for 10⁶ samples of six axes.
     """
     return look(
         Windows.of(recording.values),
@@ -132,7 +133,17 @@ def look(
     values: Float[np.ndarray, "n axes"] | None = None,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
 ) -> Inspection:
-    """The same of windows, with the samples and other columns where they are at hand; see `inspect`."""
+    """Inspection of a recording that is known by its windows; see `inspect`.
+
+    Args:
+        windows: the recording's windows.
+        axes: its axes.
+        rate: its sample rate [Hz].
+        name: its name.
+        as_is, vibrating, may_move: as in `inspect`.
+        values: its samples, where they are in memory.
+        auxiliary: its other columns, where they are in memory.
+    """
     windows, n = windows.closed(), windows.n
     sensors = [axis.sensor for axis in axes]
     quiet = quiet_part(windows, sensors, may_move)
@@ -190,12 +201,12 @@ def look(
 
 
 def _moving(shown: Sequence[int], count: int) -> tuple[int, ...]:
-    """The axes that are not at rest, of those that show it."""
+    """Indices of the axes that are not at rest, given those that show it: two mean that all move."""
     return tuple(range(count)) if len(set(shown)) > 1 else tuple(shown[:1])
 
 
 def _rounded(quiet: Quiet, n: int, rate: float) -> tuple[float, float]:
-    """The stretch in s, in round numbers where these are inside."""
+    """Start and end [s] of the quiet part, rounded inwards."""
     step, duration = grid(n / rate), n / rate
     start, stop = quiet.first / rate, quiet.last / rate
     start = float(np.ceil(start / step - 1e-9) * step) if quiet.first else 0.0
@@ -204,7 +215,7 @@ def _rounded(quiet: Quiet, n: int, rate: float) -> tuple[float, float]:
 
 
 def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:
-    """First window, and the one after the last, that are in the stretch."""
+    """Indices of the first window in the stretch and of the one after its last."""
     if stretch is None:
         return 0, len(windows)
     edges = windows.edges / rate
@@ -214,7 +225,7 @@ def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: flo
 
 
 def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
-    """Allan deviation times root of cluster time, up to a second."""
+    """Allan deviation times the root of the cluster time, at cluster times up to a second."""
     squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
     known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
     return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])

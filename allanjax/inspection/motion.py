@@ -1,4 +1,4 @@
-"""Is the sensor at rest? Its averages over a second say so."""
+"""Tests for motion: whether a sensor changes, wanders or shakes more than one at rest can."""
 
 from __future__ import annotations
 
@@ -12,30 +12,29 @@ from allanjax.inspection.scores import mean_squares, step_rows
 from allanjax.inspection.windows import Windows
 
 _DEG = np.pi / 180.0
-_G = 9.80665
 # Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] at rest has. The noisiest consumer
 # gyros have 2 deg/√h, 0.033 deg/s at 1 s, and the noisiest accelerometers 1 mg/√Hz, 0.01 m/s²; a correlated
 # part, or a line, makes up to ten times of it.
 AT_REST = {"gyro": 0.3 * _DEG, "accel": 0.15}
-# Cluster times looked at: below, vibration and quantization are large at rest, too; above, drift is.
+# Cluster times [s] tested: below, vibration and quantization are large at rest, too; above, drift is.
 _SHORTEST, _LONGEST = 0.3, 10.0
-# How far the mean may wander from one part of a record to another: zero-rate levels drift by less than
-# 3 deg/s once a sensor runs, and 0.5 m/s² is a tilt of 3 degrees.
+# Largest range of the mean at rest [rad/s or m/s²]: zero-rate levels drift by less than 3 deg/s once a sensor
+# runs, and 0.5 m/s² is a tilt of 3 degrees.
 WANDERS = {"gyro": 3.0 * _DEG, "accel": 0.5}
-# Rms of samples about their mean that is vibration: the noisiest sensors above have half as much at 400 Hz.
+# Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
 SHAKES = {"gyro": 10.0 * _DEG, "accel": 2.0}
 
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """What speaks against a sensor at rest.
+    """Evidence that an axis is not at rest.
 
     Attributes:
         kind: "changes" from one cluster time to the next, "wanders" over the record, "shakes".
-        axis: its index.
-        value: rms change, range, or rms [rad/s or m/s²].
-        limit: what a sensor at rest has at most.
-        time: the cluster time [s], of changes.
+        axis: index of the axis.
+        value: rms change, range of the mean, or rms about it [rad/s or m/s²].
+        limit: the largest such value of a sensor at rest.
+        time: the cluster time [s] of changes.
     """
 
     kind: str
@@ -46,7 +45,7 @@ class Motion:
 
 
 def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
-    """What no sensor at rest does, of every axis that does it, the plainest last."""
+    """Evidence of motion on every axis that shows it, the strongest last."""
     changes = _changes(windows, sensors, rate)
     over = max(int(np.ceil(rate / windows.size)), 1)
     wander = np.ptp(_averaged(windows.mean, over), axis=0)
@@ -62,7 +61,7 @@ def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motio
 
 
 def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
-    """Differences between the means of neighbouring clusters that are too large."""
+    """Axes and cluster times at which the means of neighbouring clusters differ too much for rest."""
     within = mean_squares(windows)
     known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
     sizes = [(1 << k, np.nanmean(within[k], axis=0)) for k in known]
@@ -81,6 +80,7 @@ def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Moti
 
 
 def _averaged(mean: Float[np.ndarray, "w axes"], over: int) -> Float[np.ndarray, "v axes"]:
+    """Means over so many successive windows; those of the windows if there are fewer."""
     whole = len(mean) // over * over
     return mean[:whole].reshape(-1, over, mean.shape[1]).mean(axis=1) if whole else mean
 

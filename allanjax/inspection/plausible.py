@@ -1,4 +1,4 @@
-"""Can the units, the rate and the resolution be what they are said to be?"""
+"""Plausibility of the stated units, sample rate and resolution."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from allanjax.record.units import parse_sample_unit, unit_scale
 
 _DEG = np.pi / 180.0
 _G = 9.80665
-# Gravity is known to 0.3 % anywhere; biases and scale factors of consumer sensors to 5 %. A single axis may
-# be tilted, and is taken for gravity in another unit only within what is left to chance.
+# Tolerance of gravity measured by a triad, and by a single axis. Gravity is known to 0.3 % anywhere, biases
+# and scale factors of consumer sensors to 5 %. A tilted single axis may read anything: hence less for it.
 _TRIAD, _ALONE = 0.05, 0.01
 # A triad whose mean is within this of gravity is not questioned.
 _ABOUT = 0.2
@@ -26,27 +26,28 @@ _ACCEL_UNITS = ("m/s²", "g", "mg", "cm/s²", "ft/s²")
 _LARGEST_BIAS = 20.0 * _DEG
 # deg/√h in rad/√s; m/s/√h in m/s/√s.
 _ROOT_HOUR = _DEG / 60.0
-# White noise below that of the best gyro made; and that of any MEMS accelerometer of a unit whose gyros are
-# tactical or better.
+# White noise [rad/√s] that no gyro has been made with.
 _BEST_GYRO = 3e-5 * _ROOT_HOUR
 # Least ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units it is 0.17
 # (fibre-optic gyros beside MEMS accelerometers) to 30, and 57 times less if rad/s are taken for deg/s.
 _LEAST_RATIO = 0.1
-# White noise [m/s/√h] of accelerometers that are MEMS.
+# White noise [m/s/√h] above which accelerometers are MEMS.
 _MEMS = 0.03
+# Units [s] in which a column of times may be.
 _TIMES = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
-# Stamps and a rate that agree do so within this.
+# Relative difference beyond which time stamps contradict the rate.
 _SAME_RATE = 0.05
-# Ratio of the largest to the least of these products up to which noise is white: of quantization beside it.
+# Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
 _FLAT = 6.0
-# Values of an axis that are few, and the samples they are counted among.
+# So few distinct values are too few, counted among the first so many samples.
 _FEW, _COUNTED = 8, 1 << 14
-# Share of equal neighbours at which the noise is 0.4 steps of the resolution: below, it is not seen.
+# Share of equal neighbours at which the noise is 0.4 steps of the resolution; with more, it is not seen.
 _HIDDEN = 0.6
-# Share of repeats beyond what the resolution makes that says samples are held.
+# Share of equal neighbours, beyond those due to the resolution, at which samples must have been held.
 _HELD = 0.1
 #: Shorter recordings [s] say little of B and K, which show over tens of seconds.
 SHORT = 60.0
+# Fewer samples determine N so poorly that it is worth a warning.
 _FEW_SAMPLES = 1000
 
 
@@ -58,16 +59,16 @@ def implausible(
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     moving: Collection[str] = (),
 ) -> dict[str, str]:
-    """A line on each unit or rate that cannot be, by what it is about: "accel", "gyro", "rate".
+    """Warnings about units or a rate that cannot be right, by subject: "accel", "gyro", "rate".
 
     Args:
-        axes: the recording's.
-        rate: in Hz.
-        mean: of each axis [rad/s or m/s²].
-        white: Allan deviation times root of cluster time, of clusters up to a second [rad/√s or m/s/√s]; the
+        axes: axes of the recording.
+        rate: sample rate [Hz].
+        mean: mean of each axis [rad/s or m/s²].
+        white: Allan deviation times root of cluster time, for clusters up to a second [rad/√s or m/s/√s]; the
             least is an upper bound of the white noise N.
         auxiliary: other columns, among which may be one of times.
-        moving: sensors that are not at rest, for other reasons.
+        moving: sensors that are known not to be at rest.
     """
     lines = {
         "accel": _accel(axes, rate, mean, "accel" in moving),
@@ -78,7 +79,7 @@ def implausible(
 
 
 def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], moving: bool) -> str:
-    """Gravity is 9.81 m/s², and known better than any unit is mistaken for another."""
+    """Warning about the accelerometers if they do not measure gravity, or "" if they do."""
     accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
     size = float(np.linalg.norm(mean[accel])) if accel else _G
     triad = len(accel) >= 3
@@ -118,7 +119,7 @@ def _gyro(
     white: Float[np.ndarray, "scales axes"],
     moving: bool,
 ) -> str:
-    """A gyro at rest reads the Earth's rate, 15 deg/h, its bias, and the noise that its kind can have."""
+    """Warning about the gyros if their bias or noise is that of no gyro at rest, or ""."""
     gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
     if not gyros:
         return ""
@@ -144,7 +145,7 @@ def _gyro(
 
 
 def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
-    """A column of times that was not used, and disagrees with the rate that was given."""
+    """Warning about an unused column of times that contradicts the rate, or "" if there is none."""
     for name, column in auxiliary.items():
         if not ("time" in name.lower() or name.lower() in ("t", "stamp")):
             continue
@@ -164,12 +165,12 @@ def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
 def coarse(
     windows: Windows, axes: Sequence[Axis], rate: float, values: Float[np.ndarray, "n axes"] | None
 ) -> list[str]:
-    """A line on what cannot be known of so few samples, or of so few values.
+    """Warnings about a recording that is too short, too coarse, or has held samples.
 
     Args:
-        windows: of the recording.
+        windows: the recording's windows.
         axes: its axes.
-        rate: in Hz.
+        rate: its sample rate [Hz].
         values: its samples, where they are in memory.
     """
     lines, n = [], windows.n
@@ -201,7 +202,7 @@ def coarse(
 
 
 def _distinct(column: Float[np.ndarray, " n"]) -> int | None:
-    """How many values there are, if they are few."""
+    """Number of distinct values if there are few, else None."""
     if len(np.unique(column[:_COUNTED])) > _FEW:
         return None
     count = len(np.unique(column))

@@ -1,4 +1,4 @@
-"""Which part of a recording its coefficients can be of, and what happened in the others."""
+"""The longest quiet part of a recording, and the events in the others."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from jaxtyping import Bool, Float
 from allanjax.inspection.events import Stretch, beside, excesses, longest_quiet, unlike
 from allanjax.inspection.windows import Windows
 
-# Excess of the Allan variance at any cluster time, in standard deviations of its estimate, that matters.
+# An event matters if it changes the Allan variance by more than this, in standard deviations of the estimate.
 _MATTERS = 1.0
-# Of many events together, of which each alone would not matter, and the least of one that counts.
+# Many small events matter if their changes add up to the first; then each that is above the second does.
 _TOGETHER, _COUNTS = 2.0, 0.1
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
-# Fewer windows than this have no scatter to speak of.
+# Fewer windows than this are too few to compare with each other.
 _FEWEST = 32
+# Rounds of search, each in the quiet part that the last one left.
 _ROUNDS = 8
-# Ratio of mean squares from sample to sample up to which the noise is the same, and the mean moves.
+# Ratio of mean square differences up to which the noise is unchanged and only the mean has moved.
 _SAME_NOISE = 1.5
-# Share of a window's differences that the largest of them has where it is the only one.
+# Share of the sum of squared differences beyond which a single sample makes the event.
 _SINGLE = 0.5
 # Standard deviations by which the mean must have changed for a step.
 _CHANGED = 8.0
-# Share of the range of the mean that a warm-up goes from its first window to where it settles.
+# Least share of the range of the mean that lies between the first window and the settled mean of a warm-up.
 _ONE_WAY = 0.6
-# Windows, and share of the record, up to which something is sudden, or short.
+# Number of windows up to which an event is sudden, and share of the record up to which it is short.
 _SUDDEN, _SHORT = 6, 0.02
 
 Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-up", "shift"]
@@ -37,14 +38,14 @@ Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-u
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """Something that happened to the sensor, or was done to it.
+    """Disturbance of a recording: handling, motion, a fault, or a change of the bias.
 
     Attributes:
-        first, last: samples, from and up to.
-        kind: what it was.
+        first, last: index of its first sample, and of the one after its last.
+        kind: its kind.
         axis: index of the axis where it is largest.
-        size: of other noise, how many times the usual deviation; else how far the axis went [rad/s or m/s²].
-        share: largest excess of the Allan variance that it makes, as a share of it.
+        size: ratio of the deviations if the noise has changed; else the excursion [rad/s or m/s²].
+        share: largest excess of the Allan variance that it causes, as a share of it.
         matters: whether that is more than the estimates' own error.
     """
 
@@ -59,7 +60,7 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class Quiet:
-    """The events of a recording, in order, and the samples of its longest part without those that matter."""
+    """Events of a recording in order, and the longest part without those that matter, as sample indices."""
 
     events: tuple[Event, ...]
     first: int
@@ -68,19 +69,21 @@ class Quiet:
 
 @dataclasses.dataclass(frozen=True)
 class _Found(Stretch):
+    """Stretch with its effect on the Allan variance."""
+
     share: float = 0.0
     matters: bool = False
 
 
-#: Events that are of the mean.
+#: Kinds of events that change the mean alone.
 MOVES = ("step", "shift", "warm-up")
 
 
 def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False) -> Quiet:
-    """Find what is unlike the rest, what of it matters, and the longest part without.
+    """Find the events of a recording, which of them matter, and the longest part without those.
 
-    What is left is looked at again: the faint end of an event shows beside quiet windows only. Where the mean
-    may move, as a model with a step in it says, such moves are no events.
+    The part that is left is searched again: the faint end of an event shows beside quiet windows only. Where
+    the mean may move, as in a model with a step, such moves are no events.
     """
     first, last = 0, len(windows)
     found: list[_Found] = []
@@ -110,7 +113,7 @@ def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False)
 
 
 def _joined(found: Sequence[_Found]) -> list[_Found]:
-    """As one what is adjacent and matters, found one after the other."""
+    """Stretches with adjacent ones that matter joined to one."""
     joined: list[_Found] = []
     for s in found:
         o = joined[-1] if joined else None
@@ -123,7 +126,7 @@ def _joined(found: Sequence[_Found]) -> list[_Found]:
 
 
 def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float]:
-    """The kind of an event, the axis where it is largest, and its size there."""
+    """Kind of an event, the axis where it is largest, and its size there."""
     inside = slice(s.first, s.last)
     if s.kind == "silent":
         constant = windows.low[inside] == windows.high[inside]
@@ -150,6 +153,7 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
 
 
 def _untouched(windows: Windows, events: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
+    """Which windows are outside of all events; all windows if none is."""
     untouched = np.ones(len(windows), bool)
     for s in events:
         untouched[s.first : s.last] = False
@@ -159,7 +163,7 @@ def _untouched(windows: Windows, events: Sequence[Stretch]) -> Bool[np.ndarray, 
 def _levels(
     windows: Windows, inside: slice, untouched: Bool[np.ndarray, " w"]
 ) -> tuple[Float[np.ndarray, "scales axes"], Float[np.ndarray, "scales axes"]]:
-    """Usual mean squares of the differences, and by what factor those inside are larger; one if unknown."""
+    """Usual mean square differences, and the factor by which those inside are larger; one if unknown."""
 
     def level(rows: slice | Bool[np.ndarray, " w"]) -> Float[np.ndarray, "scales axes"]:
         return windows.power[:, rows].sum(axis=1) / np.maximum(windows.pairs[:, rows].sum(axis=1), 1)[:, None]
@@ -171,13 +175,13 @@ def _levels(
 
 
 def _single(windows: Windows, inside: slice) -> float:
-    """Share of the largest difference of neighbours in the sum of the squares of all."""
+    """Share of the largest difference between neighbouring samples in the sum of their squares."""
     power = windows.power[0, inside].max(axis=0)
     return float(np.max(windows.peak[inside].max(axis=0) ** 2 / np.where(power > 0.0, power, np.inf)))
 
 
 def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float] | None:
-    """A step, a warm-up or another change of the mean; None where it is the same before and after."""
+    """Step, warm-up or other change of the mean; None where the mean is the same before and after."""
     usual = np.maximum(abs(np.diff(windows.mean, axis=0)).mean(axis=0), 1e-300)
     if s.first <= 1:
         after = windows.mean[s.last : s.last + max(s.last - s.first, 4)]

@@ -1,4 +1,4 @@
-"""How far each window is from the others, in the scatter that most of them have.
+"""Scores of windows: their distance from the others, relative to the scatter of most of them.
 
 A mean square of Gaussian noise of any colour is nearly χ² distributed, and the cube root of a χ² variate is
 nearly normal (Wilson and Hilferty, PNAS 17, 1931). Location and scatter of these roots over the windows are
@@ -18,11 +18,11 @@ from allanjax.inspection.windows import Windows
 
 #: Width of the middle half of a normal law, in standard deviations.
 _HALF_WIDTH = 1.349
-#: Windows that are averaged, to see what is little louder but long.
+#: Numbers of windows that are averaged, to find long stretches that are only a little louder.
 LENGTHS = (1, 4, 16, 64)
-#: Fewest independent averages among which one can be told to be unlike.
+#: Fewest independent averages among which one can be found to be unlike the others.
 _FEWEST = 8
-# Least scatter of a step's root, which is 0.37 of one axis, and zero of a few values of a lattice.
+# Least scatter of the cube root of a squared step: 0.37 for one axis, but zero for samples of few values.
 _LEAST_STEP_SCATTER = 0.3
 # Added to squared steps in units of their scatter, for the same reason.
 _SOFT = 0.5
@@ -35,16 +35,15 @@ Scores = Float[np.ndarray, "groups places"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Row:
-    """Scores of one kind at all places.
+    """Scores of one statistic at all places.
 
     Attributes:
-        score: of each axis, and of groups of them, at each place.
-        width: windows of a place, which begins with the window of its number.
-        square: of each axis at each place: mean square of the differences, or the squared step of the mean
-            beyond the usual one.
+        score: the score of each axis, and of groups of them, at each place.
+        width: number of windows of a place; place k begins with window k.
+        square: mean square difference, or squared step of the mean beyond the usual one, of each axis.
         cluster: cluster size in samples.
-        step: step of the mean, where the row is of steps [axes, places].
-        scatter: of the steps, of each axis.
+        step: step of the mean of each axis, if the scores are those of steps.
+        scatter: scatter of the steps of each axis.
     """
 
     score: Scores
@@ -58,7 +57,7 @@ class Row:
 def shortest_half(
     u: Float[np.ndarray, "... places"],
 ) -> tuple[Float[np.ndarray, " ..."], Float[np.ndarray, " ..."]]:
-    """Middle and scatter of the shortest half of values, as of a normal law; NaN are left out."""
+    """Robust location and standard deviation, from the shortest half of the values; NaN are left out."""
     ordered = np.sort(u, axis=-1)
     count = int(np.isfinite(ordered).sum(axis=-1).min())
     half = count // 2
@@ -69,13 +68,13 @@ def shortest_half(
 
 
 def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
-    """Mean squares of the differences of neighbouring clusters; NaN in windows that hold none."""
+    """Mean square differences of neighbouring clusters; NaN in windows that hold none."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
 
 
 def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
-    """What the level alone can make of the differences where samples are rounded to few steps."""
+    """Mean square difference that rounding alone may cause where samples have few values."""
     repeated = np.median(windows.repeated, axis=0)
     share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
     resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
@@ -83,7 +82,7 @@ def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
 
 
 def groups_of(sensors: Sequence[str]) -> list[list[int]]:
-    """Every axis alone, those of each sensor, and all: handling is on all axes at once."""
+    """Groups of axes to score: each alone, those of each sensor, and all, since handling moves all."""
     alone = [[k] for k in range(len(sensors))]
     kinds = [[k for k, s in enumerate(sensors) if s == kind] for kind in dict.fromkeys(sensors)]
     together = [g for g in kinds if 1 < len(g) < len(sensors)]
@@ -93,7 +92,7 @@ def groups_of(sensors: Sequence[str]) -> list[list[int]]:
 def noise_rows(
     windows: Windows, sensors: Sequence[str], length: int, left_out: Bool[np.ndarray, " w"]
 ) -> Iterator[Row]:
-    """Scores of the noise at each cluster size within a window, averaged over so many windows.
+    """Scores of the noise at each cluster size within a window, averaged over `length` windows.
 
     Windows that are left out count as usual ones.
     """
@@ -123,8 +122,8 @@ def step_rows(
 ) -> Iterator[Row]:
     """Scores of the differences between the means of neighbouring stretches of 1, 2, 4, … windows.
 
-    Their median is no step: a ramp over the record is a term of the noise model. Means are of the windows
-    that are not left out.
+    Their median is subtracted: a ramp over the record is a term of the noise model. The means leave out the
+    windows in `left_out`.
     """
     groups, floor = groups_of(sensors), lattice_power(windows)
     weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out
@@ -150,6 +149,7 @@ def step_rows(
 
 
 def _scored(roots: Scores, least: Float[np.ndarray, " groups"]) -> Scores:
+    """Cube roots standardized by robust location and scatter, the relative scatter being at least `least`."""
     middle, scatter = shortest_half(roots)
     scatter = np.maximum(scatter, least * abs(middle))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -158,6 +158,6 @@ def _scored(roots: Scores, least: Float[np.ndarray, " groups"]) -> Scores:
 
 
 def _running(x: Float[np.ndarray, "w axes"], length: int) -> Float[np.ndarray, "places axes"]:
-    """Means over so many windows from each on."""
+    """Running means over so many windows."""
     total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
     return (total[length:] - total[:-length]) / length

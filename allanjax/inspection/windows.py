@@ -1,4 +1,4 @@
-"""Noise and mean of a recording in windows: what is looked at before a fit, in memory that does not grow."""
+"""Noise and mean of a recording in windows, in bounded memory however long it is."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-#: Windows that a long recording is divided into: between half as many and so many.
+#: Largest number of windows; a long recording has between half as many and so many.
 MOST = 1024
 #: Samples of the shortest window.
 SHORTEST = 16
-# Samples that are taken in at once: what a processor's cache holds.
+# Samples that are processed at once: what a processor's cache holds.
 _AT_ONCE = 1 << 15
-# Samples in a row in which the resolution is looked for, so many of every piece.
+# Samples at the start of each piece among which the resolution is looked for.
 _SAMPLED = 4096
+# Fields with one row a window.
 _ROWS = ("count", "mean", "low", "high", "peak", "repeats")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Windows:
-    """Adjacent windows of a recording and what each shows.
+    """Adjacent windows of a recording, with statistics of each.
 
     Attributes:
         size: samples of a window, a power of two; one at the seam of two merged pieces may be shorter.
         count: samples of each window.
-        mean, low, high: of its samples [rad/s or m/s²].
+        mean, low, high: mean, least and largest of its samples [rad/s or m/s²].
         power: sums of squares of the differences between the means of neighbouring clusters of 1, 2, 4, …,
             size/2 samples, which do not overlap; `pairs` are how many.
         peak: largest difference of two neighbouring samples.
         repeats: samples equal to the one before, but for each sixteenth: 15 of 16 neighbours are compared.
-        resolution: of each axis, the smallest step between samples that was seen.
+        resolution: smallest step between samples that was seen on each axis.
         rest: samples after the last window, fewer than its size.
     """
 
@@ -48,7 +49,7 @@ class Windows:
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "n axes"], size: int | None = None) -> Windows:
-        """The windows of samples; of as many samples as make `MOST` windows at most, unless it is given."""
+        """Windows of these samples, of `size` samples each; by default `MOST` windows at most."""
         if size is None:
             size = SHORTEST
             while len(values) // size > MOST:
@@ -56,9 +57,9 @@ class Windows:
         whole = len(values) // size
         step = max(_AT_ONCE // size, 1)
         parts = [
-            _looked_at(values[k * size : min(k + step, whole) * size], size) for k in range(0, whole, step)
+            _statistics(values[k * size : min(k + step, whole) * size], size) for k in range(0, whole, step)
         ]
-        parts = parts or [_looked_at(values[:0], size)]
+        parts = parts or [_statistics(values[:0], size)]
         mean, low, high, power, peak, repeats = (
             np.concatenate(p, axis=p[0].ndim - 2) for p in zip(*parts, strict=True)
         )
@@ -82,7 +83,7 @@ class Windows:
 
     @property
     def repeated(self) -> Float[np.ndarray, "w axes"]:
-        """Share of the samples that are equal to the one before."""
+        """Share of the samples in each window that are equal to the one before."""
         compared = (SHORTEST - 1) * (self.count // SHORTEST)
         return self.repeats / np.maximum(compared, 1)[:, None]
 
@@ -93,11 +94,11 @@ class Windows:
 
     @property
     def edges(self) -> Int[np.ndarray, " w+1"]:
-        """First sample of each window, and the one after the last window."""
+        """Indices of the first sample of each window, and of the one after the last window."""
         return np.concatenate([[0], np.cumsum(self.count)])
 
     def updated(self, values: Float[np.ndarray, "n axes"]) -> Windows:
-        """With the samples that follow, in windows twice as long once there would be too many."""
+        """These windows and those of the samples that follow, twice as long once there would be too many."""
         held, left = self, np.concatenate([self.rest, values])
         while (room := MOST - len(held)) * held.size + held.size <= len(left):
             taken = room * held.size
@@ -106,7 +107,7 @@ class Windows:
         return held._joined(Windows.of(left, held.size))
 
     def merge(self, right: Windows) -> Windows:
-        """The windows of this piece and of the one after it, and one of what is left at the seam."""
+        """Windows of this piece and the next one, with one of the samples that are left at the seam."""
         if self.n == 0:
             return right
         left = self.closed()
@@ -120,7 +121,7 @@ class Windows:
         return joined
 
     def closed(self) -> Windows:
-        """With what is left over in a last, shorter window, or, less than half a window, in a longer one."""
+        """These windows with the remaining samples in a shorter last one, or, if few, in the last one."""
         if len(self.rest) == 0:
             return self
         last = self._joined(self._short())
@@ -131,12 +132,12 @@ class Windows:
         return before._joined(one)
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Windows:
-        """The windows of some of the axes."""
+        """Windows of some of the axes."""
         columns = ("mean", "low", "high", "power", "peak", "repeats", "resolution", "rest")
         return dataclasses.replace(self, **{name: getattr(self, name)[..., keep] for name in columns})
 
     def between(self, first: int, last: int) -> Windows:
-        """The windows from number `first` up to but not including `last`."""
+        """Windows `first` up to but not including `last`."""
         rows = slice(first, last)
         return dataclasses.replace(
             self,
@@ -147,7 +148,7 @@ class Windows:
         )
 
     def _short(self) -> Windows:
-        """The rest as a window."""
+        """Window of the remaining samples."""
         r = self.rest
         power, pairs = np.zeros((len(self.power), 1, r.shape[1])), np.zeros((len(self.power), 1), int)
         means, peak, repeats = r, np.zeros((1, r.shape[1])), _repeats(r.T)[None]
@@ -173,7 +174,7 @@ class Windows:
         )
 
     def _joined(self, right: Windows) -> Windows:
-        """This piece's windows and the other's, of one size."""
+        """Windows of this piece followed by the other's, of the same size."""
         return Windows(
             size=self.size,
             **{name: np.concatenate([getattr(self, name), getattr(right, name)]) for name in _ROWS},
@@ -184,7 +185,7 @@ class Windows:
         )
 
     def _coarser(self) -> Windows:
-        """Windows twice as long, two by two; an odd one at the end stays as it is."""
+        """Windows twice as long, each of two; an odd one at the end stays as it is."""
         half = len(self) // 2
         a, b = self.between(0, 2 * half), self.between(2 * half, len(self))
         whole = (a.count[::2] == self.size) & (a.count[1::2] == self.size)
@@ -204,7 +205,7 @@ class Windows:
     def _paired(
         self, power: Float[np.ndarray, "scales w/2 axes"], pairs: Int[np.ndarray, "scales w/2"]
     ) -> Windows:
-        """Two windows as one each, with these powers."""
+        """Pairs of windows as one window each, with these sums of squares."""
         count = self.count[::2] + self.count[1::2]
         total = self.count[:, None] * self.mean
         return dataclasses.replace(
@@ -220,8 +221,8 @@ class Windows:
         )
 
 
-def _looked_at(values: Float[np.ndarray, "n axes"], size: int) -> tuple[np.ndarray, ...]:
-    """Mean, least and largest sample, powers, largest step and repeats of each window."""
+def _statistics(values: Float[np.ndarray, "n axes"], size: int) -> tuple[np.ndarray, ...]:
+    """Mean, least and largest sample, sums of squares, largest step and repeats of each window."""
     axes = values.shape[1]
     # One axis after the other: sums over neighbours are then sums over what is side by side in memory.
     x = np.ascontiguousarray(values.T).reshape(axes, -1, size)
@@ -239,14 +240,14 @@ def _looked_at(values: Float[np.ndarray, "n axes"], size: int) -> tuple[np.ndarr
 
 
 def _repeats(x: Float[np.ndarray, "*w n"]) -> Int[np.ndarray, " *w"]:
-    """Samples that are equal to the one before, in blocks of the shortest window."""
+    """Number of samples equal to the one before, counted in blocks of the shortest window."""
     count = x.shape[-1] // SHORTEST
     blocks = x[..., : count * SHORTEST].reshape(*x.shape[:-1], count, SHORTEST)
     return np.count_nonzero(blocks[..., 1:] == blocks[..., :-1], axis=(-2, -1))
 
 
 def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes"]:
-    """Smallest step between different samples, among some; infinite where none differ."""
+    """Smallest step between different samples among the first ones; infinite where none differ."""
     x = np.sort(values[:_SAMPLED], axis=0)
     if len(x) < 2:
         return np.full(values.shape[1], np.inf)

@@ -1,4 +1,4 @@
-"""What an inspection says."""
+"""Text of an inspection: events, motion and refusals in words."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from allanjax.inspection.quiet import Event
 from allanjax.record.recording import Axis
 from allanjax.record.units import rate_unit_of
 
-# More events of a kind than this are counted.
+# So many events of a kind are listed; further ones are counted.
 _NAMED = 3
+# End of a refusal: ways to get coefficients nevertheless.
 _REMEDY = (
     "choose a stretch by --start and --stop (start=, stop=, .between), use all by --as-is (as_is=True), or "
     "see what allanjax critique finds"
@@ -21,23 +22,23 @@ _REMEDY = (
 
 
 def grid(duration: float) -> float:
-    """Steps in which times of a recording this long are told [s]: a power of ten, 1 s of 300 to 3000 s."""
+    """Rounding of times [s] in a recording this long: a power of ten, 1 s for 300 to 3000 s."""
     return float(10.0 ** np.floor(np.log10(duration / 300.0)))
 
 
 def seconds(time: float, step: float) -> str:
-    """A time in s to this step, or to the rounding of it."""
+    """Time in s, rounded to a multiple of this step."""
     digits = max(0, -int(np.floor(np.log10(step))))
     return f"{round(time / step) * step:.{digits}f}"
 
 
 def span(first: float, last: float, step: float) -> str:
-    """From and to, e.g. "6–596 s"."""
+    """Start and end of a time span, e.g. "6–596 s"."""
     return f"{seconds(first, step)}–{seconds(last, step)} s"
 
 
 def _around(e: Event, rate: float, step: float) -> str:
-    """The span of an event, in round numbers; outside of it if they were the same."""
+    """Time span of an event, rounded; outwards if the rounded ends were the same."""
     first, last = e.first / rate / step, e.last / rate / step
     if round(first) == round(last):
         first, last = np.floor(first), np.ceil(last)
@@ -45,7 +46,7 @@ def _around(e: Event, rate: float, step: float) -> str:
 
 
 def said_of_events(events: Sequence[Event], axes: Sequence[Axis], rate: float, duration: float) -> str:
-    """E.g. "0–5 s and 597–600 s are 170 times noisier than the rest, a step of 1 deg/s at 312 s (gyro_x)"."""
+    """Events as text, e.g. "0–5 s is 170 times noisier than the rest, a step of 1 deg/s at 9 s (gyro_x)"."""
     step = grid(duration)
     ordered = sorted(events, key=lambda e: e.kind)
     by_kind = {k: list(g) for k, g in itertools.groupby(ordered, key=lambda e: e.kind)}
@@ -57,6 +58,7 @@ def said_of_events(events: Sequence[Event], axes: Sequence[Axis], rate: float, d
 
 
 def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: float, step: float) -> str:
+    """Clause about all events of one kind."""
     spans = [_around(e, rate, step) for e in events]
     largest = max(events, key=lambda e: abs(e.size))
     axis = axes[largest.axis]
@@ -84,7 +86,7 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
 
 
 def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
-    """Why this is no static recording, with the numbers that say so; the plainest are last."""
+    """Warning that this is no static recording, with the numbers that show it."""
     reasons = []
     for m in {axes[m.axis].sensor: m for m in moving}.values():
         axis = axes[m.axis]
@@ -105,7 +107,7 @@ def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
 
 
 def refused(said: str, where: str, share: float) -> str:
-    """Why there are no coefficients, and what to do; `where` is the longest part without."""
+    """Refusal because of events that leave too little of the recording; `where` is the longest part left."""
     return (
         f"{said}; no part without it is as long as {100.0 * share:.0f} % of the recording, the longest is "
         f"{where}: {_REMEDY}"
@@ -113,12 +115,12 @@ def refused(said: str, where: str, share: float) -> str:
 
 
 def unclear(said: str) -> str:
-    """Why there are no coefficients where the sensor may have been moved for most of the time."""
+    """Refusal because the sensor may have been moved for most of the time."""
     return f"{said}: which of the two is the sensor at rest cannot be told; {_REMEDY}"
 
 
 def cannot_cut(said: str, where: str, stretch: tuple[float, float]) -> str:
-    """Why there are no coefficients of samples that are not kept, and what to do."""
+    """Refusal because of events in accumulated samples, which cannot be cut any more."""
     start, stop = (f"{time:.6g}" for time in stretch)
     return (
         f"{said}, and what has been accumulated cannot be taken out again; {where} would do: read again with "
@@ -127,22 +129,24 @@ def cannot_cut(said: str, where: str, stretch: tuple[float, float]) -> str:
 
 
 def amount(value: float, axis: Axis) -> str:
-    """A rate in the recording's unit, e.g. "0.21 deg/s"."""
+    """Rate in the recording's unit, e.g. "0.21 deg/s"."""
     unit, scale = rate_unit_of(axis.unit, axis.sensor)
     return f"{two_digits(value / scale)} {unit}"
 
 
 def _ratio(size: float) -> str:
+    """Ratio to two digits, or three where it is near one."""
     return two_digits(size) if size >= 2.0 else f"{size:.3g}"
 
 
 def two_digits(value: float) -> str:
-    """E.g. "0.0072", "170"."""
+    """Number to two significant digits, e.g. "0.0072", "170"."""
     rounded = float(f"{value:.2g}")
     return f"{rounded:,.0f}" if rounded >= 1e4 else f"{rounded:g}"
 
 
 def _listed(words: Sequence[str]) -> str:
+    """Words as a list, e.g. "a, b and c" or "a, b, c and 4 more"."""
     if len(words) > _NAMED:
         return f"{', '.join(words[:_NAMED])} and {len(words) - _NAMED} more"
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
