@@ -62,14 +62,14 @@ class NoiseTerm(eqx.Module):
         raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
 
     def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
-        """A deterministic term of unit amplitude at times [s] since the record's start.
+        """Values of a deterministic term of unit amplitude at times [s] since the record's start.
 
-        For terms that are known but for that one factor; lines of unknown phase are not.
+        For terms that are known but for their amplitude; lines of unknown phase are not.
         """
         raise NotImplementedError(f"{type(self).__name__} defines no column(time)")
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """n samples of the rate (means over successive sample intervals) at `rate` [Hz], exact in law.
+        """Simulated samples of the rate (n means over sample intervals) at `rate` [Hz], exact in law.
 
         The default draws the increments of the rate, whose autocovariance is that of the second difference
         of θ, by circulant embedding (Davies & Harte 1987), and adds them up from zero: the level itself has
@@ -83,7 +83,7 @@ class NoiseTerm(eqx.Module):
 
     @property
     def oscillates(self) -> bool:
-        """Whether G swings with a period of its own, so that sums over lags must look more closely."""
+        """Whether G oscillates with a period of its own, so that sums over lags need more nodes."""
         return self.narrow_band
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
@@ -96,8 +96,7 @@ class NoiseTerm(eqx.Module):
 
     # ------------------------------------------------------------------ what follows from it
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """Two-sided PSD of the samples, aliases included, (rad/s)²/Hz or (m/s²)²/Hz, up to the Nyquist
-        frequency.
+        """Two-sided PSD of the samples with aliases, (rad/s)²/Hz or (m/s²)²/Hz, up to the Nyquist frequency.
 
         The samples are means over 1/rate, so that minus the second difference of G takes the place of
         their autocovariance H, and S(f) = Σ_d H(d) cos(2πf·d/rate) / rate. This default sums it numerically
@@ -112,16 +111,11 @@ class NoiseTerm(eqx.Module):
         ).reshape(f.shape)
 
     def at_low_frequencies(self) -> NoiseTerm | None:
-        """For a term whose covariance oscillates: one of smooth covariance that it becomes at low
-        frequencies.
-
-        None if there the term is white.
-        """
+        """Smooth term that an oscillating one becomes at low frequencies; None if that is white noise."""
         return None
 
     def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """Power [rate²] that the two ends of a record add to its cosine spectrum, times its number of
-        samples.
+        """Power [rate²] that a record's two ends add to its cosine spectrum, times its number of samples.
 
         It spreads over all frequencies, and matters for terms whose own density falls off towards low ones.
         Zero unless overridden; see `cosine` for the lowest frequencies, where it is never neglected.
@@ -139,6 +133,7 @@ class NoiseTerm(eqx.Module):
     def _filter_variance(
         self, cluster_time: Float[ArrayLike, ...], weights: Sequence[float], divisor: float
     ) -> Float[Array, ...]:
+        """Weighted sum of G at 0, 1, … cluster times, over divisor·T²."""
         T = jnp.asarray(cluster_time, float)
 
         def at(t: Float[Array, ""]) -> Float[Array, ""]:
@@ -150,7 +145,7 @@ class NoiseTerm(eqx.Module):
     # ------------------------------------------------------------------ parameters
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
-        """The declared parameters, in order; the first is the amplitude."""
+        """Declared parameters, in order; the first is the amplitude."""
         found = tuple(
             Parameter(field.name, **field.metadata["parameter"])
             for field in dataclasses.fields(cls)
@@ -170,7 +165,7 @@ class NoiseTerm(eqx.Module):
 
     @classmethod
     def name(cls) -> str:
-        """The term's name, e.g. "bias_instability"."""
+        """Name of the term, e.g. "bias_instability"."""
         return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
 
     def is_free(self, p: Parameter) -> bool:
@@ -206,7 +201,7 @@ class NoiseTerm(eqx.Module):
         return self.replace(**{self.amplitude_parameter().name: 1.0})
 
     def __repr__(self) -> str:
-        """As it is written in Python, values in SI: `Markov(correlation_time=3).hold("correlation_time")`."""
+        """Python expression with values in SI, e.g. `Markov(correlation_time=3).hold("correlation_time")`."""
         usual = {field.name: field.default for field in dataclasses.fields(self)}
         shown = {p.name: _shown(getattr(self, p.name)) for p in self.parameters()}
         names = [name for name, text in shown.items() if text != _shown(usual[name])]
@@ -233,7 +228,7 @@ class NoiseTerm(eqx.Module):
 
 
 def _shown(value: Value) -> str:
-    """Six digits of a number; of an array inside a compiled function, what it says of itself."""
+    """Value to six digits; an array inside a compiled function as JAX prints it."""
     return f"{value:.6g}" if isinstance(value, int | float | np.floating) else str(value)
 
 
@@ -242,11 +237,11 @@ class ModelParameter:
     """A parameter of one term of a model.
 
     Attributes:
-        label: its name in the model, e.g. "bias_instability" (for a term's sole `coefficient`),
+        label: name in the model, e.g. "bias_instability" (for a term's sole `coefficient`),
             "markov_correlation_time", or "markov_2_amplitude" where there are several Markov terms.
         term: index of its term.
-        term_label: that term's name, numbered where there are several.
-        parameter: what it is.
+        term_label: name of that term, numbered where there are several.
+        parameter: the term's declaration of it.
         free: whether a fit estimates it.
         start: its value in the model, if it has one.
     """
@@ -291,7 +286,7 @@ class Model(eqx.Module):
         return len(self.terms)
 
     def __getitem__(self, label: str) -> NoiseTerm:
-        """The term of that name, e.g. `model["bias_instability"]` or `model["markov_2"]`."""
+        """Term of this name, e.g. `model["bias_instability"]` or `model["markov_2"]`."""
         labels = self.term_labels
         if label not in labels:
             raise AllanjaxError(f"the model has no term {label!r}; it has {', '.join(labels)}")
@@ -299,7 +294,7 @@ class Model(eqx.Module):
 
     @property
     def term_labels(self) -> tuple[str, ...]:
-        """The terms' names, numbered from 1 where one occurs several times."""
+        """Names of the terms, numbered from 1 where one occurs several times."""
         names = [term.name() for term in self.terms]
         return tuple(
             f"{name}_{names[: i + 1].count(name)}" if names.count(name) > 1 else name
@@ -308,7 +303,7 @@ class Model(eqx.Module):
 
     @property
     def parameters(self) -> tuple[ModelParameter, ...]:
-        """All parameters, term after term."""
+        """Parameters of all terms, in order."""
         found = []
         for i, (term, term_label) in enumerate(zip(self.terms, self.term_labels, strict=True)):
             for p in term.parameters():
@@ -374,7 +369,7 @@ class Model(eqx.Module):
         return sum((t.hadamard_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time)))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """n rate samples of the sum, every term with its own share of the key."""
+        """Simulated samples of the sum, n means of the rate, each term drawn with a key of its own."""
         self.check_complete()
         keys = jax.random.split(key, max(len(self.terms), 1))
         draws = (t.simulate(k, n, rate) for t, k in zip(self.terms, keys, strict=False))

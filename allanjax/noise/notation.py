@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from allanjax.record.columns import Column
     from allanjax.record.recording import Axis
 
-#: What functions of a model take: a model, a term, or a text for `parse_model`.
+#: A model as functions take it: the model itself, a single term, or a text for `parse_model`.
 ModelLike: TypeAlias = Model | NoiseTerm | str
 
 _TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
@@ -30,18 +30,18 @@ _KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
 
 @functools.cache
 def term_classes() -> dict[str, type[NoiseTerm]]:
-    """allanjax's terms by name, e.g. `angle_random_walk`."""
+    """Classes of allanjax's noise terms by name, e.g. `angle_random_walk`."""
     found = (getattr(all_terms, name) for name in all_terms.__all__)
     classes = (c for c in found if isinstance(c, type) and issubclass(c, NoiseTerm) and c is not NoiseTerm)
     return {c.name(): c for c in classes}
 
 
 def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
-    """The model that is meant, written with `+` or as a text such as `"N + B + K"`.
+    """Model from terms written with `+`, a single term, or a text such as `"N + B + K"`.
 
     Args:
         model: the terms.
-        axes: those whose model it is, whose sensors' units amplitudes in a text must have.
+        axes: the axes that it is for; amplitudes in a text must have units of their sensors.
 
     Raises:
         AllanjaxError: what is given is no model; amplitudes with values, which have the unit of one sensor,
@@ -63,7 +63,7 @@ def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
 
 
 def parse_model(text: str, sensor: Sensor | None = None) -> Model:
-    """The model that `text` writes down.
+    """Model written as text, such as `"N + B + K"`.
 
     Terms stand side by side with `+` or `,`. Each is a name or the symbol of its amplitude (`N` for
     `angle_random_walk`), alone, with the amplitude (`N=0.1 deg/√h`), or with parameters in brackets
@@ -71,7 +71,7 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
 
     Args:
         text: e.g. `"N + B + K"` or `"quantization, angle_random_walk, markov"`.
-        sensor: whose units the amplitudes must have; either sensor's without it.
+        sensor: sensor whose units the amplitudes must have; without it either sensor's.
 
     Raises:
         AllanjaxError: unknown terms or parameters, or values that are none.
@@ -99,6 +99,7 @@ def _split(text: str, separators: str) -> list[str]:
 
 
 def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
+    """Noise term written as text."""
     match = _TERM.fullmatch(text)
     if match is None:
         raise AllanjaxError(
@@ -122,6 +123,7 @@ def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
 
 
 def _class(name: str) -> type[NoiseTerm]:
+    """Class of the term with this name, or with this symbol of its amplitude."""
     classes = term_classes()
     by_symbol = {c.amplitude_parameter().symbol: c for c in classes.values()}
     if name.lower() not in classes and name not in by_symbol:
@@ -131,6 +133,7 @@ def _class(name: str) -> type[NoiseTerm]:
 
 
 def _parameter(cls: type[NoiseTerm], name: str) -> Parameter:
+    """Parameter of a term by its name or symbol."""
     for p in cls.parameters():
         if name in (p.name, p.symbol):
             return p
@@ -140,7 +143,7 @@ def _parameter(cls: type[NoiseTerm], name: str) -> Parameter:
 
 
 def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]:
-    """The value in SI, and whether it is held."""
+    """Value of a parameter in SI, and whether it is held."""
     match = _VALUE.fullmatch(text.strip())
     if match is None:
         raise AllanjaxError(f"{p.name}: cannot read the value {text!r}; write a number and a unit")
@@ -156,7 +159,7 @@ def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]
 
 
 def _amplitude_scale(unit: str, p: Parameter, sensor: Sensor | None) -> float:
-    """Factor to SI, once the unit's dimension has been found to be the amplitude's."""
+    """Factor from this unit to SI; UnitError if its dimension is not that of the amplitude."""
     sensors = SENSORS if sensor is None else (sensor,)
     usual = {s: default_coefficient_unit(s, p.time_exponent) for s in sensors}
     if not unit:

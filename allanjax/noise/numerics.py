@@ -14,12 +14,12 @@ from jaxtyping import Array, Float, Num, PRNGKeyArray
 #: G at lags ≥ 0 [s].
 PhaseCovariance: TypeAlias = Callable[[Float[Array, "..."]], Float[Array, "..."]]
 
-# Lags that the default of `sampled_psd` takes one by one.
+# Lags that `sampled_density` sums one by one; beyond, it replaces the sum by an integral.
 _SINGLE_LAGS = 512
 
 
 def _derivative(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """The derivative of an elementwise function, in one call so that it keeps to one gauge."""
+    """Derivative of an elementwise function, from one call so that it keeps to one gauge."""
     return lambda x: jax.jvp(function, (x,), (jnp.ones_like(x),))[1]
 
 
@@ -28,7 +28,7 @@ def _second_difference(x: Float[Array, " k"]) -> Float[Array, " k-2"]:
 
 
 def gaussian_sequence(key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]) -> Float[Array, " 2*half"]:
-    """A stationary Gaussian sequence on a circle of 2·half samples with this autocovariance.
+    """Stationary Gaussian sequence on a circle of 2·half samples with this autocovariance.
 
     Successive samples up to half + 1 of them are a draw of the process on a line (circulant embedding).
     """
@@ -44,7 +44,7 @@ def gaussian_sequence(key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]
 
 
 def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array, ...]:
-    """`small(x)` if all arguments of the call are below one in magnitude, else `large(x)`.
+    """Value of `small(x)` if all of x is below one in magnitude, else of `large(x)`.
 
     The two must differ by c0 + c1·x² only. Near zero that difference would swallow the digits that
     survive the second difference, far out it would dominate them; so the whole call takes one side.

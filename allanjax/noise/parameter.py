@@ -1,4 +1,4 @@
-"""Parameters of noise terms: what each field of a term is, and how a term declares it."""
+"""Parameters of noise terms, and how a term declares them."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ import equinox as eqx
 Value: TypeAlias = Any
 
 
+#: Kinds of parameters, explained at `Parameter`.
 ParameterKind = Literal["amplitude", "time", "frequency", "line", "number"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """What one field of a noise term is.
+    """Parameter of a noise term: one field of its class.
 
     Attributes:
-        name: the field's name.
-        symbol: how the literature writes it, e.g. "N".
+        name: name of the field.
+        symbol: symbol in the literature, e.g. "N".
         kind: "amplitude" (G is proportional to its square; the first parameter of every term), "time" [s],
             "frequency" [Hz], "line" (the frequency [Hz] of a narrow feature, started at peaks of the
             spectrum) or "number" (dimensionless).
-        time_exponent: of an amplitude, the p in its SI unit (rate)·s^p, rate being rad/s or m/s².
+        time_exponent: p in the SI unit (rate)·s^p of an amplitude, rate being rad/s or m/s².
         lower, upper: the open bounds of the admissible values.
     """
 
@@ -38,7 +39,7 @@ class Parameter:
 
     @property
     def is_amplitude(self) -> bool:
-        """Whether it is a term's amplitude, not one of its shape parameters."""
+        """Whether this is a term's amplitude, not one of its shape parameters."""
         return self.kind == "amplitude"
 
 

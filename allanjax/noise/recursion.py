@@ -8,7 +8,7 @@ from jaxtyping import Array, ArrayLike, Num
 
 
 def linear_recurrence(factor: Num[ArrayLike, ""], drive: Num[Array, " n"]) -> Num[Array, " n"]:
-    """y[k] = factor·y[k−1] + drive[k], y[−1] = 0; real or complex. A cumulative sum has factor 1.
+    """Solution of y[k] = factor·y[k−1] + drive[k], y[−1] = 0; real or complex.
 
     The record is cut into many short blocks that recur side by side (one vector operation a step); then
     the blocks' last values recur, and each block receives what its predecessors carried into it.

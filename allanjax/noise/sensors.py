@@ -1,4 +1,4 @@
-"""The three units that Hou (2004) tested for two hours at room temperature: tables 5.2, 5.4 and 5.5."""
+"""Presets of the three units that Hou (2004) tested for two hours: tables 5.2, 5.4 and 5.5."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from allanjax.record.units import unit_scale
 
 @dataclass(frozen=True)
 class Tabulated:
-    """A coefficient as the thesis prints it: value ± error by (4.66), and their unit."""
+    """Coefficient as the thesis prints it: value ± error by (4.66), and their unit."""
 
     value: float
     error: float
@@ -36,16 +36,16 @@ class Tabulated:
 
     @property
     def si(self) -> float:
-        """The value in SI."""
+        """Value in SI."""
         return self.value * unit_scale(self.unit)
 
 
 @dataclass(frozen=True, eq=False)
 class AxisPreset(ByValue):
-    """One axis.
+    """Coefficients of one axis of a tested unit.
 
     Attributes:
-        name: e.g. `gyro_x`.
+        name: name of the axis, e.g. `gyro_x`.
         rate: sample rate [Hz].
         coefficients: one for each term that was identified, by the term's class.
     """
@@ -56,7 +56,7 @@ class AxisPreset(ByValue):
 
     @property
     def model(self) -> Model:
-        """The sum of these terms with these values."""
+        """Noise model of the axis: the sum of the identified terms."""
         amplitudes = ((term, term.amplitude_parameter().name, c.si) for term, c in self.coefficients.items())
         return Model(tuple(term().replace(**{name: value}) for term, name, value in amplitudes))
 
@@ -67,7 +67,7 @@ class AxisPreset(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class SensorPreset(ByValue):
-    """A tested unit.
+    """Tested inertial measurement unit.
 
     Attributes:
         name: key in `SENSORS`.
@@ -84,7 +84,7 @@ class SensorPreset(ByValue):
         return f"<SensorPreset {self.name}: {self.description}; {axes}>"
 
     def __getitem__(self, axis: str) -> AxisPreset:
-        """The axis of that name; AllanjaxError if there is none."""
+        """Preset of the axis of this name; AllanjaxError if there is none."""
         for preset in self.axes:
             if preset.name == axis:
                 return preset
@@ -93,15 +93,15 @@ class SensorPreset(ByValue):
         )
 
     def model(self, axis: str) -> Model:
-        """The noise model of an axis."""
+        """Noise model of an axis."""
         return self[axis].model
 
     def rate(self, axis: str) -> float:
-        """The sample rate of an axis [Hz]."""
+        """Sample rate of an axis [Hz]."""
         return self[axis].rate
 
     def simulate(self, duration: float, key: PRNGKeyArray | int) -> tuple[Recording, ...]:
-        """Recordings of this many seconds, one for each sample rate.
+        """Simulated recordings of this many seconds, one for each sample rate.
 
         Raises:
             AllanjaxError: a duration that is not positive.
@@ -122,11 +122,12 @@ class SensorPreset(ByValue):
         )
 
 
+# Unit, and value and error of the axes x, y, z.
 _Row = tuple[str, tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
 def _axes(sensor: str, rate: float, table: Mapping[type[NoiseTerm], _Row]) -> tuple[AxisPreset, ...]:
-    """Axes x, y, z of a sensor, from a unit and three pairs of value and error for each term."""
+    """Presets of the axes x, y, z of a sensor, from the row of each term in the thesis's table."""
     return tuple(
         AxisPreset(
             f"{sensor}_{axis}",

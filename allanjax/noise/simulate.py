@@ -21,7 +21,7 @@ from allanjax.record.units import parse_sample_unit
 
 
 def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
-    """n samples of a model's rate [rad/s or m/s²], exact in law for a sensor that samples at `rate` [Hz].
+    """Simulated samples of a model's rate [rad/s or m/s²], exact in law for a sensor that samples at `rate`.
 
     Compiled once for each combination of terms, n and rate; other coefficients reuse what was compiled. Terms
     that are not stationary (bias instability, rate random walk) start near zero.
@@ -55,7 +55,7 @@ def simulate_recording(
     accel_unit: str = "m/s²",
     name: str = "",
 ) -> Recording:
-    """A recording of n samples, one column per model, the axes independent of each other.
+    """Simulated recording of n samples, one column per model, the axes independent of each other.
 
     Args:
         models: axis name (`gyro_x`, `accel_z`, …) to model, every parameter with a value.
@@ -63,8 +63,8 @@ def simulate_recording(
         rate: sample rate [Hz].
         key: a JAX random key, or an integer to make one of.
         bias: constant rate [rad/s or m/s²] to add to an axis, e.g. `{"accel_z": 9.81}`.
-        gyro_unit, accel_unit: the recording's own units, for display.
-        name: its name.
+        gyro_unit, accel_unit: units of the recording, for display.
+        name: name of the recording.
 
     Raises:
         AllanjaxError: as `simulate`; a bias for an axis that is not simulated.
@@ -97,11 +97,12 @@ def simulate_recording(
 
 @eqx.filter_jit
 def _draw(model: Model, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    """Simulated samples of the model, compiled once for each combination of terms, n and rate."""
     return model.simulate(key, n, rate)
 
 
 def _with_traced_values(model: Model) -> Model:
-    """The model with arrays for values: Python numbers would be constants of the compiled program.
+    """Model with arrays for values: Python numbers would be constants of the compiled program.
 
     Infinite values stay Python numbers, since terms decide by them which formula holds.
     """
@@ -110,5 +111,5 @@ def _with_traced_values(model: Model) -> Model:
 
 
 def as_key(key: PRNGKeyArray | int) -> PRNGKeyArray:
-    """A JAX random key: the one given, or that of a seed."""
+    """JAX random key: the one given, or that of a seed."""
     return jax.random.key(key) if isinstance(key, int | np.integer) else key

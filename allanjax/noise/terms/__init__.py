@@ -1,4 +1,4 @@
-"""Noise terms: one class a term, in one file each; nothing outside this package knows which there are."""
+"""Noise terms, one class in one file each; only this package lists them."""
 
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.parameter import Parameter, parameter

@@ -11,12 +11,12 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 
-# Aliases summed where a cutoff forbids a closed form; the rest is below 1e-3 of the first.
+# Aliases on either side summed where a cutoff rules out a closed form; the rest is below 1e-3 of the first.
 _ALIASES = 16
 
 
 class BiasInstability(NoiseTerm):
-    """1/f noise of the rate up to a cutoff f0 (4.38, 4.48); long clusters see 0.664·B (4.51).
+    """Flicker (1/f) noise of the rate up to a cutoff f0 (4.38, 4.48): σ(T) → 0.664·B (4.51).
 
     `coefficient` B in rad/s or m/s². `cutoff_frequency` f0 in Hz: infinite (the default) is the plain
     1/f law, None has a fit estimate it, a number is a start for the fit (hold it with `hold`).
@@ -28,6 +28,7 @@ class BiasInstability(NoiseTerm):
     cutoff_frequency: Value = parameter("f0", "frequency", default=math.inf)
 
     def _has_no_cutoff(self) -> bool:
+        """Whether the noise is flicker at all frequencies."""
         return isinstance(self.cutoff_frequency, float) and math.isinf(self.cutoff_frequency)
 
     @property
@@ -50,7 +51,7 @@ class BiasInstability(NoiseTerm):
         return self.replace(cutoff_frequency=math.inf)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """Σ_m psd(f + m·rate)·sinc²: without a cutoff, Hurwitz's zeta sums the aliases."""
+        """PSD with aliases, Σ_m psd(f + m·rate)·sinc²: without a cutoff a sum of Hurwitz's zeta."""
         u = jnp.asarray(frequency, float) / rate
         sine = (jnp.sin(jnp.pi * u) / jnp.pi) ** 2 * self.coefficient**2 / (2.0 * jnp.pi * rate)
         if self._has_no_cutoff():
@@ -61,7 +62,9 @@ class BiasInstability(NoiseTerm):
 
 
 def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:
-    """½ − cos(x)/2 + x sin(x)/2 + x² Cin(x)/2 − ¾x², x = 2πf0·t, in a gauge that vanishes like x⁴.
+    """Scaled G of flicker noise with a cutoff at x = 2πf0·t, in a gauge that vanishes like x⁴.
+
+    ½ − cos(x)/2 + x sin(x)/2 + x² Cin(x)/2 − ¾x².
 
     Cin(x) = ∫₀ˣ (1 − cos t)/t dt = γ + ln x − Ci(x). Power series: ½ Σ_{k≥2} (−1)^k x^{2k}/((k−1)(2k)!).
     """

@@ -1,4 +1,4 @@
-"""Bias step: the bias changes once, and stays."""
+"""Bias step: a single lasting change of the bias."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from allanjax.noise.terms.transient import Transient
 
 
 class BiasStep(Transient):
-    """Zero before `time` [s since the record's start], then `amplitude` [rad/s or m/s²].
+    """Step of the bias by `amplitude` [rad/s or m/s²] at `time` [s since the record's start].
 
-    Not in the thesis. A sample belongs to where its interval has its middle.
+    Not in the thesis. A sample lies before or after the step with the middle of its interval.
     """
 
     amplitude: Value = parameter("Δ", time_exponent=0.0)

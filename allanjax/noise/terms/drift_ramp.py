@@ -12,10 +12,11 @@ from allanjax.noise.parameter import Value, parameter
 
 
 class DriftRamp(NoiseTerm):
-    """A rate that grows linearly, Ω = R·t: σ²(T) = R²T²/2 (4.56). The Allan curve knows |R| only.
+    """Linear drift of the rate, Ω = R·t: σ²(T) = R²T²/2 (4.56).
 
-    `coefficient` R in rad/s² or m/s³. The ramp is deterministic, but R²t⁴/24 serves as its phase
-    covariance: second differences over T_i and T_j then have the product R²T_i²T_j², as they should.
+    `coefficient` R in rad/s² or m/s³; the Allan curve determines |R| only. The ramp is deterministic, but
+    R²t⁴/24 serves as its phase covariance: second differences over T_i and T_j then have the product
+    R²T_i²T_j², as they should.
     """
 
     coefficient: Value = parameter("R", time_exponent=-1.0)
@@ -25,7 +26,7 @@ class DriftRamp(NoiseTerm):
         return self.coefficient**2 * lag**4 / 24.0
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """The flicker-acceleration spectrum R²/(2πf)³ that has the same slope in the Allan plot (4.58)."""
+        """Flicker-acceleration spectrum R²/(2πf)³, which has the same slope in the Allan plot (4.58)."""
         return self.coefficient**2 / jnp.abs(2.0 * jnp.pi * jnp.asarray(frequency)) ** 3
 
     def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -1,4 +1,4 @@
-"""Autocovariances that decay exponentially, R(t) = Re[c·e^{λ|t|}]: their G, and the spectrum of samples."""
+"""Exponential autocovariances R(t) = Re[c·e^{λ|t|}]: their phase covariance G and spectrum as sampled."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from allanjax.noise.numerics import in_gauge
 
 
 def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
-    """e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
+    """Remainder e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
 
     def series(z: Num[Array, ...]) -> Num[Array, ...]:
         total = jnp.zeros_like(z)

@@ -1,4 +1,4 @@
-"""White noise behind a low-pass filter: the sensor's, or one in its signal processing."""
+"""White noise after a low-pass filter: the sensor's own, or one in its signal processing."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from allanjax.noise.terms.resonance import Resonance
 
 
 class LowPass(NoiseTerm):
-    """White noise that passed a Butterworth filter, S(f) = N²/(1 + (f/f_c)^(2·order)). Not in the thesis.
+    """White noise after a Butterworth filter, S(f) = N²/(1 + (f/f_c)^(2·order)).
 
-    `coefficient` N in rad/√s or m/s/√s (that of the white noise, two-sided PSD N²), `bandwidth` f_c in Hz
-    (−3 dB), `order` 1 or 2. The filter's output is read at the sample instants: order 1 is a first-order
-    autoregression then. Its covariance is R(t) = Re[c·e^{λt}] with λ = −ω_c, c = N²ω_c/2, or, for order 2,
-    that of an oscillator of quality factor 1/√2: λ = ω_c(−1 + i)/√2, c = (1 − i)·N²ω_c/√8.
+    Not in the thesis. `coefficient` N in rad/√s or m/s/√s (that of the white noise, two-sided PSD N²),
+    `bandwidth` f_c in Hz (−3 dB), `order` 1 or 2. The filter's output is read at the sample instants: order 1
+    is a first-order autoregression then. Its covariance is R(t) = Re[c·e^{λt}] with λ = −ω_c, c = N²ω_c/2,
+    or, for order 2, that of an oscillator of quality factor 1/√2: λ = ω_c(−1 + i)/√2, c = (1 − i)·N²ω_c/√8.
     """
 
     coefficient: Value = parameter("N_f", time_exponent=0.5)
@@ -40,7 +40,7 @@ class LowPass(NoiseTerm):
         return self.replace(sample_interval=1.0 / rate)
 
     def _pole(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
-        """λ and c of R(t) = Re[c·e^{λt}]."""
+        """Pole λ and weight c of the autocovariance R(t) = Re[c·e^{λt}]."""
         w = 2.0 * jnp.pi * jnp.asarray(self.bandwidth, float)
         power = self.coefficient**2 * w
         if self.order == 1:
@@ -58,7 +58,7 @@ class LowPass(NoiseTerm):
         return exponential_density(*self._pole(), frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Exact recursion of the filter's state."""
+        """Simulated samples by the exact recursion of the filter's state."""
         pole, weight = self._pole()
         sigma = jnp.sqrt(jnp.real(weight))
         if self.order == 2:

@@ -30,7 +30,7 @@ class Markov(NoiseTerm):
         return (self.amplitude * self.correlation_time) ** 2 / (1.0 + w**2)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """Of means over the sample interval: their autocovariance is geometric from the first lag on."""
+        """PSD of means over the sample interval, whose autocovariance is geometric from the first lag on."""
         a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
         x = 1.0 / (rate * self.correlation_time)
         # (e^{-x} − 1 + x)/x² and ((1 − e^{-x})/x)²; their series where the first would cancel.
@@ -46,7 +46,7 @@ class Markov(NoiseTerm):
         return variance / rate * (at_zero + 2.0 * at_one * numerator / denominator)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Exact: the state at the sample instants recurs; its mean between two of them is Gaussian."""
+        """Simulated samples: an exact recursion of the state, and Gaussian means between its values."""
         x = 1.0 / (rate * self.correlation_time)
         sigma = self.amplitude * jnp.sqrt(self.correlation_time / 2.0)
         state_key, mean_key = jax.random.split(key)

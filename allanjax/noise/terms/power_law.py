@@ -9,9 +9,9 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 
-# So near to flicker G is taken in its gauge.
+# Distance of the exponent from 1 within which G is computed in the gauge of flicker noise.
 _NEAR = 0.1
-# Terms of Hurwitz's series summed one by one; Euler and Maclaurin's remainder is below 1e-9 of the sum then.
+# Terms of Hurwitz's series that are summed one by one; the error is then below 1e-9 of the sum.
 _SINGLE = 10
 
 
@@ -19,15 +19,15 @@ class PowerLaw(NoiseTerm):
     """Noise of PSD S(f) = A²·(f/1 Hz)^(−α), −1 < α < 3 (Mandelbrot & Van Ness 1968, SIAM Rev. 10:422).
 
     `amplitude` A in rad/√s or m/s/√s, the root PSD at 1 Hz; `exponent` α. α = 0 is an angle random walk
-    N = A, α = 1 bias instability B = √(2π)·A, α = 2 rate random walk K = 2π·A. The Allan variance, for which
-    other exponents have none, goes as T^(α−1).
+    N = A, α = 1 bias instability B = √(2π)·A, α = 2 rate random walk K = 2π·A. The Allan variance goes as
+    T^(α−1); for exponents outside of these bounds it does not exist.
     """
 
     amplitude: Value = parameter("A", time_exponent=0.5)
     exponent: Value = parameter("α", "number", lower=-1.0, upper=3.0)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        """−A²(2π)^α·t^(α+1)/[2Γ(α+2) cos(πα/2)], without a multiple of t² that is infinite at α = 1."""
+        """Phase covariance −A²(2π)^α·t^(α+1)/[2Γ(α+2) cos(πα/2)], less a multiple of t² infinite at α = 1."""
         # cos(πα/2) = −sin(πε/2), ε = α − 1, and ε/sin(πε/2) = 2Γ(1 + ε/2)Γ(1 − ε/2)/π, smooth at zero.
         e = jnp.asarray(self.exponent, float) - 1.0
         reflected = gammaln(1.0 + e / 2.0) + gammaln(1.0 - e / 2.0)
@@ -43,14 +43,14 @@ class PowerLaw(NoiseTerm):
         return self.amplitude**2 * jnp.abs(jnp.asarray(frequency, float)) ** -self.exponent
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """Σ_m psd(f + m·rate)·sinc²: sin²(πu)/π²·[ζ(α+2, u) + ζ(α+2, 1−u)], u = f/rate."""
+        """PSD with aliases: A²·rate^−α·sin²(πu)/π²·[ζ(α+2, u) + ζ(α+2, 1−u)], u = f/rate."""
         u = jnp.asarray(frequency, float) / rate
         aliases = _hurwitz(2.0 + self.exponent, u) + _hurwitz(2.0 + self.exponent, 1.0 - u)
         return self.amplitude**2 * rate**-self.exponent * (jnp.sin(jnp.pi * u) / jnp.pi) ** 2 * aliases
 
 
 def _relative_expm1(x: Float[Array, ...]) -> Float[Array, ...]:
-    """(e^x − 1)/x, smooth at zero."""
+    """Quotient (e^x − 1)/x, smooth at zero."""
     small = jnp.abs(x) < 1e-2
     series = 1.0 + x / 2.0 * (1.0 + x / 3.0 * (1.0 + x / 4.0 * (1.0 + x / 5.0 * (1.0 + x / 6.0))))
     far = jnp.where(small, 1.0, x)
@@ -58,7 +58,7 @@ def _relative_expm1(x: Float[Array, ...]) -> Float[Array, ...]:
 
 
 def _hurwitz(s: Value, q: Float[Array, ...]) -> Float[Array, ...]:
-    """ζ(s, q) = Σ_k (q + k)^(−s), s > 1, by Euler and Maclaurin: that of JAX has no derivative by s."""
+    """Hurwitz's zeta Σ_k (q + k)^(−s), s > 1, by Euler–Maclaurin: JAX's has no derivative by s."""
     k = jnp.arange(_SINGLE)
     x = q + _SINGLE
     tail = x / (s - 1.0) + 0.5 + s / (12.0 * x) * (1.0 - (s + 1.0) * (s + 2.0) / (60.0 * x**2))

@@ -27,7 +27,7 @@ class Quantization(NoiseTerm):
         return jnp.where(lag == 0.0, self.coefficient**2, 0.0)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """(2πf)² T_z Q² (4.28, left of its ≈ for sampled data: 4Q² sin²(πfT_z)/T_z)."""
+        """Two-sided PSD of sampled data, 4Q² sin²(πfT_z)/T_z ≈ (2πf)² T_z Q² (4.28)."""
         T_z = self.sample_interval
         return 4.0 * self.coefficient**2 / T_z * jnp.sin(jnp.pi * jnp.asarray(frequency) * T_z) ** 2
 
@@ -35,7 +35,7 @@ class Quantization(NoiseTerm):
         return self.sampled(rate).psd(frequency)
 
     def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """The first and the last reading have no neighbour that takes their error back."""
+        """Power of the first and last reading's errors, which no neighbouring increment takes back."""
         a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
         return 2.0 * (self.coefficient * rate) ** 2 * (1.0 + jnp.cos(a))
 

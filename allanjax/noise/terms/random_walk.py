@@ -13,7 +13,7 @@ from allanjax.noise.recursion import linear_recurrence
 
 
 class AngleRandomWalk(NoiseTerm):
-    """White noise of the rate: σ²(T) = N²/T (4.36). For an accelerometer, velocity random walk.
+    """White noise of the rate: σ²(T) = N²/T (4.36); velocity random walk for an accelerometer.
 
     `coefficient` N in rad/√s or m/s/√s (two-sided PSD N²; the thesis calls it Q).
     """
@@ -34,7 +34,7 @@ class AngleRandomWalk(NoiseTerm):
 
 
 class RateRandomWalk(NoiseTerm):
-    """The rate is the integral of white noise: σ²(T) = K²T/3 (4.53).
+    """Integrated white noise of the rate: σ²(T) = K²T/3 (4.53).
 
     `coefficient` K in rad/s/√s or m/s²/√s.
     """
@@ -48,12 +48,12 @@ class RateRandomWalk(NoiseTerm):
         return (self.coefficient / (2.0 * jnp.pi * jnp.asarray(frequency))) ** 2
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """(K/rate)²·(2 + cos a)/(12 sin²(a/2)), a = 2πf/rate: increments of means correlate to one lag."""
+        """PSD of the samples, K²/rate²·(2 + cos a)/(12 sin²(a/2)), a = 2πf/rate."""
         a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
         return (self.coefficient / rate) ** 2 * (2.0 + jnp.cos(a)) / (12.0 * jnp.sin(a / 2.0) ** 2)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Means of a Brownian path over sample intervals: its end points, and the bridge between them."""
+        """Simulated means of a Brownian path over sample intervals: from its end points and bridges."""
         steps, bridge = jax.random.normal(key, (2, n)) / jnp.sqrt(rate)
         path_end = linear_recurrence(1.0, steps)
         return self.coefficient * (path_end - steps / 2.0 + bridge / jnp.sqrt(12.0))

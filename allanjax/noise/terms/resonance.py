@@ -13,16 +13,18 @@ from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.terms.exponential import exponential_covariance, exponential_density
 
+# Aliases on either side that are summed.
 _ALIASES = 8
 
 
 class Resonance(NoiseTerm):
-    """Noise of a damped oscillator, Ω'' + (ω0/Q_f)Ω' + ω0²Ω = white noise. Not in the thesis, but in sensors.
+    """Noise of a damped oscillator, Ω'' + (ω0/Q_f)Ω' + ω0²Ω = white noise.
 
-    `amplitude` is the RMS of the rate [rad/s or m/s²], `frequency` f0 = ω0/2π in Hz, `quality_factor` Q_f
-    above ½ (underdamped). Its autocovariance is R(t) = σ² e^{−at}[cos ω_d t + (a/ω_d) sin ω_d t] with
-    a = ω0/2Q_f, ω_d² = ω0² − a²; G is −R integrated twice. In fits and simulations at a known rate
-    (`sampled`) the oscillator is read at the sample instants; otherwise averaged between them.
+    Not in the thesis, but in sensors. `amplitude` is the RMS of the rate [rad/s or m/s²], `frequency` f0 =
+    ω0/2π in Hz, `quality_factor` Q_f above ½ (underdamped). Its autocovariance is R(t) = σ² e^{−at}[cos ω_d t
+    + (a/ω_d) sin ω_d t] with a = ω0/2Q_f, ω_d² = ω0² − a²; G is −R integrated twice. In fits and simulations
+    at a known rate (`sampled`) the oscillator is read at the sample instants; otherwise averaged between
+    them.
     """
 
     amplitude: Value = parameter("σ", time_exponent=0.0)
@@ -36,7 +38,7 @@ class Resonance(NoiseTerm):
         return self.replace(sample_interval=1.0 / rate)
 
     def _poles(self) -> tuple[Complex[Array, ""], Complex[Array, ""]]:
-        """λ and c of R(t) = σ² Re[c·e^{λt}]."""
+        """Pole λ and weight c of the autocovariance R(t) = σ² Re[c·e^{λt}]."""
         w0 = 2.0 * jnp.pi * self.frequency
         a = w0 / (2.0 * self.quality_factor)
         wd = w0 * jnp.sqrt(1.0 - 1.0 / (4.0 * self.quality_factor**2))
@@ -47,18 +49,18 @@ class Resonance(NoiseTerm):
         return self.amplitude**2 * exponential_covariance(pole, c, lag, self.sample_interval)
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
-        """2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
+        """Relative variance 2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
         return self.quality_factor / (jnp.pi * self.frequency * jnp.asarray(duration))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""
+        """Two-sided PSD 2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""
         w0 = 2.0 * jnp.pi * self.frequency
         w = 2.0 * jnp.pi * jnp.asarray(frequency)
         shape = (w0**2 - w**2) ** 2 + (w0 * w / self.quality_factor) ** 2
         return 2.0 * self.amplitude**2 * w0**3 / self.quality_factor / shape
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        """Of the oscillator at the sample instants, or of its means between them."""
+        """PSD of the oscillator at the sample instants, or of its means between them."""
         if self.sample_interval == 0.0:
             # Of means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
             aliases = jnp.asarray(frequency, float)[..., None] + rate * jnp.arange(-_ALIASES, _ALIASES + 1)
@@ -67,7 +69,7 @@ class Resonance(NoiseTerm):
         return self.amplitude**2 * exponential_density(pole, c, frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Exact recursion of position and velocity, as one complex mode."""
+        """Simulated samples by the exact recursion of position and velocity, as one complex mode."""
         if self.sample_interval == 0.0:
             return super().simulate(key, n, rate)
         pole, _ = self._poles()

@@ -40,7 +40,7 @@ class Sinusoid(NoiseTerm):
         return self.replace(sample_interval=1.0 / rate)
 
     def _damping(self) -> Float[Array, ""]:
-        """Amplitude of the samples over that of the continuous line they are means of."""
+        """Ratio of the samples' amplitude to that of the continuous line that they are means of."""
         y = jnp.pi * self.frequency * self.sample_interval
         return jnp.sinc(y / jnp.pi)
 
@@ -57,11 +57,11 @@ class Sinusoid(NoiseTerm):
         return self.amplitude**2 / (2.0 * w**2) * wave / self._damping() ** 2
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """Zero: a line has power, Ω0²/2, but no density at any frequency but its own."""
+        """Zero density: a line's power Ω0²/2 is all at its own frequency."""
         return jnp.zeros(np.shape(frequency))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """A line with random phase."""
+        """Simulated line with a random phase."""
         amplitude = self.amplitude * (jnp.sinc(self.frequency / rate) if self.sample_interval == 0.0 else 1.0)
         cycles = self.frequency / rate * jnp.arange(n) % 1.0
         return amplitude * jnp.cos(2.0 * jnp.pi * (cycles + jax.random.uniform(key)))

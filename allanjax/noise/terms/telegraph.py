@@ -12,7 +12,7 @@ from allanjax.noise.terms.exponential import exponential_covariance, exponential
 
 
 class Telegraph(NoiseTerm):
-    """A bias that jumps between two levels, as often down as up (Machlup 1954, J. Appl. Phys. 25:341).
+    """Bias that jumps between two levels, as often down as up (Machlup 1954, J. Appl. Phys. 25:341).
 
     `amplitude` is the difference of the levels [rad/s or m/s²], `dwell_time` T_d the mean time in each [s].
     R(t) = (amplitude²/4)·e^{−2|t|/T_d}: to second order it is a Markov process of correlation time T_d/2,
@@ -32,7 +32,7 @@ class Telegraph(NoiseTerm):
         return self.amplitude**2 / 4.0 * exponential_covariance(pole, 1.0, lag, self.sample_interval)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """(amplitude²/4)·T_d/(1 + (πf·T_d)²)."""
+        """Two-sided PSD (amplitude²/4)·T_d/(1 + (πf·T_d)²)."""
         x = jnp.pi * jnp.asarray(frequency) * self.dwell_time
         return self.amplitude**2 / 4.0 * self.dwell_time / (1.0 + x**2)
 
@@ -41,9 +41,9 @@ class Telegraph(NoiseTerm):
         return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Exponential dwell times: the jumps in a sample interval are Poisson, and odd ones change the level.
+        """Simulated path with exponential dwell times: an odd Poisson number of jumps changes the level.
 
-        Half the path's record starts on either level, the mean of which is zero.
+        The levels have mean zero, and either is as likely at the start.
         """
         first_key, jump_key = jax.random.split(key)
         odd = -jnp.expm1(-2.0 / (rate * self.dwell_time)) / 2.0

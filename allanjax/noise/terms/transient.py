@@ -14,7 +14,7 @@ from allanjax.noise.parameter import Value
 
 
 class Transient(NoiseTerm):
-    """A deterministic effect `amplitude`·`column(time)`, known but for its amplitude.
+    """Deterministic effect `amplitude`·`column(time)`, known but for its amplitude.
 
     Its second differences depend on where in the record they are, so that it has neither a spectrum nor an
     Allan variance of its own: both are zero here. Fits take it out of the record (`objective="whittle"`),

@@ -1,4 +1,4 @@
-"""Warm-up: the bias settles exponentially after switching on."""
+"""Warm-up: exponential settling of the bias after switching on."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from allanjax.noise.terms.transient import Transient
 
 
 class WarmUp(Transient):
-    """`amplitude`·e^{−t/τ}, t since the record's start: a first-order approach to thermal equilibrium.
+    """Exponential settling `amplitude`·e^{−t/τ}, t since the record's start.
 
-    Not in the thesis. `amplitude` in rad/s or m/s², `time_constant` τ in s.
+    Not in the thesis: a first-order approach to thermal equilibrium. `amplitude` in rad/s or m/s²,
+        `time_constant` τ in s.
     """
 
     amplitude: Value = parameter("W", time_exponent=0.0)
