@@ -108,8 +108,9 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectru
         stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"),
         ThreadPoolExecutor(1) as pool,
     ):
-        spectrum = pool.submit(_spectrum, options.inspect(recording).quiet(recording))
-        return spectrum, options.fit(recording)
+        seen = options.inspect(recording)
+        spectrum = pool.submit(_spectrum, seen.quiet(recording))
+        return spectrum, options.fit(recording, seen)
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
