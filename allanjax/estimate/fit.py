@@ -76,8 +76,6 @@ def fit(
         FitError: if the record is too short for the model; a step or warm-up without a time, or with "allan".
         AllanjaxError: an unknown objective; a regressor that is no auxiliary channel, or is constant.
     """
-    if objective not in ("allan", "whittle"):
-        raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
     if model in get_args(Objective):
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
@@ -93,6 +91,8 @@ def fit_inspected(
     regressors: Sequence[str] = (),
 ) -> Fit:
     """Fit of a recording whose inspection is known already; see `fit`."""
+    if objective not in get_args(Objective):
+        raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
     # What is wrong with them is said before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.estimate.fit import Objective, far_off, fit, fit_inspected, inspected
+from allanjax.estimate.fit import Objective, far_off, fit_inspected, inspected
 from allanjax.estimate.result import Fit
 from allanjax.fleet.stream import AllanAccumulator
 from allanjax.inspection import Inspection
@@ -46,16 +46,8 @@ class FitOptions:
         Raises:
             AllanjaxError: as `fit`.
         """
-        if seen is not None:
-            return fit_inspected(recording, seen, self.model, self.objective, self.regressors)
-        return fit(
-            recording,
-            self.model,
-            self.objective,
-            regressors=self.regressors,
-            as_is=self.as_is,
-            vibrating=self.vibrating,
-        )
+        seen = self.inspect(recording) if seen is None else seen
+        return fit_inspected(recording, seen, self.model, self.objective, self.regressors)
 
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.

@@ -1,6 +1,6 @@
 """Checks of a recording before a fit: handling, motion, units and resolution."""
 
-from allanjax.inspection.look import Inspection, inspect, look
+from allanjax.inspection.first_look import Inspection, inspect, look
 from allanjax.inspection.windows import Windows
 
 __all__ = ["Inspection", "Windows", "inspect", "look"]

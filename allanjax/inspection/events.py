@@ -20,7 +20,7 @@ from allanjax.inspection.scores import (
 from allanjax.inspection.windows import Windows
 
 # Scores beyond which a stretch is unlike the rest. In the clean records that they were set on (see
-# benchmarks/first_look.py) the largest were 6.8 but for telegraphs, and for steps 10.2.
+# benchmarks/studies/first_look.py) the largest were 6.8 but for telegraphs, and for steps 10.2.
 _UNLIKE = 8.0
 _STEP = 11.0
 # Scores down to which a stretch that is unlike the rest is extended.

@@ -99,7 +99,7 @@ def test_an_axis_without_result_is_an_error_and_the_results_are_written(
     recorded, half_failed_fit, monkeypatch
 ):
     monkeypatch.setattr(
-        sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: half_failed_fit
+        sys.modules["allanjax.fleet.options"], "fit_inspected", lambda *args, **options: half_failed_fit
     )
     result = run("characterize", recorded)
     assert result.exit_code == 1
@@ -140,7 +140,7 @@ def test_bad_input_exits_with_1_and_says_why(content, options, message):
 
 def test_a_folder_of_results_that_cannot_be_made_is_an_error(recorded, half_failed_fit, monkeypatch):
     monkeypatch.setattr(
-        sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: half_failed_fit
+        sys.modules["allanjax.fleet.options"], "fit_inspected", lambda *args, **options: half_failed_fit
     )
     result = run("characterize", recorded, "--out", recorded / "inside")
     assert result.exit_code == 1
@@ -151,7 +151,7 @@ def test_a_bug_is_not_dressed_up_as_bad_input(recorded, monkeypatch):
     def broken(*args, **options):
         raise KeyError("bug")
 
-    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", broken)
+    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit_inspected", broken)
     with pytest.raises(KeyError):
         run("characterize", recorded)
 

@@ -72,7 +72,7 @@ def seen(monkeypatch):
     monkeypatch.setattr(cli, "open_chunks", noting("chunks"))
     monkeypatch.setattr(cli_critique, "read_recording", noting("read"))
     monkeypatch.setattr(options, "inspected", noting("inspected", SimpleNamespace(quiet=lambda x: x)))
-    monkeypatch.setattr(options, "fit", noting("fit"))
+    monkeypatch.setattr(options, "fit_inspected", noting("fit"))
     monkeypatch.setattr(fleet, "characterize_fleet", noting("fleet"))
     monkeypatch.setenv("ALLANJAX_CACHE", "off")
     return calls
@@ -88,9 +88,9 @@ def test_characterize(seen):
     result = run("characterize", "a.csv", *arguments(READING), *arguments(FITTING))
     assert result.exit_code == 1, result.output
     assert seen["read"].args[1] == READING
-    (_, model, objective), keywords = seen["fit"].args, seen["fit"].keywords
+    _, _, model, objective, regressors = seen["fit"].args
     assert (str(model), objective) == (str(FITTING.model), FITTING.objective)
-    assert keywords == {"regressors": FITTING.regressors} | LOOKING
+    assert regressors == FITTING.regressors
     assert seen["inspected"].args[1:] == (model, FITTING.regressors, True, True)
 
 
@@ -130,10 +130,14 @@ def test_a_worker_of_a_fleet(monkeypatch):
     seen = []
     recording = object()
     monkeypatch.setattr(fleet, "read_recording", lambda *args: seen.append(args) or recording)
-    monkeypatch.setattr(options, "fit", lambda *args, **keywords: seen.append((args, keywords)))
+    monkeypatch.setattr(options, "inspected", lambda *args: seen.append(args) or "what was seen")
+    monkeypatch.setattr(options, "fit_inspected", lambda *args: seen.append(args))
     fleet.characterize_recording("a.csv", FITTING)
-    fitted = (recording, FITTING.model, FITTING.objective)
-    assert seen == [("a.csv", READING), (fitted, {"regressors": FITTING.regressors} | LOOKING)]
+    assert seen == [
+        ("a.csv", READING),
+        (recording, FITTING.model, FITTING.regressors, *LOOKING.values()),
+        (recording, "what was seen", FITTING.model, FITTING.objective, FITTING.regressors),
+    ]
 
 
 @pytest.mark.parametrize("reader", [read, read_chunks])

@@ -42,7 +42,7 @@ def fitted(small_recording, small_fit, monkeypatch):
         "allanjax.report.spectrum_figure.plot_psd", lambda spectrum, fit, path: Path(path).touch()
     )
     monkeypatch.setattr(characterize, "_spectrum", lambda recording: None)
-    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: small_fit)
+    monkeypatch.setattr("allanjax.fleet.options.fit_inspected", lambda *args, **options: small_fit)
     return small_fit
 
 
@@ -164,7 +164,7 @@ def test_an_interruption_is_one_line(fitted, monkeypatch):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", interrupted)
+    monkeypatch.setattr("allanjax.fleet.options.fit_inspected", interrupted)
     code, out, err = Outputs(monkeypatch, "utf-8").run("characterize", "small.csv")
     assert (code, out, err) == (130, "", "interrupted\n")
 
@@ -203,7 +203,7 @@ def test_a_file_name_that_is_no_text(fitted, monkeypatch):
     name = os.fsdecode(b"gr\xfcn.csv")
     Path("small.csv").rename(name)
     named = dataclasses.replace(fitted, name=Path(name).stem)
-    monkeypatch.setattr(sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: named)
+    monkeypatch.setattr("allanjax.fleet.options.fit_inspected", lambda *args, **options: named)
     code, out, err = Outputs(monkeypatch, "utf-8").run("characterize", name)
     assert (code, err) == (0, "")
     assert r"gr\udcfcn: 20,000 samples" in out

@@ -31,7 +31,7 @@ def recorded(small_recording, half_failed_fit, monkeypatch):
     monkeypatch.setattr("allanjax.report.allan_figure.plot_allan", lambda fit, path: None)
     monkeypatch.setattr("allanjax.report.spectrum_figure.plot_psd", lambda spectrum, fit, path: None)
     monkeypatch.setattr(
-        sys.modules["allanjax.fleet.options"], "fit", lambda *args, **options: half_failed_fit
+        sys.modules["allanjax.fleet.options"], "fit_inspected", lambda *args, **options: half_failed_fit
     )
     return Path("small.csv")
 
