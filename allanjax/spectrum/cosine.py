@@ -40,19 +40,20 @@ from allanjax.noise.terms import DriftRamp, NoiseTerm
 
 # Coefficients up to this one are a bin each, and have their exact expectation.
 _SINGLE = 64
-_PER_OCTAVE = 6
-# Points of the quadratures over lags (of the exact expectation) and over a bin.
+#: Bins an octave above these.
+PER_OCTAVE = 6
+# Nodes of the quadratures over lags, between two of their edges, and over a bin.
 _LAG_ORDER = 12
 _BIN_ORDER = 3
-# Lags of pooled spectra are filled up to a multiple of this many, so that compiled functions serve again.
+# Lags of pooled spectra are padded to a multiple of this, so that compiled functions are used again.
 _LAGS = 128
-# Around a line bins are single for so many coefficients, then grow by this factor.
+# Single coefficients on either side of a line, and the factor by which bins grow beyond.
 _AROUND = 12
 _GROWTH = 1.25
 
 
 def cosine_transform(x: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n-1 ..."]:
-    """The coefficients c_1 … c_{n−1} along the first axis."""
+    """Cosine coefficients c_1 … c_{n−1} of samples, along the first axis."""
     from scipy.fft import dct
 
     return dct(x, type=2, norm="ortho", axis=0, workers=-1)[1:]
@@ -64,7 +65,7 @@ class Bins(eqx.Module):
     Attributes:
         n: number of samples.
         rate: sample rate [Hz].
-        size: coefficients in each bin; 0 for bins that only fill up the array.
+        size: number of coefficients in each bin; 0 for bins that only pad the array.
     """
 
     n: eqx.AbstractVar[Any]
@@ -78,17 +79,19 @@ class Bins(eqx.Module):
 
     @abc.abstractmethod
     def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
-        """Mean expectation [rate²] of the squared coefficients in each bin; zero for a deterministic term."""
+        """Mean expected square [rate²] of the coefficients in each bin; zero for a deterministic term."""
 
 
 class CosineBins(Bins):
-    """Bins of the coefficients of n samples: where they are, and what a noise term puts into them.
+    """Bins of the coefficients of n samples, and the quadratures for their expectation under a noise term.
 
     Attributes:
         n: number of samples.
         rate: sample rate [Hz].
-        size: coefficients in each bin; 0 for bins that only fill up the array.
+        size: number of coefficients in each bin; 0 for bins that only pad the array.
         first: index j of each bin's first coefficient.
+        lags, lag_weights: lags [s], and weights of G there in the expectation of the single coefficients.
+        nodes, node_weights: frequencies [Hz] in each bin, and weights of the density there.
     """
 
     n: int = eqx.field(static=True)
@@ -102,10 +105,10 @@ class CosineBins(Bins):
 
     @classmethod
     def of(cls, n: int, rate: float, around: tuple[float, ...] = ()) -> CosineBins:
-        """Single coefficients first, then six bins an octave; finer ones around lines at `around` [Hz]."""
+        """Bins of single coefficients, then six an octave; finer ones around lines at `around` [Hz]."""
         top = min(_SINGLE, n - 1)
         octaves = np.log2(n / top)
-        growing = top * 2.0 ** (np.arange(1, np.floor(_PER_OCTAVE * octaves)) / _PER_OCTAVE)
+        growing = top * 2.0 ** (np.arange(1, np.floor(PER_OCTAVE * octaves)) / PER_OCTAVE)
         edges = np.concatenate([np.arange(1, top + 2), np.rint(growing) + 1.0])
         steps = np.arange(1.0, _AROUND + 1.0)
         while steps[-1] * (_GROWTH - 1.0) < n / 16.0:
@@ -120,7 +123,7 @@ class CosineBins(Bins):
         first, size = edges[:-1], np.diff(edges)
         first, size = first[size > 0], size[size > 0]
         # The same number of bins wherever the lines are, so that compiled functions serve again.
-        most = top + int(_PER_OCTAVE * octaves) + 1 + 2 * len(steps) * len(around)
+        most = top + int(PER_OCTAVE * octaves) + 1 + 2 * len(steps) * len(around)
         pad = most - len(first)
         first, size = np.append(first, np.full(pad, n // 2)), np.append(size, np.zeros(pad, int))
         nodes, weights = discrete_gauss(np.maximum(size, 1), _BIN_ORDER)
@@ -138,7 +141,7 @@ class CosineBins(Bins):
         return _expected(term, self)
 
     def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
-        """Sum of products of coefficients over each bin."""
+        """Sums of products of coefficients over each bin."""
         real = self.size > 0
         found = np.zeros((len(self.first), *products.shape[1:]))
         found[real] = np.add.reduceat(products, self.first[real] - 1, axis=0)
@@ -146,7 +149,7 @@ class CosineBins(Bins):
 
 
 class _Transform(eqx.Module):
-    """What `CosineBins` knows of a transform, its length and rate as data: compiled functions serve again."""
+    """Quadratures of one transform as in `CosineBins`, with length and rate as data, not compiled in."""
 
     n: Value
     rate: Value
@@ -157,6 +160,7 @@ class _Transform(eqx.Module):
 
     @classmethod
     def of(cls, n: int, rate: float, edges: Int[np.ndarray, " m+1"]) -> _Transform:
+        """Quadratures for bins with these edges of the transform of n samples."""
         size = np.diff(edges)
         nodes, weights = discrete_gauss(size, _BIN_ORDER)
         nodes = (edges[:-1, None] + nodes) * rate / (2.0 * n)
@@ -171,13 +175,14 @@ class _Transform(eqx.Module):
 
 
 class PooledBins(Bins):
-    """Bins of several transforms, those of one being the same bins of many segments.
+    """Bins of several transforms, each of many segments that share its bins.
 
     Attributes:
         n: number of samples of the stream.
         rate: its sample rate [Hz].
-        size: coefficients in each bin, of all segments together.
-        middle: of each bin [Hz], increasing.
+        size: number of coefficients in each bin, of all segments together.
+        middle: middle of each bin [Hz], increasing.
+        transforms: the quadratures of each transform.
     """
 
     n: Int[np.ndarray, ""]
@@ -188,7 +193,7 @@ class PooledBins(Bins):
 
     @classmethod
     def of(cls, n: int, rate: float, parts: Sequence[Part]) -> PooledBins:
-        """The bins of these parts of the spectrum, the lowest frequencies first."""
+        """Bins of these parts of the spectrum, the lowest frequencies first."""
         size = np.concatenate([part.segments * np.diff(part.edges) for part in parts])
         middle = [(p.edges[:-1] + p.edges[1:] - 1) * p.rate / (4.0 * p.n) for p in parts]
         transforms = tuple(_Transform.of(part.n, part.rate, part.edges) for part in parts)
@@ -203,10 +208,14 @@ class PooledBins(Bins):
 
 
 class Part(NamedTuple):
-    """A part of a spectrum: transforms of so many segments of n values at `rate` [Hz].
+    """Part of a pooled spectrum: the transforms of segments of one length and rate.
 
-    `edges` are the first coefficients of its bins, and the one after the last; from 1, the bins of which are
-    single up to 64, or well above.
+    Attributes:
+        n: number of values in a segment.
+        rate: their rate [Hz].
+        edges: first coefficients of the bins, and the one after the last. They begin at 1, with bins of
+            single coefficients up to 64, or well above.
+        segments: number of segments.
     """
 
     n: int
@@ -216,13 +225,14 @@ class Part(NamedTuple):
 
 
 def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
-    """Edges of so many bins of coefficients first … stop−1, of equal width in ln; from 1 on, single to 64."""
+    """Edges of logarithmic bins of the coefficients first … stop−1; single up to 64 if first is 1."""
     single = np.arange(1, _SINGLE + 1) if first == 1 else np.zeros(0, int)
     rest = np.rint(np.geomspace(first + len(single), stop, bins - len(single) + 1)).astype(int)
     return np.append(single, rest)
 
 
 def _expected(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
+    """Mean expected square [rate²] of the coefficients in each bin: exact for the lowest ones."""
     above = _from_density(term, of)
     # An oscillating covariance is too fast for a few lags: what differs from a smooth one has no memory.
     smooth = term.at_low_frequencies() if term.oscillates else term
@@ -235,7 +245,7 @@ def _expected(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"
 
 
 def _from_density(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
-    """The same from the density of the samples, but for the memory of the record's ends."""
+    """Mean expected square [rate²] from the density of the samples, for a record long beside its memory."""
     density = term.sampled_psd(of.nodes, of.rate)
     density += term.end_effect(of.nodes, of.rate) / (of.n * of.rate)
     return jnp.sum(of.node_weights * density, axis=1)
@@ -244,7 +254,7 @@ def _from_density(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, 
 def _exact_expectation(
     n: int, rate: float, top: int
 ) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, "top lags"]]:
-    """Lags [s], and the weights of G there that make up E c_j² for j = 1 … top."""
+    """Lags [s], and weights of G there whose sum is the exact E c_j² for j = 1 … top."""
     spacing = max(n // (top // 2), 1)
     edges = np.concatenate([2.0 ** np.arange(np.log2(spacing)), np.linspace(spacing, n, max(top // 2, 1))])
     edges = np.unique(np.rint(edges)).astype(int)
@@ -265,7 +275,13 @@ def _exact_expectation(
 
 
 class SpectralStatistics(NamedTuple):
-    """Statistics of one axis: sums over bins, and the ramp's products with the record and with itself."""
+    """Sufficient statistics of an axis (or of several, stacked) for Whittle's likelihood, as sums over bins.
+
+    Attributes:
+        squares: sums of c_j².
+        cross: sums of c_j times the coefficient of a ramp.
+        gram: sums of the ramp's squared coefficients.
+    """
 
     squares: Any
     cross: Any
@@ -273,7 +289,7 @@ class SpectralStatistics(NamedTuple):
 
 
 def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1"]:
-    """Coefficients of a deterministic term of unit amplitude (`NoiseTerm.column`) in n samples.
+    """Cosine coefficients of a deterministic term of unit amplitude (`NoiseTerm.column`) in n samples.
 
     Raises:
         FitError: it does not vary within the record, and so is part of the bias.
@@ -288,5 +304,5 @@ def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1
 
 
 def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
-    """Coefficients of a ramp of 1 per second."""
+    """Cosine coefficients of a ramp of 1 per second in n samples."""
     return term_column(DriftRamp(), n, rate)

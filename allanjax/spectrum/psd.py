@@ -34,14 +34,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: Estimators of the density, explained at `power_spectrum`.
 Method = Literal["logarithmic", "welch"]
 
 # Table 3.4: ordinates that stay single, and points an octave above them.
 _SINGLE = 32
 _PER_OCTAVE = 16
-# Welch's segments, if nobody says how long they are to be; they overlap by half.
+# By default a record is as long as so many of Welch's segments; no segment has fewer samples.
 _SEGMENTS = 8
-# Ordinates farther apart than this are taken as uncorrelated under any window.
+# Distance from which on ordinates are taken as uncorrelated under any window.
 _CORRELATED = 32
 # Correlations of ordinates depend on the window's shape alone: a short one shows them.
 _SHORT_WINDOW = 4096
@@ -51,7 +52,7 @@ _SHORT_WINDOW = 4096
 
 
 def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
-    """First ordinate, counted from 0, of each group of Hou (2004) table 3.4 that m ordinates make up.
+    """Index of the first ordinate of each group of Hou (2004) table 3.4, of m ordinates.
 
     The first 32 stay single; of 33-64 two are averaged each, of 65-128 four, and so on: 16 groups an octave.
     What is left at the end of a broken octave is a group of its own, or joins the last if less than half one.
@@ -212,15 +213,15 @@ class PowerSpectrum(ByValue):
         return spectral_random_walk(float(density), float(coloured), dof, self.axes[k], (low, high))
 
     def _coloured(self, k: int) -> Float[np.ndarray, " m"]:
-        """What is not white of the density of the axis of this index, at this spectrum's frequencies."""
+        """Density of an axis that is not white noise, at this spectrum's frequencies."""
         s = self.averaged()
         coloured = coloured_density(s.frequency, s.density[:, k], s.dof, s.rate)
         return coloured if s is self else np.interp(self.frequency, s.frequency, coloured)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """One row a frequency: it, its degrees of freedom, and every axis's density in (deg/h)²/Hz or µg²/Hz.
+        """Table with one row a frequency: its degrees of freedom, and each axis's density.
 
-        Headers state the units; without them, of an array, densities are in its own.
+        Headings state the units, (deg/h)²/Hz or µg²/Hz; densities of an array without units are in its own.
         """
         import pandas as pd
 
@@ -242,6 +243,7 @@ class PowerSpectrum(ByValue):
         raise NotImplementedError
 
     def _index(self, axis: str) -> int:
+        """Index of an axis by its name; AllanjaxError if there is none."""
         if axis not in self.names:
             raise AllanjaxError(f"no axis {axis!r} in the spectrum; there are {', '.join(self.names)}")
         return self.names.index(axis)
@@ -258,7 +260,7 @@ class PowerSpectrum(ByValue):
 
 
 def density_unit(axis: Axis) -> tuple[str, float]:
-    """Unit for people of an axis's power spectral density, and its factor to SI."""
+    """Display unit of an axis's power spectral density, and its factor to SI."""
     unit = default_coefficient_unit(axis.sensor, 0.0)
     name = f"({unit})²/Hz" if "/" in unit else f"{unit}²/Hz"
     return name, unit_scale(unit, axis.sensor) ** 2
@@ -346,6 +348,7 @@ def power_spectrum(
 
 
 def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
+    """Number of samples in one of Welch's segments."""
     if segment_time is None:
         return max(1 << ((n // _SEGMENTS).bit_length() - 1), _SEGMENTS)
     if not _SEGMENTS <= segment_time * rate <= n:
@@ -357,6 +360,7 @@ def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
 
 
 def _window(name: str, length: int) -> Float[np.ndarray, " length"]:
+    """Weights of a window by its name in `scipy.signal`; AllanjaxError if there is none."""
     from scipy.signal import get_window
 
     try:
@@ -368,16 +372,17 @@ def _window(name: str, length: int) -> Float[np.ndarray, " length"]:
 
 
 def _without_line(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-    """x minus its least-squares straight line; `scipy.signal.detrend` solves for it in far more time."""
+    """Samples minus their least-squares straight line, in far less time than `scipy.signal.detrend`."""
     t = np.arange(len(x)) - (len(x) - 1) / 2.0
     x = x - x.mean()
     return x - (t @ x) / (t @ t) * t
 
 
 def _correlation(window: str, length: int, segments: int) -> Float[np.ndarray, " lags"]:
-    """c(d) = Σ_m (1 − |m|/segments) |Σ_t w(t) w(t + m·step) e^{2πi·d·t/length}|² / (Σ w²)².
+    """Squared correlation of ordinates d = 0, 1, 2, … apart, summed over the segments.
 
-    The step is half the length. Welch (1967) has d = 0. Of the segments only neighbours overlap, m = ±1.
+    c(d) = Σ_m (1 − |m|/segments) |Σ_t w(t) w(t + m·step) e^{2πi·d·t/length}|² / (Σ w²)² with a step of half
+    the length. Welch (1967) has d = 0. Only neighbouring segments overlap, m = ±1.
     """
     short = min(length, _SHORT_WINDOW) // 2 * 2
     w = _window(window, short)

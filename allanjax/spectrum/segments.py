@@ -1,4 +1,4 @@
-"""Averaged cosine spectra of a stream: what Whittle's likelihood needs of a record that no memory holds.
+"""Averaged cosine spectra of a stream: statistics for Whittle's likelihood of a record of any length.
 
 Means of D successive samples are themselves samples of the same sensor, read D times more slowly: phase
 differences over a longer interval. So the spectrum of a long record can be put together from several rates,
@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.spectrum.cosine import (
+    PER_OCTAVE,
     Bins,
     CosineBins,
     Part,
@@ -33,29 +34,31 @@ from allanjax.spectrum.cosine import (
     ramp_column,
 )
 
+# Values of a level that are averaged to one of the next.
 _FACTOR = 8
+# Values in a segment.
 _SEGMENT = 2**13
-# A level's lowest coefficient in use; the next level has coefficients up to _FACTOR times that.
+# Lowest coefficient of a level that is used; the next level is used up to _FACTOR times that coefficient.
 _LOWEST = 2**8
-# The longest last level.
+# Longest last level, which is kept and transformed as a whole.
 _KEPT = 2**18
-_PER_OCTAVE = 6
-# Bins of the last level: as many for every length, six an octave or more.
+# Bins of the last level: the same number for every length, and six an octave or more.
 _LAST_BINS = 128
-# Segments transformed together.
+# Segments that are transformed together, which bounds the memory.
 _TOGETHER = 64
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SegmentedLevel:
-    """One level of a piece of a stream.
+    """Level of a piece of a stream: its complete segments as sums, and the values at its ends.
 
     Attributes:
         first: number of its first value, in the stream's level.
         head: values before the first boundary of segments; all of them if there is none.
         tail: values after the last boundary.
-        count: complete segments between.
-        squares, cross: sums over these of c_j² and of c_j times that of a ramp of 1 per sample, in bins.
+        count: number of complete segments between.
+        squares, cross: sums over these segments, in bins, of c_j² and of c_j times the coefficient of a ramp
+            of 1 per sample.
     """
 
     first: int
@@ -67,7 +70,7 @@ class SegmentedLevel:
 
     @classmethod
     def of(cls, x: Float[np.ndarray, "n axes"], first: int, edges: Int[np.ndarray, " m+1"]) -> SegmentedLevel:
-        """The level of values x, numbered from `first`."""
+        """Level of the values x, numbered from `first`."""
         begin = min(-first % _SEGMENT, len(x))
         count = (len(x) - begin) // _SEGMENT
         end = begin + count * _SEGMENT
@@ -85,23 +88,26 @@ class SegmentedLevel:
 
     @property
     def stop(self) -> int:
-        """Number of the value after the last."""
+        """Number of the value after its last one, in the stream's level."""
         return self.first + len(self.head) + self.count * _SEGMENT + len(self.tail)
 
     @property
     def bounded(self) -> bool:
-        """Whether there is a boundary of segments."""
+        """Whether there is a boundary between segments in it."""
         return len(self.head) == -self.first % _SEGMENT
 
     @property
     def end(self) -> Float[np.ndarray, "k axes"]:
-        """The values after the last boundary, or all if there is none."""
+        """Values after the last boundary, or all if there is none."""
         return self.tail if self.bounded else self.head
 
     def merge(
         self, between: Float[np.ndarray, "k axes"], right: SegmentedLevel, edges: Int[np.ndarray, " m+1"]
     ) -> SegmentedLevel:
-        """With the next piece's level; `between` are the values from the last boundary to its first one."""
+        """Level of this piece and the next one together.
+
+        `between` are the values from the last boundary of this level to the first one of the next.
+        """
         joint = SegmentedLevel.of(between, self.stop - len(self.end), edges)
         return SegmentedLevel(
             self.first,
@@ -117,15 +123,15 @@ class SegmentedLevel:
 class SegmentSpectra:
     """Spectral statistics of a piece of a stream, of bounded size whatever its length.
 
-    Made by `of`; adjacent pieces are put together by `merge`, in any grouping, and give the statistics of the
-    whole to rounding. A stream that comes in chunks is `total = total.merge(of(chunk, rate, total.stop))`,
-    best by chunks of 10⁵ samples and more.
+    Adjacent pieces are joined by `merge`, in any grouping, and give the statistics of the whole to rounding.
+    A stream that comes in chunks is `total = total.merge(of(chunk, rate, total.stop))`, best by chunks of 10⁵
+    samples and more.
 
     Attributes:
         rate: sample rate [Hz].
         start, stop: numbers of the first sample and of the one after the last, in the stream.
-        segmented: the levels that are cut into segments.
-        last: the values of the level above them.
+        segmented: levels that are cut into segments.
+        last: values of the level above them.
     """
 
     rate: float
@@ -136,7 +142,7 @@ class SegmentSpectra:
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "n axes"], rate: float, start: int = 0) -> SegmentSpectra:
-        """The statistics of these samples [rad/s or m/s²].
+        """Statistics of these samples [rad/s or m/s²].
 
         Args:
             values: the samples, one column an axis.
@@ -167,7 +173,7 @@ class SegmentSpectra:
         return self.stop - self.start
 
     def merge(self, right: SegmentSpectra) -> SegmentSpectra:
-        """The statistics of this piece and the next one.
+        """Statistics of this piece and the next one together.
 
         Raises:
             AllanjaxError: the other piece does not begin where this one ends, or is of another stream.
@@ -202,7 +208,7 @@ class SegmentSpectra:
         return SegmentSpectra(self.rate, self.start, right.stop, tuple(merged), last)._shortened()
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> SegmentSpectra:
-        """The statistics of some of the axes."""
+        """Statistics of some of the axes."""
         segmented = tuple(
             SegmentedLevel(
                 level.first,
@@ -217,7 +223,7 @@ class SegmentSpectra:
         return dataclasses.replace(self, segmented=segmented, last=self.last[:, keep])
 
     def statistics(self) -> tuple[Bins, SpectralStatistics]:
-        """The bins of the spectrum, lowest frequency first, and sums over each bin, [axes, m].
+        """Bins of the spectrum, the lowest frequency first, and sums over each bin, [axes, m].
 
         The ramp of these sums is one of 1 per second.
 
@@ -246,7 +252,7 @@ class SegmentSpectra:
         )
 
     def _with_level(self) -> SegmentSpectra:
-        """The same with the last level cut into segments, and a shorter one after it."""
+        """These statistics with the last level cut into segments, and a shorter one after it."""
         first = -(-self.start // _FACTOR ** len(self.segmented))
         level = SegmentedLevel.of(self.last, first, _edges(len(self.segmented)))
         return dataclasses.replace(
@@ -254,7 +260,7 @@ class SegmentSpectra:
         )
 
     def _shortened(self) -> SegmentSpectra:
-        """The same with as many levels as it takes for the last one to be short."""
+        """These statistics with as many levels as it takes for the last one to be short."""
         spectra = self
         while len(spectra.last) > _KEPT:
             spectra = spectra._with_level()
@@ -262,39 +268,43 @@ class SegmentSpectra:
 
 
 def _blocks(x: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "blocks axes"]:
-    """Means of successive values, as many as make a value of the next level."""
+    """Means of successive values, which are the values of the next level."""
     count = len(x) // _FACTOR
     return x[: count * _FACTOR].reshape(count, _FACTOR, x.shape[1]).mean(axis=1)
 
 
 def _edges(level: int) -> Int[np.ndarray, " m+1"]:
-    """Edges of the bins of a level in segments."""
+    """Edges of the bins of a level that is cut into segments."""
     stop = _LOWEST * _FACTOR if level else _SEGMENT
-    return bin_edges(_LOWEST, stop, round(_PER_OCTAVE * np.log2(stop / _LOWEST)))
+    return bin_edges(_LOWEST, stop, round(PER_OCTAVE * np.log2(stop / _LOWEST)))
 
 
 def _binned(
     products: Float[np.ndarray, "k ..."], edges: Int[np.ndarray, " m+1"]
 ) -> Float[np.ndarray, "m ..."]:
+    """Sums of products of coefficients over each bin."""
     return np.add.reduceat(products, edges[:-1] - edges[0], axis=0)
 
 
 def _coefficients(segments: Float[np.ndarray, "s k axes"]) -> Float[np.ndarray, "s k-1 axes"]:
+    """Cosine coefficients of each segment without its mean."""
     centred = segments - segments.mean(axis=1, keepdims=True)
     return np.moveaxis(cosine_transform(np.moveaxis(centred, 1, 0)), 0, 1)
 
 
 def _segment_ramp(edges: Int[np.ndarray, " m+1"]) -> Float[np.ndarray, "k 1"]:
-    """Coefficients in use of a ramp of 1 per sample in a segment."""
+    """Coefficients of a ramp of 1 per sample in a segment, those within these edges."""
     return _whole_segment_ramp()[edges[0] - 1 : edges[-1] - 1, None]
 
 
 @functools.cache
 def _whole_segment_ramp() -> Float[np.ndarray, " k"]:
+    """All coefficients of a ramp of 1 per sample in a segment."""
     return ramp_column(_SEGMENT, 1.0)
 
 
 def _statistics(
     squares: Float[np.ndarray, "m axes"], cross: Float[np.ndarray, "m axes"], gram: Float[np.ndarray, "m 1"]
 ) -> SpectralStatistics:
+    """Statistics stacked by axes."""
     return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram.T, squares.T.shape))
