@@ -33,14 +33,14 @@ def fit_allan(
     active: Bool[np.ndarray, "axes terms"],
     values: Float[np.ndarray, "n axes"] | None = None,
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
-    """Every axis by generalized least squares, and the curve with the degrees of freedom under the fit.
+    """Fit every axis by generalized least squares; the curve gets its degrees of freedom under the fit.
 
     Args:
         curve: the Allan variances.
-        axes: whose they are.
+        axes: its axes.
         template: the model.
         active: the terms that each axis has.
-        values: the record, without which lines and resonances can not be found.
+        values: the record, without which lines and resonances cannot be found.
     """
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
     variance = curve.variance.T
@@ -85,7 +85,7 @@ def solve_and_infer(
     active: Bool[np.ndarray, "axes terms"],
     starts: Starts,
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
-    """The best solution that the starts of each axis lead to, what the data say around it, and its misfit."""
+    """Best solution from the starts of each axis, the inference around it, and its misfit."""
     solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
     # A correlation time has several places to settle: all starts are tried.
     for k in range(1, starts.power.shape[1]):
@@ -104,7 +104,7 @@ def solve_and_infer(
 def _misfits(
     design: AllanDesign, variance: Float[np.ndarray, "axes m"], solution: Solution
 ) -> list[Misfit | None]:
-    """How far each axis's curve is off; None where it suffices."""
+    """Misfit of each axis's curve; None where the model suffices."""
     found: list[Misfit | None] = [None] * len(variance)
     incomplete = np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.discrepancy) > 0.0))
     if len(incomplete):
@@ -127,14 +127,14 @@ def fit_whittle(
     active: Bool[np.ndarray, " terms"],
     regressors: Mapping[str, Float[np.ndarray, " n"]],
 ) -> AxisFit:
-    """One axis by maximum likelihood."""
+    """Fit one axis of a recording by maximum likelihood of its cosine spectrum."""
     axis = recording.axes[k]
     found = fit_axis(template, axis, recording.values[:, k], recording.rate, active, regressors)
     return result_of(found, template, axis, active)
 
 
 def result_of(found: WhittleFit, template: Model, axis: Axis, active: Bool[np.ndarray, " terms"]) -> AxisFit:
-    """What Whittle's likelihood found, as the result of one axis."""
+    """Result of one axis from its fit by Whittle's likelihood."""
     random = np.array([not term.deterministic for term in template.terms])
     dof = round(found.estimates) - estimated(template, active & random)
     result = _axis_fit(axis, template, active, found.coefficients, found.solution, dof)
@@ -143,10 +143,7 @@ def result_of(found: WhittleFit, template: Model, axis: Axis, active: Bool[np.nd
 
 
 def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
-    """The result, and how far its curve is off where the model does not suffice.
-
-    Where that is excessive no coefficient keeps a standard deviation, an interval or a limit.
-    """
+    """Result with its misfit, if any; if that is excessive, coefficients lose intervals and limits."""
     if misfit is None or not result.converged:
         return result
     if not misfit.excessive:
@@ -155,7 +152,7 @@ def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
 
 
 def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
-    """The new solution for these axes, the old one for the others."""
+    """New solution for these axes, old one for the others."""
 
     def of(new: ArrayLike, old: ArrayLike) -> Num[np.ndarray, "axes ..."]:
         return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
@@ -164,7 +161,7 @@ def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> So
 
 
 def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
-    """How many coefficients are estimated, which χ² has fewer degrees of freedom."""
+    """Number of coefficients that are estimated, by which the degrees of freedom of χ² are reduced."""
     return sum(p.free and bool(active[p.term]) for p in reported(template))
 
 
@@ -176,7 +173,7 @@ def _axis_fit(
     solution: Solution,
     dof: int,
 ) -> AxisFit:
-    """What a solution and its coefficients mean for one axis."""
+    """Result of one axis from its solution and coefficients."""
     from scipy.stats import chi2
 
     inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
@@ -197,7 +194,7 @@ def _axis_fit(
 def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
-    """Fits of spectra with what the Allan deviations say of them, and the curve's degrees of freedom."""
+    """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
     place = _parameters(design, results)
     curve = _with_model_edf(curve, design, results, np.asarray(_variances(design, *place)))
@@ -221,7 +218,7 @@ def _with_model_edf(
     results: Sequence[AxisFit],
     variance: Float[np.ndarray, "axes m"],
 ) -> AllanDeviation:
-    """The curve with degrees of freedom 2μ²/Var under the fitted models."""
+    """Curve with degrees of freedom 2μ²/Var under the fitted models."""
     mean = np.asarray(_means(design, *_parameters(design, results)))
     edf = np.array(curve.edf)
     for k, result in enumerate(results):
@@ -233,7 +230,7 @@ def _with_model_edf(
 def _parameters(
     design: AllanDesign, results: Sequence[AxisFit]
 ) -> tuple[Float[np.ndarray, "axes terms"], Float[np.ndarray, "axes shapes"]]:
-    """Powers and transformed shapes of the fitted models; zero where there is none."""
+    """Powers and transformed shapes of the fitted models; zero for axes without a fit."""
     power = np.zeros((len(results), len(design.model)))
     shape = np.zeros((len(results), len(design.shapes)))
     amplitudes = [p for p in design.model.parameters if p.parameter.is_amplitude]
@@ -250,6 +247,7 @@ def _parameters(
 def _means(
     design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
 ) -> Float[Array, "axes m"]:
+    """Expected Allan variances of every axis."""
     return jax.vmap(lambda v, u: v @ design.means(u))(jnp.asarray(power), jnp.asarray(shape))
 
 
@@ -257,6 +255,8 @@ def _means(
 def _variances(
     design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
 ) -> Float[Array, "axes m"]:
+    """Variances of the Allan variance estimates of every axis."""
+
     def of_axis(power: Array, shape: Array) -> Array:
         return design.variances(design.covariance(power, design.products(shape)))
 

@@ -1,4 +1,4 @@
-"""A model of estimates of power: means and covariance as functions of the parameters.
+"""Statistical model of estimates of power: their means and covariance as functions of the parameters.
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
 bilinear. Other free parameters ("shapes") enter by ln(value − lower bound). The estimates are Allan variances
@@ -19,8 +19,8 @@ from allanjax.base.linalg import CholeskyWhitened, whiten
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import NoiseTerm
 
-# Relative to the estimates' own variance: rounding and quadrature errors stay below it, and no direction
-# of the data is trusted more than that. Oscillating terms have a quadrature of higher order, and larger
+# Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
+# no direction of the data is trusted more. Oscillating terms need more quadrature nodes, and have larger
 # errors.
 _RIDGE = 1e-4
 _OSCILLATING_RIDGE = 5e-3
@@ -28,7 +28,7 @@ _OSCILLATING_ORDER = 32
 
 
 class _Constants(eqx.Module):
-    """What no iteration need repeat: parts of the terms whose shape is not free."""
+    """Parts of the terms without a free shape, computed once for all iterations."""
 
     means: tuple[Float[Array, " m"] | None, ...]
     kernels: tuple[Float[Array, "pairs lags"] | None, ...]
@@ -36,22 +36,22 @@ class _Constants(eqx.Module):
 
 
 class Design(eqx.Module):
-    """What the solver and the inference know of the estimates: see the module's docstring."""
+    """Model of the estimates as the solver and the inference see it: see the module's docstring."""
 
     model: eqx.AbstractVar[Model]
 
     @property
     def shapes(self) -> tuple[ModelParameter, ...]:
-        """The free parameters that are not amplitudes."""
+        """Free parameters that are not amplitudes."""
         return free_shapes(self.model)
 
     @property
     def movable(self) -> Bool[np.ndarray, " shapes"]:
-        """Which shapes are estimated from these estimates: frequencies of lines are known from the record."""
+        """Which shapes are fitted to these estimates: frequencies of lines are known from the record."""
         return np.array([not self.model.terms[p.term].deterministic for p in self.shapes], bool)
 
     def units(self, shape: Float[Array, " shapes"]) -> list[NoiseTerm]:
-        """The terms with unit amplitude at these shapes."""
+        """Terms of unit amplitude with these shapes."""
         terms = [t.with_unit_amplitude() for t in self.model.terms]
         for p, u in zip(self.shapes, shape, strict=True):
             value = p.parameter.lower + jnp.exp(u)
@@ -60,23 +60,23 @@ class Design(eqx.Module):
 
     @abc.abstractmethod
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        """Expectation of the estimates for each term with unit amplitude."""
+        """Expectation of the estimates for each term of unit amplitude."""
 
     @abc.abstractmethod
     def products(self, shape: Float[Array, " shapes"]) -> Array:
-        """What the covariance needs of the terms at these shapes."""
+        """Part of the covariance that depends on the shapes alone."""
 
     @abc.abstractmethod
     def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
-        """Covariance of the estimates where each term has this power: a matrix, or variances alone."""
+        """Covariance of the estimates for these powers of the terms: a matrix, or variances alone."""
 
     @abc.abstractmethod
     def variances(self, covariance: Array) -> Float[Array, " m"]:
-        """The variances in a covariance."""
+        """Variances of the estimates, from their covariance."""
 
     @abc.abstractmethod
     def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
-        """Residuals of estimates over their means, with zero mean and this variance, for χ²."""
+        """Residuals for χ² of the ratios of estimates to their means, with zero mean and this variance."""
 
     @abc.abstractmethod
     def whiten(
@@ -86,7 +86,7 @@ class Design(eqx.Module):
         discrepancy: Float[Array, ""],
         X: Float[Array, "m k"],
     ) -> CholeskyWhitened:
-        """L⁻¹X, LL' the covariance of the relative residuals with a relative model error `discrepancy`."""
+        """Whitened columns X for relative residuals with a relative error `discrepancy` of the model."""
 
     @abc.abstractmethod
     def cost(
@@ -107,11 +107,11 @@ class Design(eqx.Module):
     @property
     @abc.abstractmethod
     def count(self) -> Float[Array, ""]:
-        """How many estimates there are."""
+        """Number of estimates."""
 
 
 class AllanDesign(Design):
-    """Allan variances at the cluster sizes of `geometry`."""
+    """Model of the Allan variances at the cluster sizes of `geometry`."""
 
     model: Model = eqx.field(static=True)
     geometry: AllanCovariance
@@ -128,9 +128,9 @@ class AllanDesign(Design):
         sizes: Int[np.ndarray, " m"],
         strides: Int[np.ndarray, " m"] | None = None,
     ) -> AllanDesign:
-        """The design of a model for Allan variances at these cluster sizes of n samples.
+        """Design of a noise model for Allan variances at these cluster sizes of n samples.
 
-        `strides`: samples from one start of a cluster to the next, see `AllanCovariance.of`.
+        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`.
         """
         model = model.sampled(rate)
         oscillates = any(term.oscillates for term in model.terms)
@@ -141,7 +141,7 @@ class AllanDesign(Design):
         return cls(model, geometry, np.exp(-distance), ridge, _constants(model, geometry))
 
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        """Allan variance of each term with unit amplitude."""
+        """Allan variance of each term of unit amplitude."""
         T = self.geometry.cluster_time
         pairs = zip(self.units(shape), self.constants.means, strict=True)
         return jnp.stack([t.allan_variance(T) if b is None else b for t, b in pairs])
@@ -158,14 +158,14 @@ class AllanDesign(Design):
     def covariance(
         self, power: Float[Array, " terms"], products: Float[Array, "pairs terms terms"]
     ) -> Float[Array, "m m"]:
-        """Covariance of the estimates where each term has this power."""
+        """Covariance of the estimates for these powers of the terms."""
         return self.geometry.symmetric(jnp.einsum("pkj,k,j->p", products, power, power))
 
     def variances(self, covariance: Array) -> Float[Array, " m"]:
         return jnp.diag(covariance)
 
     def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
-        """Plain ones: neighbours correlate so much that what makes each normal would not make all."""
+        """Relative residuals as they are: normal scores of each would not be jointly normal."""
         return ratio - 1.0
 
     def whiten(
@@ -175,7 +175,7 @@ class AllanDesign(Design):
         discrepancy: Float[Array, ""],
         X: Float[Array, "m k"],
     ) -> CholeskyWhitened:
-        """The model error is correlated over about an octave."""
+        """Whitened columns, with a model error that is correlated over about an octave."""
         relative = covariance / (mean[:, None] * mean)
         relative += self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
         return whiten(relative, X)
@@ -188,12 +188,12 @@ class AllanDesign(Design):
         discrepancy: Float[Array, ""],
         misfit: Float[Array, ""],
     ) -> Float[Array, ""]:
-        """Of a normal law."""
+        """Minus twice the log-likelihood of a normal law."""
         return misfit + 2.0 * jnp.sum(jnp.log(mean))
 
     @property
     def weight(self) -> Float[Array, " m"]:
-        """As the number of clusters."""
+        """Weight proportional to the number of clusters."""
         return 1.0 / self.geometry.cluster_time
 
     @property
@@ -202,13 +202,14 @@ class AllanDesign(Design):
 
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
-    """The free parameters of a model that are not amplitudes."""
+    """Free parameters of a model that are not amplitudes."""
     return tuple(p for p in model.parameters if p.free and not p.parameter.is_amplitude)
 
 
 def _products(
     terms: list[NoiseTerm], geometry: AllanCovariance, kernels: list[Float[Array, "pairs lags"]]
 ) -> Float[Array, "pairs terms terms"]:
+    """Covariance of the estimates as a bilinear form in the powers, from the kernels of the terms."""
     # A line or a ramp is the same in every record: its own square does not scatter. That of a narrow-band
     # term does, but its kernel oscillates too fast for the quadrature.
     own_scatter = np.array([not (t.deterministic or t.narrow_band) for t in terms])
@@ -236,6 +237,7 @@ def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Ar
 
 @eqx.filter_jit
 def _constants(model: Model, geometry: AllanCovariance) -> _Constants:
+    """Means, kernels and products of the terms without a free shape."""
     with_shape = {p.term for p in free_shapes(model)}
     units = [t.with_unit_amplitude() for t in model.terms]
     steady = [k not in with_shape for k in range(len(units))]

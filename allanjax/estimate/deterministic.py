@@ -1,9 +1,8 @@
-"""Deterministic parts of a record in the cosine spectrum: ramps and steps, lines of unknown phase, known
-regressors.
+"""Deterministic parts of a record in its cosine spectrum: ramps, steps, lines of unknown phase, regressors.
 
-Given the noise, each enters linearly: least squares with the noise's levels as weights estimates it, and
-taking it out costs degrees of freedom where it has its power (its leverage), which the levels that are
-left account for. So the noise is estimated from what no choice of these parts could have changed.
+Given the noise, each enters linearly: weighted least squares estimate it, and projecting it out costs degrees
+of freedom where it has its power (its leverage), for which the remaining levels are corrected. So the noise
+is estimated from residuals that no amplitude of these parts could have changed.
 """
 
 from __future__ import annotations
@@ -20,16 +19,21 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
 from allanjax.spectrum.cosine import Bins, CosineBins, cosine_transform
 
-# A line is fitted to so many coefficients on both sides of it; beyond, its best fit is subtracted.
+# A line is fitted to so many coefficients on either side of it; beyond, its best fit is subtracted.
 LINE_REACH = 64
+# Grid points a coefficient in the search for a line's frequency.
 _GRID = 4
-# A searched line is sought within so many coefficients of the most conspicuous places.
+# A line is searched within so many coefficients of a conspicuous place.
 _SEARCH = 4.0
+# Coefficients that hold nine tenths of the power of a line of any phase.
 _CORE = 5
+# Conspicuous places that are tried.
 _CANDIDATES = 8
+# Coefficients on either side of a line whose mean square is the noise there.
 _LEVEL_REACH = 512
-_MEDIAN = 0.4549  # of χ² with one degree of freedom
-_OUTLYING = 16.0  # beyond which it is once in 16 000
+# Median of χ² with one degree of freedom, and a value that it exceeds once in 16 000.
+_MEDIAN = 0.4549
+_OUTLYING = 16.0
 
 
 def needs_record(term: NoiseTerm) -> bool:
@@ -40,14 +44,14 @@ def needs_record(term: NoiseTerm) -> bool:
 def line_columns(
     frequency: ArrayLike, j: Int[np.ndarray, " k"], n: int, rate: float, numpy: Any = np
 ) -> Float[Array, "k 2"]:
-    """Coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series.
+    """Cosine coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series.
 
-    `numpy` is NumPy or jax.numpy, whichever is to compute them.
+    `numpy` is the module to compute with: NumPy or jax.numpy.
     """
     w, a = 2.0 * np.pi * frequency / rate, np.pi * j / n
 
     def sums(x: Any) -> tuple[Any, Any]:
-        """Σ_k cos and Σ_k sin of x(k + ½), k = 0 … n−1."""
+        """Sums over k = 0 … n−1 of cos and sin of x(k + ½)."""
         regular = abs(numpy.sin(x / 2.0)) > 1e-13
         x = numpy.where(regular, x, 1.0)
         cosines = numpy.sin(n * x) / (2.0 * numpy.sin(x / 2.0))
@@ -60,14 +64,15 @@ def line_columns(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Line:
-    """A line found in a record.
+    """Spectral line found in a record.
 
     Attributes:
-        frequency: its frequency [Hz]; `frequency_std` its standard deviation, 0 if it was given.
-        gain: log-likelihood gained by it.
-        amplitude, amplitude_std: of the samples [rate], by least squares, and its standard deviation.
-        first: index of the first coefficient of its neighbourhood.
-        coefficients: the record's coefficients there, the line included, other lines taken out.
+        frequency: frequency [Hz]; `frequency_std` is its standard deviation, 0 if it was given.
+        gain: log-likelihood gained by the line [nats].
+        amplitude, amplitude_std: amplitude in the samples [rate] by least squares, and its standard
+            deviation.
+        first: index of the first cosine coefficient of its neighbourhood.
+        coefficients: the record's coefficients there, this line included, other lines subtracted.
     """
 
     frequency: float
@@ -80,12 +85,12 @@ class Line:
 
     @property
     def indices(self) -> Int[np.ndarray, " k"]:
-        """Indices of the coefficients."""
+        """Indices of these coefficients."""
         return self.first + np.arange(len(self.coefficients))
 
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
-    """Indices of a model's lines (deterministic terms with a line's frequency), and what to look for."""
+    """Indices of a model's lines, and the start of each one's frequency (or None) and whether it is held."""
     lines: list[int] = []
     wanted: list[tuple[float | None, bool]] = []
     for k, term in enumerate(model.terms):
@@ -99,7 +104,7 @@ def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
 def take_out_lines(
     x: Float[np.ndarray, " n"], rate: float, wanted: Sequence[tuple[float | None, bool]]
 ) -> tuple[Float[np.ndarray, " n-1"], tuple[Line, ...]]:
-    """Find lines, strongest first, and take them out of a record's coefficients.
+    """Find lines, the strongest first, and subtract them from a record's cosine coefficients.
 
     Args:
         x: the samples.
@@ -107,7 +112,7 @@ def take_out_lines(
         wanted: for each line a frequency to start from, or None, and whether it is held there.
 
     Returns:
-        The coefficients, and the lines in the order wanted. Near a line the coefficients still have it.
+        The coefficients, and the lines in the order wanted. Near a line the coefficients still contain it.
     """
     n = len(x)
     rest = np.array(x, float)
@@ -144,15 +149,15 @@ def take_out_lines(
 def _wave(
     angle: Float[np.ndarray, " n"] | None, frequency: float, beta: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " n"]:
+    """Line in time, β0·cos + β1·sin of 2πf·t, given 2πt."""
     phase = np.asarray(angle) * frequency
     return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
 
 
 def _conspicuous(c: Float[np.ndarray, " n-1"], n: int, rate: float) -> list[float]:
-    """Frequencies where a few neighbouring coefficients have most power, compared with what is around."""
+    """Frequencies where a few neighbouring coefficients have most power relative to their surroundings."""
     from scipy.ndimage import median_filter, uniform_filter1d
 
-    # A line of any phase has nine tenths of its power in so many coefficients.
     power = uniform_filter1d(c**2, _CORE, mode="nearest")
     level = median_filter(power[::_CORE], min(2 * (len(power) // (4 * _CORE)) + 1, 201), mode="nearest")
     ratio = power / np.maximum(np.repeat(level, _CORE)[: len(power)], 1e-300)
@@ -168,7 +173,7 @@ def _conspicuous(c: Float[np.ndarray, " n-1"], n: int, rate: float) -> list[floa
 def _refined(
     c: Float[np.ndarray, " n-1"], start: float, reach: float, n: int, rate: float
 ) -> tuple[Line, Float[np.ndarray, " 2"]]:
-    """The best line within `reach` coefficients of a frequency, and its two amplitudes."""
+    """Best line within `reach` coefficients of a frequency, and its cosine and sine amplitudes."""
     from scipy.optimize import minimize_scalar
 
     spacing = rate / (2.0 * n)
@@ -208,13 +213,13 @@ def _refined(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Projection:
-    """Levels of the noise with deterministic parts taken out, and these parts' amplitudes.
+    """Levels of the noise after the projection of deterministic parts, and the amplitudes of these.
 
     Attributes:
         level: mean square of the coefficients [rate²] in each bin, per degree of freedom.
         dof: degrees of freedom in each bin.
-        amplitude: of each column, by weighted least squares; zero for those not in use.
-        covariance: of these amplitudes.
+        amplitude: amplitude of each column by weighted least squares; zero for columns not in use.
+        covariance: covariance of these amplitudes.
     """
 
     level: Float[np.ndarray, " m"]
@@ -225,15 +230,15 @@ class Projection:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AxisSpectrum(ByValue):
-    """Sufficient statistics of one axis: sums over bins of products of coefficients.
+    """Sufficient statistics of one axis: sums over bins of products of cosine coefficients.
 
     Attributes:
-        bins: where they are.
-        squares: of the record's coefficients with themselves.
-        overlap: what `squares` have of two lines at once.
-        cross: with those of the deterministic columns.
-        gram: of the columns among themselves.
-        owners: what each column is: a regressor's name, or the index of its term.
+        bins: the bins.
+        squares: sums of the record's squared coefficients.
+        overlap: part of `squares` that is due to products of two lines.
+        cross: sums of products of the record's coefficients with those of the deterministic columns.
+        gram: sums of products of the columns' coefficients with each other.
+        owners: a regressor's name, or the index of a term, for each column.
         lines: the lines, by the index of their term.
     """
 
@@ -253,7 +258,7 @@ class AxisSpectrum(ByValue):
         columns: Sequence[tuple[str | int, Float[np.ndarray, " n-1"]]],
         lines: dict[int, Line],
     ) -> AxisSpectrum:
-        """Sums for coefficients c, columns that reach everywhere, and lines, which do not."""
+        """Statistics of coefficients c with columns over the whole spectrum and lines, which are local."""
         everywhere = list(columns)
         present, apart = np.zeros(bins.n - 1), np.zeros(bins.n - 1)
         for term, line in lines.items():
@@ -278,11 +283,11 @@ class AxisSpectrum(ByValue):
         return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
 
     def used(self, absent: Sequence[int] = ()) -> np.ndarray:
-        """Which columns are in use where the terms `absent` are not in the model."""
+        """Which columns are in use if the model lacks the terms `absent`."""
         return np.array([owner not in absent for owner in self.owners], bool)
 
     def project(self, variance: Float[np.ndarray, " m"], used: np.ndarray) -> Projection:
-        """Take the columns in use out, the noise having this variance in each bin."""
+        """Project out the columns in use, given the variance of the noise in each bin."""
         q = len(self.owners)
         amplitude, covariance = np.zeros(q), np.zeros((q, q))
         rss, dof = self.squares.copy(), self.bins.size.astype(float)
@@ -302,12 +307,12 @@ class AxisSpectrum(ByValue):
 
 
 def amplitude_quantile(square: float, degrees: int, probability: float) -> float:
-    """The amplitude, in standard deviations, for which a square as small as this one has that probability.
+    """Amplitude, in standard deviations, for which a square as small as this one has that probability.
 
-    The estimate of an amplitude of `degrees` components (a ramp has one, a line two) in units of its standard
-    deviation has a square with a noncentral χ² law. A confidence limit follows for any amplitude, zero
-    included. Upper limits (a probability below one half) never use a square below the median of pure noise:
-    data that have less than noise would have say nothing about an amplitude.
+    The square of an estimate with `degrees` components (a ramp has one, a line two), in units of its
+    variance, has a noncentral χ² law. A confidence limit follows for any amplitude, zero included. Upper
+    limits (a probability below one half) never use a square below the median of pure noise: data with less
+    power than noise say nothing about an amplitude.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2, ncx2, norm

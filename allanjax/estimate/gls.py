@@ -26,32 +26,44 @@ from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.linalg import non_negative_least_squares
 from allanjax.estimate.design import Design
 
-# How far shapes may move from their start, in ln: the spectrum knows better than the Allan curve where
-# a line is; other starts are two to a decade or denser.
+# Bound of a shape's distance from its start, in ln: the spectrum locates a line better than the Allan curve
+# does; the starts of other shapes are two to a decade or denser.
 _SHAPE_BOUND = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Upper bounds are open: shapes keep away from them by so much in ln.
+# Margin kept from a shape's upper bound, which is open, in ln.
 _INSIDE = 1e-2
+# Largest number of reweightings, and of steps of the shapes within each.
 _OUTER_STEPS = 100
 _INNER_STEPS = 50
-# Acceleration multiplies the last move by at most as much.
+# Largest factor by which the acceleration extrapolates the last move.
 _MAX_EXTRAPOLATION = 5.0
-# Steps taken in full, before they are cut short; shapes then move by so much in ln, each time less.
+# Number of full steps; from then on shapes move by at most _LATE in ln, times _SHORTER after each step.
 _DAMPING_AFTER_STEP = 25
 _LATE, _SHORTER = 0.5, 0.92
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
-# Where a direction is hardly determined, as that of a long correlation time, steps stay longer than that;
-# so much of a standard deviation is good enough in the end.
+# The same after the last step: where a direction is poorly determined, as that of a long correlation time,
+# steps stay longer, and so much of a standard deviation is good enough.
 _CLOSE = 0.05
-# An iteration warms up with large discrepancies: nearly a log-log fit, which finds its way from anywhere;
-# then runs without, and, if that leaves too large a χ², with the discrepancy that the data call for.
+# Phases of the iteration: first with large discrepancies, nearly a log-log fit, which converges from
+# anywhere; then without; then, if χ² is too large, with the discrepancy that makes it equal its degrees of
+# freedom.
 _WARM_UP, _PLAIN, _DISCREPANT, _DONE = range(4)
 _FIRST_DISCREPANCY = 0.1
 _WARM_UP_DISCREPANCY = np.array([0.5, 0.2, 0.05, 0.0])
 
 
 class Solution(NamedTuple):
-    """The estimate of one axis: powers [terms], transformed shapes, and how it was reached."""
+    """Estimate of one axis.
+
+    Attributes:
+        power: powers (squared amplitudes) of the terms.
+        shape: transformed shapes, ln(value − lower bound).
+        chi2: χ² without a discrepancy.
+        discrepancy: relative error of the model's variances that the misfit calls for; 0 if the model
+            suffices.
+        converged: whether the iteration converged.
+        cost: minus twice the log-likelihood, to choose among solutions.
+    """
 
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
@@ -62,6 +74,8 @@ class Solution(NamedTuple):
 
 
 class _State(NamedTuple):
+    """State of the iteration: the current estimate, the last one, and the phase."""
+
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
     mean: Float[Array, " m"]
@@ -85,7 +99,7 @@ def _solve(
     power: Float[Array, " terms"],
     shape: Float[Array, " shapes"],
 ) -> Solution:
-    """The estimate from a start. Inactive terms have no power; those not free keep theirs."""
+    """Estimate of one axis from one start; inactive terms have zero power, held ones keep theirs."""
     owner = jnp.asarray([p.term for p in design.shapes], int)
     power = jnp.where(active, power, 0.0)
     start = shape
@@ -97,7 +111,7 @@ def _solve(
     limit = beyond_doubt(dof)
 
     def within(u: Array) -> Array:
-        """Shapes that the data can know of: lines where they were found, times inside the record's span."""
+        """Shapes clipped to their bounds; those that are not fitted stay at their start."""
         return jnp.where(moves, jnp.clip(u, start - reach, jnp.minimum(start + reach, end)), start)
 
     # Where no shape moves, what depends on shapes alone is computed once.
@@ -127,7 +141,7 @@ def _solve(
         return v, target - A @ jnp.where(free, v, 0.0)
 
     def improve(state: _State) -> tuple[Array, Array, Array, tuple[Array, Array]]:
-        """One generalized least squares fit, and how far it moved the curve, in standard deviations."""
+        """One generalized least squares fit, and by how many standard deviations it moved the curve."""
         reference, covariance = state.mean, state.covariance
         W = design.whiten(covariance, reference, state.discrepancy, jnp.eye(len(V))).values
         shape = state.shape
@@ -252,10 +266,10 @@ def solve(
     power: Float[ArrayLike, "axes terms"],
     shape: Float[ArrayLike, "axes shapes"],
 ) -> Solution:
-    """The estimate of every axis from its start.
+    """Estimate of every axis from its start.
 
     Args:
-        design: the model, and what is known of the estimates.
+        design: the model of the estimates.
         V: the estimates of power, such as Allan variances [rate²].
         free: the terms whose power is estimated.
         active: the terms in use, for each axis.

@@ -1,4 +1,4 @@
-"""Fits from the JSON files that allanjax wrote; `fit.schema.json` says what is in them."""
+"""Loading of fits from JSON files that allanjax wrote; `fit.schema.json` describes these."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from allanjax.record.recording import Axis, DeadAxis
 
 
 def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:
-    """The fit of a JSON file, with its curve: it prints, plots and gives its numbers as the one written did.
+    """Load a fit with its curve from a JSON file: it prints and plots as the one that was written.
 
-    Of Whittle's likelihood the spectrum is not in the file, so that such a fit cannot be sampled.
+    The spectrum of a fit by Whittle's likelihood is not in the file, so that such a fit cannot be sampled.
 
     Args:
         path: what `write_json` or `allanjax characterize` wrote; the output of `allanjax characterize --json`
             or of `allanjax fleet` (`recordings/NAME.json`).
-        terms: classes of noise terms of one's own that the model has.
+        terms: classes of user-defined noise terms in the model.
 
     Returns:
         The fit; for the output of `--json`, which may hold several, fits by their files.
@@ -60,6 +60,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
 
 
 def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Fit:
+    """Fit from its JSON document."""
     if "baseline" in document or "schema_version" not in document or "axes" not in document:
         raise AllanjaxError("not a fit that allanjax wrote; such a file comes from allanjax characterize")
     if document["schema_version"] != SCHEMA_VERSION:
@@ -91,6 +92,7 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
 
 
 def _term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> NoiseTerm:
+    """Noise term of the fitted model."""
     if term["term"] not in classes:
         raise AllanjaxError(
             f"its term {term['term']!r} is none of allanjax's: give its class, load(path, terms=[…])"
@@ -102,6 +104,7 @@ def _term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> No
 
 
 def _curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:
+    """Allan deviations of the living axes."""
     curve = document["curve"]
     return AllanDeviation(
         cluster_time=np.array(curve["cluster_time_s"], float),
@@ -123,6 +126,7 @@ def _axis(a: Mapping[str, Any]) -> Axis:
 
 
 def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
+    """Result of one axis."""
     parameters = {p.label: p for p in template.parameters}
     coefficients = {}
     for c in a["coefficients"]:
@@ -170,6 +174,7 @@ def _misfit(m: Mapping[str, Any]) -> Misfit:
 
 
 def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> TermSelection | None:
+    """Ranking of the term sets, if the fit chose among them."""
     if any(a["selection"] is None for a in documents):
         return None
 
@@ -187,7 +192,7 @@ def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> T
 
 
 def _number(x: float | None) -> float:
-    """A number, or NaN for what JSON has null for."""
+    """Number from JSON, NaN for null."""
     return math.nan if x is None else float(x)
 
 
@@ -196,6 +201,6 @@ def _numbers(values: Sequence[float | None]) -> Float[np.ndarray, " m"]:
 
 
 def _interval(ends: Sequence[float | None]) -> tuple[float, float]:
-    """The ends of an interval; one that has no upper end goes on for ever."""
+    """Ends of an interval from JSON; without an upper one it extends to infinity."""
     lower, upper = ends
     return _number(lower), math.inf if upper is None and lower is not None else _number(upper)

@@ -1,4 +1,4 @@
-"""Which noise terms do the data call for? Every set of terms, ranked by its evidence."""
+"""Selection of noise terms: every subset of the candidates, ranked by its evidence."""
 
 from __future__ import annotations
 
@@ -36,27 +36,28 @@ from allanjax.spectrum.cosine import (
 if TYPE_CHECKING:
     import pandas as pd
 
+# Headings of the columns of numbers in the printed table.
 _NUMBERS = ("probability", "nats behind")
-# Sets whose odds against the best are shorter than this cannot be told from it (Kass & Raftery 1995: "strong"
-# evidence begins at 20).
+# Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: "strong" evidence
+# begins at 20).
 _ODDS = 20.0
-# A fit takes the simplest of the sets that the best one beats by less than this.
+# A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
 _PARSIMONY = 5.0
-# A further term that is improbable is no ambiguity worth a word: any might be there, unseen.
+# Probability below which a further term is not mentioned as an ambiguity: any might be there, unseen.
 _WORTH_SAYING = 0.1
-# How often the sets are weighed anew with the discrepancy of the best one.
+# Number of times that the evidence is computed anew with the discrepancy of the best set.
 _ROUNDS = 2
 
 
 @dataclasses.dataclass(frozen=True)
 class TermSet:
-    """A set of noise terms.
+    """Set of noise terms with its evidence.
 
     Attributes:
-        terms: their names.
-        parameters: how many parameters they have.
-        log_evidence: logarithm of the probability of the data under it [nats], up to a constant.
-        probability: of the set, all sets being equally probable beforehand.
+        terms: names of the terms.
+        parameters: number of their free parameters.
+        log_evidence: logarithm of the marginal likelihood of the set [nats], up to a common constant.
+        probability: posterior probability of the set, with equal prior probabilities of all sets.
     """
 
     terms: tuple[str, ...]
@@ -73,12 +74,13 @@ class TermSet:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AxisSelection(ByValue):
-    """The ranking of one axis.
+    """Ranking of the sets of noise terms for one axis.
 
     Attributes:
-        axis: whose it is.
+        axis: the axis.
         ranking: all sets, the most probable first.
-        discrepancy: relative error of the best set's spectrum that its misfit calls for; 0 if it suffices.
+        discrepancy: relative error of the best set's root spectrum that its misfit calls for; 0 if it
+            suffices.
     """
 
     axis: Axis
@@ -87,31 +89,31 @@ class AxisSelection(ByValue):
 
     @property
     def best(self) -> TermSet:
-        """The most probable set."""
+        """Most probable set."""
         return self.ranking[0]
 
     @property
     def indistinguishable(self) -> tuple[TermSet, ...]:
-        """The best set, and those that the data do not tell from it: odds shorter than 20 to 1."""
+        """Best set, and those that the data do not tell from it: Bayes factors below 20."""
         return tuple(s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_ODDS))
 
     @property
     def chosen(self) -> TermSet:
-        """The set with the fewest parameters that is at most so much less probable than the best.
+        """Set with the fewest parameters among those that are at most five times less probable than the best.
 
-        Of two explanations that the data hardly tell apart, the one that claims less.
+        Of two explanations that the data hardly tell apart, it is the one that claims less.
         """
         close = [s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_PARSIMONY)]
         return min(close, key=lambda s: (s.parameters, -s.log_evidence))
 
     @property
     def inclusion(self) -> dict[str, float]:
-        """Probability that each term is there: the sum over the sets that have it."""
+        """Posterior probability of each term: the sum over the sets that have it."""
         names = max((s.terms for s in self.ranking), key=len)
         return {name: sum(s.probability for s in self.ranking if name in s.terms) for name in names}
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a set; its log-evidence is that less the best's [nats]."""
+        """Table with one row a set; log-evidences are relative to the best set's [nats]."""
         import pandas as pd
 
         return pd.DataFrame(
@@ -135,7 +137,7 @@ class AxisSelection(ByValue):
         )
 
     def ambiguities(self) -> tuple[str, ...]:
-        """What the data leave open next to the chosen set, a phrase each, the most probable first."""
+        """Phrases about what the data leave open beside the chosen set, the most probable first."""
         found = []
         for other in self.indistinguishable:
             extra = tuple(t.replace("_", " ") for t in other.terms if t not in self.chosen.terms)
@@ -153,11 +155,11 @@ class AxisSelection(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class TermSelection(ByValue, PerAxis[AxisSelection]):
-    """The ranking of sets of noise terms, for every axis of a recording.
+    """Ranking of sets of noise terms, for every axis of a recording.
 
     Attributes:
-        name: the recording's name.
-        results: one ranking an axis.
+        name: name of the recording.
+        results: rankings of the axes.
     """
 
     CALLED: ClassVar[str] = "the selection"
@@ -193,25 +195,25 @@ def select_terms(
 ) -> TermSelection:
     """Rank every set of noise terms by its evidence, for every axis of a recording.
 
-    The evidence (marginal likelihood) is that of Whittle's likelihood, integrated over the coefficients by
-    Laplace's method with the boundary at zero done by quadrature (see `evidence`): unlike BIC it needs no
-    "number of samples" to say how sharply a coefficient is known, of which a rate random walk has ten and
-    an angle random walk has all; unlike held-out likelihood it uses a drift's few low frequencies in full.
-    All sets are equally probable beforehand.
+    The evidence (marginal likelihood) is Whittle's likelihood integrated over the coefficients by Laplace's
+    method, with the boundary at zero by quadrature (see `evidence`). Unlike BIC it needs no "number of
+    samples" to say how sharply a coefficient is known, which is ten for a rate random walk and all for an
+    angle random walk; unlike held-out likelihood it uses a drift's few low frequencies in full. All sets have
+    the same prior probability.
 
-    Where no set follows the spectrum within its scatter (p < 10⁻⁶), all are given a relative error that
-    makes the best one fit, and differ by less; sets with a free time are left out then: it would go wherever
-    it mends most of what has another cause.
+    Where no set follows the spectrum within its scatter (p < 10⁻⁶), all are given a relative error that makes
+    the best one fit, which lowers all Bayes factors; sets with a free time are left out then: it would fit
+    whatever else the model lacks.
 
     Args:
         recording: what `read` returns, or what else `fit` takes.
         candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
             Markov process.
-        rate, gyro_unit, accel_unit, names: of an array, see `fit`.
+        rate, gyro_unit, accel_unit, names: for an array, see `fit`.
 
     Raises:
-        AllanjaxError: a candidate that cannot be compared: lines, resonances and steps, a free shape
-            that is no time, more than one term with a free time, more than six terms.
+        AllanjaxError: candidates that cannot be compared: lines, resonances and steps, a free shape that is
+            no time, more than one term with a free time, more than six terms.
         FitError: a record of fewer than 64 samples.
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
@@ -232,14 +234,14 @@ def select_terms(
 
 
 def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
-    """The terms to choose from, as sampled at `rate` [Hz]: those given, or the default ones."""
+    """Candidate terms as sampled at `rate` [Hz]: those given, or the basic ones and a Markov process."""
     return (basic_terms() + Markov() if candidates is None else as_model(candidates)).sampled(rate)
 
 
 def rank_terms(
     model: Model, bins: Bins, statistics: SpectralStatistics, axes: Sequence[Axis], name: str
 ) -> TermSelection:
-    """As `select_terms`, from the statistics [axes, m] of a spectrum instead of a recording.
+    """Rank every set of noise terms by its evidence, from the statistics [axes, m] of a spectrum.
 
     The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
     """
@@ -253,7 +255,7 @@ def rank_terms(
     grid = columns[cut:] if shaped else np.ones((1, len(size)))
 
     def run(share: Float[np.ndarray, "axes m"], last: int) -> Evidence:
-        """The evidence of the sets up to this one."""
+        """Evidence of the first subsets, up to this one."""
         return evidences(
             TermSubset(*(x[:last] for x in subsets)), statistics, columns[:cut], grid, size, share
         )
@@ -293,7 +295,7 @@ def _discrepancy(
     size: Float[np.ndarray, " m"],
     per_octave: Float[np.ndarray, " m"],
 ) -> float:
-    """Relative error of an axis's spectrum that brings χ² down to its degrees of freedom, or 0."""
+    """Relative error of an axis's spectrum with which χ² equals its degrees of freedom; 0 if it fits."""
     from scipy.optimize import brentq
 
     rss, dof = (
@@ -313,7 +315,7 @@ def _discrepancy(
 
 
 def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Indices of random terms without a free shape, of the one with a free time, and of ramps."""
+    """Indices of the random terms without a free shape, of that with a free time, and of the ramp."""
     fixed: list[int] = []
     shaped: list[int] = []
     ramps: list[int] = []
@@ -340,7 +342,7 @@ def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
 def _columns(
     model: Model, fixed: list[int], shaped: list[int], bins: Bins
 ) -> tuple[Float[np.ndarray, "columns m"], Float[np.ndarray, " grid"]]:
-    """Unit expectations of the fixed terms, then of the shaped one over its grid; and the grid."""
+    """Unit expectations of the terms without a free shape, then of the other over its grid; and the grid."""
     times = correlation_times(float(bins.n / bins.rate), bins.rate)
     terms = tuple(model.terms[k].with_unit_amplitude() for k in fixed)
     with_time = model.terms[shaped[0]].with_unit_amplitude() if shaped else None
@@ -351,6 +353,7 @@ def _columns(
 def _expectations(
     terms: tuple[NoiseTerm, ...], with_time: NoiseTerm | None, bins: Bins, times: Float[ArrayLike, " grid"]
 ) -> Float[Array, "columns m"]:
+    """Expectations of the terms, and of the one with a free time at each time, compiled."""
     rows = [bins.expected(term) for term in terms]
     if with_time is not None:
         name = next(p.name for p in with_time.parameters()[1:] if with_time.is_free(p))
@@ -367,6 +370,7 @@ def _ranked(
     log_evidence: Float[np.ndarray, " subsets"],
     discrepancy: float,
 ) -> AxisSelection:
+    """Ranking of the sets of terms of one axis from the evidence of all subsets."""
     labels = model.term_labels
     fixed, shaped, ramps = sorts
     places = fixed + (shaped or [-1])

@@ -16,11 +16,10 @@ from allanjax.spectrum.cosine import Bins
 
 
 class SpectralDesign(Design):
-    """Levels of the cosine spectrum, χ² with `dof` degrees of freedom around their expectations.
+    """Model of levels of the cosine spectrum, χ² with `dof` degrees of freedom around their expectations.
 
     Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are no
-    part of `model`. A relative model error is correlated over about an octave, as the sum over the bins of an
-    octave would see it.
+    part of `model`. A relative error of the model is taken to be common to the bins of an octave.
     """
 
     model: Model = eqx.field(static=True)
@@ -31,7 +30,7 @@ class SpectralDesign(Design):
 
     @classmethod
     def of(cls, model: Model, bins: Bins, dof: Float[np.ndarray, " m"]) -> SpectralDesign:
-        """The design of a model of random terms only."""
+        """Design of a noise model of random terms only."""
         model = model.sampled(bins.rate)
         return cls(model, bins, dof, bins_per_octave(bins), _constants(model, bins))
 
@@ -71,7 +70,7 @@ class SpectralDesign(Design):
         discrepancy: Float[Array, ""],
         misfit: Float[Array, ""],
     ) -> Float[Array, ""]:
-        """Of χ² laws, exactly."""
+        """Minus twice the exact log-likelihood of χ² laws."""
         known = jnp.asarray(self.dof) > 0.0
         shape = 1.0 / jnp.where(known, covariance / mean**2 + discrepancy**2 * self.per_octave, 1.0)
         log_density = shape * (jnp.log(shape * V / mean) - V / mean) - gammaln(shape) - jnp.log(V)
@@ -96,7 +95,7 @@ def _constants(model: Model, bins: Bins) -> tuple[Float[Array, " m"] | None, ...
 
 
 def bins_per_octave(bins: Bins) -> Float[np.ndarray, " m"]:
-    """How many bins lie in the octave around each."""
+    """Number of bins in the octave around each bin."""
     f = bins.frequency
     inside = abs(np.log2(f[:, None] / f)) <= 0.5
     return (inside & (bins.size > 0)).sum(axis=1).astype(float)

@@ -1,4 +1,4 @@
-"""Where a fit starts: rough powers for any shape, a few shapes worth trying, and lines in the spectrum."""
+"""Start values of a fit: rough powers for any shape, a few shapes to try, and lines in the spectrum."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from allanjax.estimate.design import Design
 from allanjax.noise.model import ModelParameter
 
-# Shapes looked at roughly, and those from which a fit may start.
+# Shapes that are evaluated roughly, those from which a fit may start, and frequencies that are tried for
+# lines.
 _CANDIDATES = 512
 _STARTS = 4
 _PEAKS = 4
-# Starts that differ by less than that in ln lead to the same place.
+# Starts that differ by less than this in ln lead to the same solution; 1 for kinds of shapes not listed.
 _APART = {"line": 0.02}
 
 
@@ -54,7 +55,7 @@ def best_starts(
     active: Bool[np.ndarray, "axes terms"],
     shape: Float[np.ndarray, "axes candidates shapes"],
 ) -> Starts:
-    """The best few of these shapes for every axis, best first, and the powers that go with them.
+    """Start values for every axis from candidate shapes: the best few, with the powers that fit best.
 
     The powers come from a non-negative least squares fit weighted by `Design.weight`.
     """
@@ -79,7 +80,7 @@ def _different(
     misfit: Float[np.ndarray, " candidates"],
     apart: Float[np.ndarray, " shapes"],
 ) -> Int[np.ndarray, " starts"]:
-    """The best candidates that are not neighbours of a better one, then the best of the others."""
+    """Indices of the best candidates that are no neighbours of a better one, then of the best others."""
     order = list(np.argsort(misfit))
     chosen: list[int] = []
     for i in order:
@@ -95,6 +96,7 @@ def _rough_powers(
     active: Bool[ArrayLike, "axes terms"],
     shape: Float[ArrayLike, "axes candidates shapes"],
 ) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
+    """Non-negative powers that fit each candidate's shapes best, and their weighted misfit."""
     weight = design.weight
 
     def at(

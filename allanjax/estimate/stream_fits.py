@@ -1,4 +1,4 @@
-"""Which terms a stream shows, and their coefficients, from its averaged spectra."""
+"""Selection of terms and fits for a stream, from its averaged spectra."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from allanjax.spectrum.segments import SegmentSpectra
 
 
 def check_terms(model: Model) -> None:
-    """Raise FitError if a term can be estimated from the record only."""
+    """Raise FitError if a term can be estimated from the record itself only."""
     for term in model.terms:
         if needs_record(term):
             raise FitError(
@@ -38,10 +38,10 @@ def select_stream_terms(
     """Rank sets of noise terms by their evidence, as `select_terms` does for a recording.
 
     Args:
-        spectra: the stream's statistics.
-        axes: its axes, in order.
+        spectra: spectral statistics of the stream.
+        axes: axes of the stream, in order.
         candidates: the terms to choose from; by default the five basic ones and a Markov process.
-        name: the stream's name.
+        name: name of the stream.
 
     Raises:
         AllanjaxError, FitError: as `select_terms`; a deterministic candidate other than a ramp.
@@ -58,7 +58,7 @@ def fit_stream(
     """Fit every axis by Whittle's likelihood, as `fit` with `objective="whittle"` does for a recording.
 
     Args:
-        spectra: the stream's statistics.
+        spectra: spectral statistics of the stream.
         template: the terms; random ones that are not narrow, and a ramp.
         axes: the axes of the stream, in order.
         active: the terms in use, for each axis; for the others there is an upper limit.
@@ -89,5 +89,6 @@ def fit_stream(
 
 
 def _check_axes(spectra: SegmentSpectra, axes: Sequence[Axis]) -> None:
+    """Raise AllanjaxError if there are not as many axes as columns of samples."""
     if len(axes) != spectra.last.shape[1]:
         raise AllanjaxError(f"{len(axes)} axes are named, but the samples have {spectra.last.shape[1]}")

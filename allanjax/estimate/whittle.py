@@ -1,4 +1,4 @@
-"""Whittle's likelihood: fit a noise model to the cosine spectrum of a recording, one axis at a time.
+"""Fit of a noise model to the cosine spectrum of a recording by Whittle's likelihood, axis by axis.
 
 The levels of the spectrum are χ² around their expectations (see `cosine`). For such a law with a mean
 linear in the powers, iterated generalized least squares *is* maximum likelihood: D'C⁻¹(V − μ) = 0 is its
@@ -30,22 +30,23 @@ from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import CosineBins, cosine_transform, term_column
 
-# The levels and the noise's fit to them settle after as many rounds.
+# Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
 _ROUNDS = 3
+# Levels with fewer degrees of freedom are smoothed for the start values.
 _FEW = 8.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class WhittleFit:
-    """The fit of one axis.
+    """Fit of one axis by Whittle's likelihood.
 
     Attributes:
-        coefficients: of all terms of the model.
-        solution: of its random terms.
-        estimates: degrees of freedom of χ² before the model's parameters are counted.
-        spectrum: what the model was fitted to.
+        coefficients: coefficients of all terms of the model.
+        solution: solution for its random terms.
+        estimates: degrees of freedom of χ² before the model's parameters are subtracted.
+        spectrum: the statistics that the model was fitted to.
         regression: amplitude of each regressor and its standard deviation [rate per the regressor's unit].
-        misfit: how far the levels are off; None if the model suffices.
+        misfit: misfit of the levels; None if the model suffices.
     """
 
     coefficients: Coefficients
@@ -62,7 +63,7 @@ def spectrum_of(
     rate: float,
     regressors: Mapping[str, Float[np.ndarray, " n"]],
 ) -> AxisSpectrum:
-    """The statistics of one axis for a model: lines found, known shapes transformed, bins summed."""
+    """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed."""
     n = len(x)
     lines, wanted = lines_of(template)
     known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
@@ -86,7 +87,7 @@ def fit_axis(
     active: Bool[np.ndarray, " terms"],
     regressors: Mapping[str, Float[np.ndarray, " n"]],
 ) -> WhittleFit:
-    """Maximum likelihood for one axis.
+    """Fit a model to the samples of one axis by maximum likelihood.
 
     Raises:
         FitError: there is no random term in the model.
@@ -103,11 +104,11 @@ def fit_spectrum(
     active: Bool[np.ndarray, " terms"],
     peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
 ) -> WhittleFit:
-    """Maximum likelihood for the statistics of one axis.
+    """Fit a model to the spectral statistics of one axis by maximum likelihood.
 
     Args:
         template: the terms.
-        axis: whose statistics they are.
+        axis: the axis.
         spectrum: the statistics, with a column for each deterministic term.
         active: the terms in use; for the others there is an upper limit.
         peaks: frequencies [Hz] to try for narrow-band terms without one.
@@ -154,10 +155,12 @@ def fit_spectrum(
 
 
 def _free(noise: Model) -> Bool[np.ndarray, " terms"]:
+    """Which terms have an amplitude to be estimated."""
     return np.array([term.has_free_amplitude for term in noise.terms])
 
 
 def _expected(design: Design, solution: Solution) -> Float[np.ndarray, " m"]:
+    """Expected levels under a solution."""
     return np.asarray(solution.power @ design.means(solution.shape))
 
 
@@ -168,7 +171,7 @@ def _fit_noise(
     active: Bool[np.ndarray, " terms"],
     peaks: Float[np.ndarray, " peaks"] | Sequence[float],
 ) -> tuple[SpectralDesign, Projection, Solution]:
-    """The random terms, in turn with the deterministic parts in use."""
+    """Fit the random terms, alternating with the projection of the deterministic parts in use."""
     bins, free = spectrum.bins, _free(noise)
     solution: Solution | None = None
     variance = _smoothed(spectrum)
@@ -195,13 +198,14 @@ def _fit_noise(
 
 
 def _better(new: Solution, old: Solution) -> bool:
+    """Whether a solution is to replace another: it converged, and at a lower cost."""
     if not bool(old.converged[0]):
         return bool(new.converged[0])
     return bool(new.converged[0]) and float(new.cost[0]) < float(old.cost[0])
 
 
 def _smoothed(spectrum: AxisSpectrum) -> Float[np.ndarray, " m"]:
-    """Levels averaged with their neighbours', a first guess of the noise."""
+    """Levels averaged over neighbouring bins, a first guess of the noise."""
     window = np.ones(7)
     size = np.convolve(spectrum.bins.size, window, "same")
     squares = np.convolve(spectrum.squares, window, "same")
@@ -209,6 +213,7 @@ def _smoothed(spectrum: AxisSpectrum) -> Float[np.ndarray, " m"]:
 
 
 def _regression(spectrum: AxisSpectrum, projection: Projection) -> dict[str, tuple[float, float]]:
+    """Amplitude of each regressor and its standard deviation."""
     places = [k for k, owner in enumerate(spectrum.owners) if isinstance(owner, str)]
     if not places:
         return {}
@@ -224,7 +229,7 @@ def _deterministic(
     variance: Float[np.ndarray, " m"],
     active: bool,
 ) -> dict[str, Estimate]:
-    """Coefficients of a ramp or a line, of their components' joint estimate."""
+    """Coefficients of a ramp, a step or a line, from the joint estimate of its components."""
     own = np.array([owner == k for owner in spectrum.owners])
     regressors = np.array([isinstance(owner, str) for owner in spectrum.owners])
     projection = spectrum.project(variance, own | (spectrum.used() if active else regressors))
