@@ -1,4 +1,4 @@
-"""From a fit to the posteriors of its axes: what is sampled, by whom, and what becomes of the draws."""
+"""Sampling of the posteriors of a fit's axes: parameters, priors, walkers, and the results from the draws."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ from allanjax.posterior.result import AxisPosterior, PosteriorWarning
 from allanjax.posterior.sampling import Chains, LogPosterior, Options, Target, first_walkers, run
 from allanjax.posterior.unsampled_limits import absent_amplitude
 
+# Default number of walkers, or four a parameter if that is more.
 _WALKERS = 32
 
 
 @dataclasses.dataclass(frozen=True)
 class AxisSampler:
-    """The arguments of `sample`, checked."""
+    """Sampler of a fit's axes, with the checked arguments of `sample`."""
 
     fit: Fit
     priors: Mapping[str, Prior]
@@ -55,7 +56,7 @@ class AxisSampler:
             raise AllanjaxError(f"seed must be an integer of at least 0, got {self.seed!r}")
 
     def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
-        """The posteriors of the named axes, with a progress bar if wanted."""
+        """Posteriors of the named axes, with a progress bar if wanted."""
         results = []
         with _progress_bar(progress) as bar:
             for name in names:
@@ -69,7 +70,7 @@ class AxisSampler:
         return tuple(results)
 
     def one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
-        """The posterior of one axis."""
+        """Posterior of one axis; `report` is told the steps done and expected."""
         likelihood = likelihood_of(self.fit, name)
         posterior = LogPosterior.of(likelihood, self._all_priors(likelihood))
         sampled = self._sampled(likelihood, name)
@@ -90,6 +91,7 @@ class AxisSampler:
         return self._result(name, target, chains, random)
 
     def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
+        """Default priors, replaced by those of the user."""
         priors = default_priors(likelihood)
         for label, prior in self.priors.items():
             if label not in priors:
@@ -111,6 +113,7 @@ class AxisSampler:
         return sampled
 
     def _walkers(self, count: int) -> int:
+        """Number of walkers for so many parameters."""
         if self.walkers is None:
             return max(_WALKERS, 4 * count)
         if self.walkers % 2 or self.walkers < 2 * max(count, 2):
@@ -123,7 +126,7 @@ class AxisSampler:
     def _complaint(
         self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
     ) -> str:
-        """Which parameter is worst, and what to do."""
+        """Warning about chains that have not converged: the worst parameter, and the remedy."""
         length = len(chains.y) / (self.min_length * chains.tau)
         excess = (chains.r_hat - 1.0) / (self.max_r_hat - 1.0)
         lack = np.nan_to_num(
@@ -142,6 +145,7 @@ class AxisSampler:
     def _result(
         self, name: str, target: Target, chains: Chains, random: np.random.RandomState
     ) -> AxisPosterior:
+        """Posterior of one axis from its chains, with the marginals of parameters that were not sampled."""
         posterior, sampled = target.posterior, target.sampled
         fit, parameters = self.fit[name], posterior.likelihood.parameters
         full = target.embedded(chains.y)
@@ -186,7 +190,7 @@ class AxisSampler:
 
 
 def _progress_bar(wanted: bool | None) -> AbstractContextManager[Any]:
-    """Rich's progress bar on stderr, or a context of None."""
+    """Context of a progress bar on stderr, or of None if none is wanted."""
     if not (sys.stderr.isatty() if wanted is None else wanted):
         return nullcontext()
     from rich.console import Console

@@ -1,8 +1,8 @@
-"""The likelihood of a fit's data as a function of its parameters: what a sampler sees.
+"""Likelihood of a fit's data as a function of its parameters, for sampling.
 
-Either that of the cosine spectrum (Whittle's; see `cosine`) or that of the Allan variances. The latter has
-for each variance the χ² law of its degrees of freedom under the model, by its normal score (Wilson &
-Hilferty 1931), and for all of them together the normal law with the correlations of their covariance.
+It is that of the cosine spectrum (Whittle's; see `cosine`) or that of the Allan variances. The latter has for
+each variance the χ² law of its degrees of freedom under the model, by its normal score (Wilson & Hilferty
+1931), and for all of them together the normal law with the correlations of their covariance.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.spectral_design import SpectralDesign
 from allanjax.noise.model import Model, ModelParameter
 
-# The Allan variances' likelihood looks at every so-manieth cluster time of the fit's four an octave.
+# The likelihood of the Allan variances takes every second of the fit's cluster times, which are four an
+# octave.
 _THINNED = 2
 # Priors of amplitudes reach beyond what fits under the data by this factor at least.
 _CEILING = 1e2
-# How far a resonance may move from its fit, in ln.
+# Largest distance of a resonance's frequency from its fit, in ln.
 _LINE_RANGE = 0.3
 
 
@@ -37,9 +38,10 @@ class Likelihood(eqx.Module):
     """Log-likelihood of the free parameters of a model, in SI and in the model's order.
 
     Attributes:
-        parameters: what they are.
-        start, scatter: the fit's estimate (zero for amplitudes of absent terms) and its rough 1-σ.
-        lower, upper: a range that holds all reasonable values.
+        parameters: the free parameters.
+        start, scatter: the fit's estimate (zero for amplitudes of absent terms) and its rough standard
+            deviation.
+        lower, upper: a range that contains all reasonable values.
         prior_scale: the amplitude whose power would be one standard deviation in these data; NaN for other
             parameters.
         found: which parameters belong to terms that the fit found.
@@ -54,12 +56,12 @@ class Likelihood(eqx.Module):
     found: eqx.AbstractVar[Bool[np.ndarray, " params"]]
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
-        """The log-likelihood [nats] up to a constant; NaN or −inf where no noise is left."""
+        """Log-likelihood [nats] up to a constant; NaN or −inf where the noise has no power."""
         raise NotImplementedError
 
 
 def likelihood_of(fit: Fit, axis: str) -> Likelihood:
-    """The likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else of its Allan variances.
+    """Likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else that of its Allan variances.
 
     Raises:
         FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum.
@@ -82,7 +84,13 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
 
 
 class _ParameterLayout(eqx.Module):
-    """How a vector of free parameters becomes powers and shapes of a design's terms."""
+    """Map from a vector of free parameters to the powers and shapes of a design's terms.
+
+    Attributes:
+        amplitude, shape: index of each amplitude and shape among the free parameters; −1 if it is held.
+        held, held_shape: values of those that are held.
+        bound: lower bounds of the shapes.
+    """
 
     amplitude: Int[np.ndarray, " terms"]
     held: Float[np.ndarray, " terms"]
@@ -92,6 +100,7 @@ class _ParameterLayout(eqx.Module):
 
     @classmethod
     def of(cls, design: Design, parameters: Sequence[ModelParameter], result: AxisFit) -> _ParameterLayout:
+        """Layout of these free parameters for a design, the others as in the fit."""
         labels = [p.label for p in parameters]
         amplitudes = [p for p in design.model.parameters if p.parameter.is_amplitude]
         return cls(
@@ -103,15 +112,23 @@ class _ParameterLayout(eqx.Module):
         )
 
     def power(self, values: Float[Array, " params"]) -> Float[Array, " terms"]:
+        """Powers of the terms."""
         amplitude = jnp.where(self.amplitude >= 0, values[self.amplitude], self.held)
         return amplitude**2
 
     def shapes(self, values: Float[Array, " params"]) -> Float[Array, " shapes"]:
+        """Transformed shapes of the terms."""
         return jnp.log(jnp.where(self.shape >= 0, values[self.shape], self.held_shape) - self.bound)
 
 
 class _Lines(eqx.Module):
-    """Coefficients around each line, the bin each is in, and where its amplitude and its frequency are."""
+    """Cosine coefficients around each line, padded to one length, and the line's parameters.
+
+    Attributes:
+        index, coefficients, bin: index, value and bin of each coefficient; `known` is false for padding.
+        amplitude, frequency: indices of these parameters among the free ones; −1 if held.
+        held: amplitude and frequency that are held.
+    """
 
     index: Int[np.ndarray, "lines k"]
     coefficients: Float[np.ndarray, "lines k"]
@@ -123,7 +140,10 @@ class _Lines(eqx.Module):
 
 
 class WhittleLikelihood(Likelihood):
-    """Independent χ² levels; ramps of unknown sign, lines of unknown phase, regressors of any amplitude."""
+    """Whittle's likelihood: independent χ² levels of the cosine spectrum.
+
+    The sign of ramps, the phase of lines and the amplitudes of regressors are averaged.
+    """
 
     parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
     start: Float[np.ndarray, " params"]
@@ -163,7 +183,7 @@ class WhittleLikelihood(Likelihood):
         return total
 
     def _line(self, k: int, values: Float[Array, " params"], weight: Float[Array, " m"]) -> Float[Array, ""]:
-        """ln of the mean over all phases of a line's likelihood ratio (Rice's law)."""
+        """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law)."""
         lines, bins = self.lines, self.design.bins
         A = jnp.where(lines.amplitude[k] >= 0, values[lines.amplitude[k]], lines.held[k, 0])
         f = jnp.where(lines.frequency[k] >= 0, values[lines.frequency[k]], lines.held[k, 1])
@@ -176,7 +196,7 @@ class WhittleLikelihood(Likelihood):
 
 
 class AllanLikelihood(Likelihood):
-    """χ² laws of the Allan variances, correlated. Their covariance follows the powers, not the shapes."""
+    """Likelihood of the Allan variances: correlated χ² laws, whose covariance follows the powers only."""
 
     parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
     start: Float[np.ndarray, " params"]
@@ -208,6 +228,7 @@ class AllanLikelihood(Likelihood):
 
 
 def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) -> WhittleLikelihood:
+    """Whittle's likelihood of one axis of a fit."""
     spectrum = result.spectrum
     assert spectrum is not None
     noise = Model(tuple(term for term in fit.template.terms if not term.deterministic))
@@ -260,6 +281,7 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
 
 
 def _lines(fit: Fit, spectrum: AxisSpectrum, labels: list[str]) -> _Lines:
+    """Coefficients and parameters of the lines of one axis."""
     bins, lines = spectrum.bins, spectrum.lines
     width = 2 * LINE_REACH + 1
     index = np.ones((len(lines), width), int)
@@ -278,6 +300,7 @@ def _lines(fit: Fit, spectrum: AxisSpectrum, labels: list[str]) -> _Lines:
 
 
 def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k: int) -> AllanLikelihood:
+    """Likelihood of the Allan variances of axis k of a fit."""
     curve = fit.curve
     chosen = slice(0, None, _THINNED)
     sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
@@ -314,7 +337,7 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
 def _estimates(
     result: AxisFit, parameters: tuple[ModelParameter, ...]
 ) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
-    """The fit's values and standard deviations; shapes of absent terms somewhere."""
+    """Values and standard deviations from the fit; shapes of absent terms have some value in their range."""
     values = np.array([result[p.label].value for p in parameters])
     std = np.array([result[p.label].std for p in parameters])
     somewhere = np.array([p.parameter.lower + 1.0 for p in parameters])
@@ -322,6 +345,7 @@ def _estimates(
 
 
 def _found(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Bool[np.ndarray, " params"]:
+    """Which parameters belong to terms that the fit found."""
     return np.array([p.term_label in result.term_labels for p in parameters], bool)
 
 
@@ -335,7 +359,7 @@ def _amplitude_scales(
     discrepancy: float,
     count: int,
 ) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
-    """Knee and ceiling of the amplitudes of a design's terms; NaN elsewhere."""
+    """Prior scale and upper end of the amplitudes of a design's terms; NaN for other parameters."""
     prior_scale, ceiling = np.full(count, np.nan), np.full(count, np.nan)
     means = np.asarray(design.means(layout.shapes(jnp.asarray(start))))
     relative = jnp.asarray((means / mean).T)
@@ -355,6 +379,7 @@ def _amplitude_scales(
 def _ranges(
     parameters: tuple[ModelParameter, ...], result: AxisFit, fit: Fit, ceiling: Float[np.ndarray, " params"]
 ) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
+    """Lower and upper ends of the parameters' ranges, given those of the amplitudes."""
     n, rate = fit.curve.n, fit.curve.rate
     lower, upper = np.zeros(len(parameters)), ceiling.copy()
     for k, p in enumerate(parameters):

@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 
 
 class Prior(eqx.Module):
-    """The prior of one parameter, in SI. A subclass has fields, the two methods, and `lower` and `upper`.
+    """Prior of one parameter, in SI.
+
+    A subclass has fields, the two methods, and `lower` and `upper`.
 
     Attributes:
-        lower, upper: its support.
+        lower, upper: ends of its support.
     """
 
     if (
@@ -38,20 +40,21 @@ class Prior(eqx.Module):
         raise NotImplementedError(f"{type(self).__name__} defines no log_density(x)")
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        """The value below which the share u of the prior lies; of uniform u, a draw of the prior."""
+        """Value below which the share u of the prior lies; a draw of the prior if u is uniform."""
         raise NotImplementedError(f"{type(self).__name__} defines no quantile(u)")
 
     def _inside(self, x: Array, log_density: Array) -> Array:
-        """This log density inside the support."""
+        """Log density, set to −inf outside the support."""
         return jnp.where((x >= self.lower) & (x <= self.upper), log_density, -jnp.inf)
 
     def _require(self, condition: bool, wanted: str) -> None:
+        """Raise AllanjaxError unless the condition holds."""
         if not condition:
             raise AllanjaxError(f"{self}: {wanted}")
 
 
 class Uniform(Prior):
-    """Uniform between `lower` and `upper`."""
+    """Uniform prior between `lower` and `upper`."""
 
     lower: float
     upper: float
@@ -69,7 +72,7 @@ class Uniform(Prior):
 
 
 class LogUniform(Prior):
-    """Uniform in ln(x − origin) between `lower` and `upper`: every factor as likely as another."""
+    """Prior uniform in ln(x − origin) between `lower` and `upper`: all factors are equally likely."""
 
     lower: float
     upper: float
@@ -92,7 +95,7 @@ class LogUniform(Prior):
 
 
 class LogNormal(Prior):
-    """ln x is Gaussian: 68 % of the prior lie between `median`/`factor` and `median`·`factor`."""
+    """Log-normal prior: 68 % of it lie between `median`/`factor` and `median`·`factor`."""
 
     median: float
     factor: float
@@ -151,7 +154,7 @@ class ModifiedLogUniform(Prior):
 
 
 def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
-    """The priors of `sample`, by label, in SI.
+    """Default priors of `sample`, by label, in SI.
 
     Amplitudes: `ModifiedLogUniform`, its knee the amplitude that these data could just tell from zero. Times,
     frequencies and numbers: `LogUniform` (of the distance from the parameter's own lower bound). Frequencies

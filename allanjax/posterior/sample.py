@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
 from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import Posterior
-
-if TYPE_CHECKING:
-    pass
 
 
 def sample(
@@ -30,9 +26,9 @@ def sample(
 ) -> Posterior:
     """Sample the posterior of a fit's coefficients with emcee's ensemble of walkers.
 
-    The likelihood is the one the fit was made with. Where the fit chose its terms, those it found are
-    sampled, and the amplitude of each of the others, one at a time, gets its marginal posterior by
-    reweighting; of a model that the user gave all free parameters are sampled. Chains run until they are
+    The likelihood is that of the fit. Where the fit chose its terms, those it found are sampled, and the
+    amplitude of each of the others, one at a time, gets its marginal posterior by reweighting; where the user
+    gave the model, all its free parameters are sampled. Chains run until they are
     longer than `min_length` integrated autocorrelation times τ of every parameter (Goodman & Weare 2010,
     Comm. App. Math. Comp. Sci. 5:65; five τ of burn-in not counted), no τ has changed by more than
     `max_change` since the last look, and the rank-normalized split R̂ over the walkers (Vehtari et al. 2021,

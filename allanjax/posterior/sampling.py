@@ -1,4 +1,4 @@
-"""Markov chains of one axis: emcee's ensemble, run until it has converged."""
+"""Markov chain Monte Carlo for one axis: emcee's ensemble of walkers, run until it has converged."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 Coordinates = TypeVar("Coordinates", np.ndarray, jax.Array)
 
-# Steps before the first look at the chain.
+# Steps before the convergence of the chain is first checked.
 _FIRST_BLOCK = 200
-# The start is forgotten after a few autocorrelation times.
+# Length of the burn-in, in autocorrelation times.
 _BURN_IN = 5.0
-# The first walkers scatter this much wider than the fit's standard deviations.
+# Scatter of the first walkers over the fit's standard deviations.
 _OVERDISPERSION = 1.5
 # Attempts to place a walker; the later half of them are draws from the priors.
 _ATTEMPTS = 40
@@ -35,7 +35,7 @@ _STUDENT_DOF = 4.0
 
 
 class LogPosterior(eqx.Module):
-    """The posterior of the parameters of one axis, in coordinates in which the default priors are uniform.
+    """Posterior of the parameters of one axis, in coordinates in which the default priors are uniform.
 
     Coordinates are ln(1 + c/scale) of an amplitude c, ln(x − lower bound) of a time, frequency or number, and
     the frequency itself of a line.
@@ -50,7 +50,7 @@ class LogPosterior(eqx.Module):
 
     @classmethod
     def of(cls, likelihood: Likelihood, priors: Mapping[str, Prior]) -> LogPosterior:
-        """That of a likelihood and a prior for each of its parameters, by label."""
+        """Posterior from a likelihood and a prior for each of its parameters, by label."""
         kinds = np.array([p.parameter.kind for p in likelihood.parameters])
         return cls(
             likelihood,
@@ -62,13 +62,13 @@ class LogPosterior(eqx.Module):
         )
 
     def on_device(self) -> LogPosterior:
-        """Itself for compiled functions: numbers become arrays, lest other numbers make another program."""
+        """Copy for compiled functions, with arrays for numbers, so that other numbers need no compilation."""
         return jax.tree.map(
             lambda x: jnp.asarray(x, getattr(x, "dtype", float)) if eqx.is_array_like(x) else x, self
         )
 
     def values(self, y: Coordinates) -> Coordinates:
-        """Values in SI at these coordinates [..., params]; NumPy's for NumPy's."""
+        """Values in SI at these coordinates [..., params]; a NumPy array for a NumPy array."""
         xp: Any = jnp if isinstance(y, jax.Array) else np
         exponent = xp.where(self.line, 0.0, y)
         others = xp.where(self.line, y, self.origin + xp.exp(exponent))
@@ -81,12 +81,12 @@ class LogPosterior(eqx.Module):
             return np.where(self.amplitude, np.log1p(values / self.scale), others)
 
     def log_jacobian(self, y: Coordinates) -> Coordinates:
-        """ln of the derivative of each value by its coordinate [..., params]; NumPy's for NumPy's."""
+        """Logarithm of the derivative of each value by its coordinate [..., params]."""
         xp: Any = jnp if isinstance(y, jax.Array) else np
         return xp.where(self.line, 0.0, y + xp.log(self.scale))
 
     def log_prior(self, values: Float[Array, " params"]) -> Float[Array, " params"]:
-        """ln of the prior density [1/SI unit] of each parameter."""
+        """Logarithm of the prior density [1/SI unit] of each parameter."""
         return jnp.stack([p.log_density(x) for p, x in zip(self.priors, values, strict=True)])
 
 
@@ -111,7 +111,7 @@ def _log_densities(
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """The posterior of some of the parameters, the others kept at the coordinates `base`.
+    """Posterior of the sampled parameters, with the others kept at the coordinates `base`.
 
     Every evaluation has the same shape [batch, params], so that one program serves all axes.
     """
@@ -124,7 +124,7 @@ class Target:
 
     @classmethod
     def of(cls, posterior: LogPosterior, sampled: Int[np.ndarray, " sampled"], batch: int) -> Target:
-        """Of the parameters with these indices; other amplitudes are zero, other shapes at their start."""
+        """Posterior of the parameters with these indices; other amplitudes are 0, shapes at their start."""
         lower, upper = np.array([(p.lower, p.upper) for p in posterior.priors], float).T
         start = np.clip(posterior.likelihood.start, lower, upper)
         sampled_here = np.isin(np.arange(len(start)), sampled)
@@ -132,7 +132,7 @@ class Target:
         return cls(posterior, sampled, posterior.coordinates(start), batch, posterior.on_device())
 
     def embedded(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch params"]:
-        """All coordinates, given those that are sampled."""
+        """Coordinates of all parameters, given those that are sampled."""
         full = np.broadcast_to(self.base, (*y.shape[:-1], len(self.base))).copy()
         full[..., self.sampled] = y
         return full
@@ -151,7 +151,7 @@ class Target:
 
 
 class StudentMove(RedBlueMove):
-    """Independence proposal: a Student law with mean and covariance of the other half of the ensemble.
+    """Independence proposal: a Student t law with mean and covariance of the other half of the ensemble.
 
     A posterior near Gaussian in these coordinates accepts half of them, each as good as a new draw. Like
     emcee's KDEMove, which it follows, but without its kernels; heavy tails keep the acceptance bounded.
@@ -180,7 +180,7 @@ class StudentMove(RedBlueMove):
 
 
 def default_moves() -> list[tuple[RedBlueMove, float]]:
-    """Independence proposals, and differential evolution where posteriors are not near Gaussian.
+    """Moves and their weights: independence proposals, and differential evolution for other posteriors.
 
     Measured τ (steps) with 32 walkers, two / three / five terms sampled: 3 / 7 / 18; emcee's default stretch
     move has 31 / 47 / 77, DEMove with a fifth of DESnookerMove 10 / 15 / 29.
@@ -190,7 +190,15 @@ def default_moves() -> list[tuple[RedBlueMove, float]]:
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """When to stop: length over τ, relative change of τ, R̂, steps at most."""
+    """Size of the ensemble and criteria of convergence.
+
+    Attributes:
+        walkers: number of walkers.
+        max_steps: largest number of steps.
+        min_length: least length of the chain, in autocorrelation times τ.
+        max_change: largest relative change of τ since the last check.
+        max_r_hat: largest R̂.
+    """
 
     walkers: int
     max_steps: int
@@ -201,9 +209,9 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Chains:
-    """What the walkers did after the burn-in, in coordinates.
+    """Chains of the walkers after the burn-in, in coordinates.
 
-    `tau`, `change` and `r_hat` are per parameter; `change` is that of τ since the last block.
+    `tau`, `change` and `r_hat` are per parameter; `change` is that of τ since the last check.
     """
 
     y: Float[np.ndarray, "steps walkers sampled"]
@@ -223,7 +231,7 @@ def run(
     options: Options,
     report: Callable[[int, int], None],
 ) -> Chains:
-    """Run until the chain is long enough, or for `max_steps`; `report(steps, expected)` after every block."""
+    """Run the ensemble until it has converged, or for `max_steps`; `report` gets steps done and expected."""
     sampler = emcee.EnsembleSampler(*start.shape, target, moves=default_moves(), vectorize=True)
     sampler.random_state = random.get_state()
     state = emcee.State(start, random_state=random.get_state())
@@ -263,7 +271,7 @@ def run(
 def _autocorrelation_time(
     chain: Float[np.ndarray, "steps walkers sampled"], previous: Float[np.ndarray, " sampled"]
 ) -> Float[np.ndarray, " sampled"]:
-    """τ of each parameter without the steps that the previous τ calls burn-in; NaN if none can be had."""
+    """Autocorrelation time of each parameter after a burn-in by the previous one; NaN if unknown."""
     known = np.isfinite(previous)
     burn_in = int(_BURN_IN * previous[known].max()) if known.any() else len(chain) // 4
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -271,7 +279,7 @@ def _autocorrelation_time(
 
 
 def split_r_hat(chain: Float[np.ndarray, "steps walkers"]) -> float:
-    """Rank-normalized split R̂ of one parameter, of the bulk or the tails, whichever is larger.
+    """Rank-normalized split R̂ of one parameter, the larger of those of the bulk and of the tails.
 
     Vehtari, Gelman, Simpson, Carpenter & Bürkner (2021), Bayesian Analysis 16:667. NaN for a constant chain.
     """
@@ -294,9 +302,9 @@ def split_r_hat(chain: Float[np.ndarray, "steps walkers"]) -> float:
 def first_walkers(
     target: Target, walkers: int, random: np.random.RandomState
 ) -> Float[np.ndarray, "walkers sampled"]:
-    """A cloud around the fit, a little wider than its standard deviations, inside the support.
+    """Start of the walkers: a cloud around the fit, a little wider than its errors, inside the support.
 
-    Raises FitError if neither there nor at draws from the priors the posterior has a density.
+    Raises FitError if the posterior is zero there and at draws from the priors.
     """
     posterior, at = target.posterior, target.sampled
     start, scatter = posterior.likelihood.start[at], posterior.likelihood.scatter[at]

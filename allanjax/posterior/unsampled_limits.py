@@ -1,4 +1,4 @@
-"""The posterior of an amplitude that was not sampled, by reweighting the draws of the others."""
+"""Posterior of an amplitude that was not sampled, by reweighting the draws of the other parameters."""
 
 from __future__ import annotations
 
@@ -10,28 +10,29 @@ from scipy.special import logsumexp
 
 from allanjax.posterior.sampling import LogPosterior, Target
 
-# Where the density is below e^-12 of its maximum nobody looks.
+# The range of the amplitude ends where the density is e^-12 of its maximum.
 _NEGLIGIBLE = 12.0
+# Grid points of the search for that range, for which so few draws suffice, and of the density in it.
 _COARSE, _FINE = 25, 33
 _FEW_DRAWS = 64
+# Largest number of times that the range is narrowed.
 _MAX_ROUNDS = 8
-# Attempts to bring the weights of the draws at one point to this evenness (effective draws over draws).
+# Attempts to translate the draws at one point until effective draws over draws reach this.
 _CORRECTIONS = 6
 _EVEN = 0.3
-# Points between which the density is integrated.
+# Points at which the interpolated density is integrated.
 _DENSE = 4001
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GridPosterior:
-    """The posterior of one amplitude on a grid.
+    """Posterior of one amplitude on a grid.
 
     Attributes:
         value: amplitudes [SI], ascending.
-        probability: of a smaller amplitude than each.
-        bayes_factor: posterior over prior probability of what cannot be told from zero.
-        effective_draws: how many equally weighted draws of the others the density at the 95 % quantile is
-            worth.
+        probability: probability of a smaller amplitude than each.
+        bayes_factor: posterior over prior density at zero.
+        effective_draws: number of equally weighted draws that the density at the 95 % quantile is worth.
     """
 
     value: Float[np.ndarray, " grid"]
@@ -40,12 +41,12 @@ class GridPosterior:
     effective_draws: float
 
     def quantile(self, u: float) -> float:
-        """The amplitude [SI] below which this share of the posterior lies."""
+        """Amplitude [SI] below which this share of the posterior lies."""
         return float(np.interp(u, self.probability, self.value))
 
     @property
     def std(self) -> float:
-        """Standard deviation [SI]."""
+        """Standard deviation of the posterior [SI]."""
         middle = (self.value[1:] + self.value[:-1]) / 2.0
         weight = np.diff(self.probability)
         return float(np.sqrt(max(weight @ middle**2 - (weight @ middle) ** 2, 0.0)))
@@ -58,12 +59,12 @@ def absent_amplitude(
     draws: int,
     random: np.random.RandomState,
 ) -> GridPosterior:
-    """The marginal posterior of the amplitude with this index, of which the draws y know nothing.
+    """Marginal posterior of the amplitude with this index, which is zero in the draws y of the others.
 
-    p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at
-    c = 0; a shape of the term itself is drawn from its prior. The larger c, the farther are the others from
-    where they were drawn. Any translation of the draws, with the prior density before and after in the
-    ratio, leaves the mean the same, and that to their weighted mean at c keeps the weights even.
+    p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at c
+    = 0; a shape of the term itself is drawn from its prior. The larger c, the farther the posterior of the
+    others is from where they were drawn. Any translation of the draws, with the prior density before and
+    after in the ratio, leaves the mean the same, and that to their weighted mean at c keeps the weights even.
     """
     posterior = target.posterior
     prior = posterior.priors[index]
@@ -99,10 +100,10 @@ def _followed(
     few: Float[np.ndarray, "few params"],
     grid: Float[np.ndarray, " grid"],
 ) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, "grid sampled"]]:
-    """Log density of this coordinate on a grid, and how far the others have moved, from few draws.
+    """Log density of this coordinate on a grid, and the translation of the others at each point.
 
-    The others are followed from each point to the next, where weights stay even, as far as the density is not
-    negligible.
+    The translation is followed from each point to the next, so that weights stay even, as far as the density
+    is not negligible.
     """
     log_prior = _log_prior(target.posterior, index, grid)
     density = np.full(len(grid), -np.inf)
@@ -131,7 +132,7 @@ def _followed(
 def _with_shapes(
     target: Target, index: int, y: Float[np.ndarray, "draws sampled"], random: np.random.RandomState
 ) -> Float[np.ndarray, "draws params"]:
-    """All coordinates of these draws; shapes of the absent term are draws from their priors."""
+    """Coordinates of all parameters of these draws, the absent term's shapes being drawn from priors."""
     posterior = target.posterior
     full = target.embedded(y)
     values = posterior.values(full)
@@ -149,7 +150,7 @@ def _log_weights(
     grid: Float[np.ndarray, " grid"],
     translation: Float[np.ndarray, "grid sampled"],
 ) -> Float[np.ndarray, "grid draws"]:
-    """ln of likelihood times prior of the translated draws with this amplitude, over that of the draws."""
+    """Log ratio of likelihood times prior of translated draws with each amplitude, over that of the draws."""
     moved = np.tile(full, (len(grid), 1, 1))
     moved[:, :, target.sampled] += translation[:, None]
     moved[:, :, index] = grid[:, None]
@@ -161,7 +162,7 @@ def _log_weights(
 def _log_prior(
     posterior: LogPosterior, index: int, y: Float[np.ndarray, " grid"]
 ) -> Float[np.ndarray, " grid"]:
-    """ln of the prior density of this coordinate."""
+    """Logarithm of the prior density of this coordinate."""
     full = np.zeros((len(y), len(posterior.priors)))
     full[:, index] = y
     density = posterior.priors[index].log_density(posterior.values(full)[:, index])
@@ -175,6 +176,7 @@ def _integrated(
     log_ratio: Float[np.ndarray, " grid"],
     effective: Float[np.ndarray, " grid"],
 ) -> GridPosterior:
+    """Posterior from the likelihood ratio on a grid, interpolated and normalized."""
     from scipy.interpolate import PchipInterpolator
 
     dense = np.linspace(grid[0], grid[-1], _DENSE)
