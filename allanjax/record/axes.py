@@ -1,4 +1,4 @@
-"""The axes of a recording: which columns they are, in what unit, and which have nothing to say."""
+"""Axes of a recording: their columns and units, and those that are dead."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from allanjax.record.validation import Source, dead_reason
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of one sensor.
+    """Axis of a gyro or an accelerometer.
 
     Attributes:
-        name: e.g. `gyro_x`.
+        name: name of the axis, e.g. `gyro_x`.
         sensor: `gyro` or `accel`.
-        unit: the recording's own unit, for display.
+        unit: unit of the samples in the recording, for display.
     """
 
     name: str
@@ -29,11 +29,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class DeadAxis:
-    """An axis without noise, which can have no result: constant, or without a single number.
+    """Axis without noise, for which there is no result: constant, or without a single number.
 
     Attributes:
-        axis: which.
-        reason: what is wrong with it, for people.
+        axis: the axis.
+        reason: why it is dead, in words.
     """
 
     axis: Axis
@@ -41,17 +41,17 @@ class DeadAxis:
 
     @classmethod
     def of(cls, axis: Axis, value: float) -> "DeadAxis":
-        """An axis that has this value [its own unit] throughout; nan for no number."""
+        """Dead axis with this value [its own unit] throughout; nan for no number."""
         return cls(axis, dead_reason(value, axis.unit))
 
 
 def axes_of(
     columns: Sequence[Column], gyro_unit: str | None, accel_unit: str | None, source: Source
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """The axes that these columns are, and notes.
+    """Axes from columns, and notes on them.
 
     Raises:
-        RecordingError: none, or two columns are the same one.
+        RecordingError: there are none, or two columns are the same axis.
         UnitError: a unit is missing, unknown, or given twice and differently.
     """
     check_axes(columns, source)
@@ -77,10 +77,10 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
 def default_names(
     count: int, gyro_unit: str | None, accel_unit: str | None, remedy: str, source: Source
 ) -> tuple[str, ...]:
-    """Names of `count` columns that have none, as the units given imply.
+    """Default names of `count` columns, as implied by the units that are given.
 
     Raises:
-        RecordingError: the units do not settle the names; the message says to use `remedy`.
+        RecordingError: the units do not imply names; the message says to use `remedy`.
     """
     given = (gyro_unit, accel_unit)
     sensors = [sensor for sensor, unit in zip(SENSORS, given, strict=True) if unit is not None]
@@ -96,7 +96,7 @@ def default_names(
 
 
 def check_axes(columns: Sequence[Column], source: Source) -> None:
-    """Raise `RecordingError` if there is no axis, or two columns are the same one."""
+    """Raise `RecordingError` if there is no axis, or if two columns are the same one."""
     if not columns:
         raise source.error("no gyro or accelerometer column; name the columns by columns= (--columns)")
     seen: dict[str, Column] = {}
@@ -140,5 +140,6 @@ def _unit_of(column: Column, given: str | None, source: Source) -> str:
 
 
 def _scale(unit: str, sensor: Sensor, rate: float) -> float:
+    """Factor from a unit of samples to the SI rate, at a sample rate [Hz]."""
     sample_unit = parse_sample_unit(unit, sensor)
     return sample_unit.scale * (rate if sample_unit.quantity == "increment" else 1.0)

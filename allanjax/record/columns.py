@@ -1,4 +1,4 @@
-"""What a column's label says: its sensor, axis, unit, or that it holds time stamps."""
+"""Recognition of a column by its label: sensor, axis and unit, or time stamps."""
 
 import re
 from dataclasses import dataclass
@@ -6,8 +6,10 @@ from typing import Literal
 
 from allanjax.record.units import Sensor
 
+#: Roles of columns, explained at `Column`.
 Role = Literal["axis", "time", "auxiliary"]
 
+# Patterns of the sensors' names, and of the names of increments.
 _ALIASES: dict[Sensor, str] = {
     "gyro": r"gyro(?:scopes?|meter)?|gyr|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rotation_?rate",
     "accel": r"accel(?:eration|erometer)?|acc|lin(?:ear)?_?acc(?:el(?:eration)?)?|specific_?force",
@@ -18,8 +20,10 @@ _INCREMENTS: dict[Sensor, str] = {
 }
 # One letter is a sensor only when it stands alone before the axis: `gx`, but not `mag_x`.
 _LETTERS: dict[Sensor, str] = {"gyro": "[gw]", "accel": "a"}
+# Statistics of a sensor's samples are no axes.
 _NOT_A_SAMPLE = re.compile(r"(?:^|_)(?:bias|sigma|std|var|variance|cov|covariance)(?:_|$)")
 
+# Units at the end of a name, as in `gyro_x_dps`.
 _UNIT_SUFFIXES = {
     "dps": "deg/s",
     "deg_s": "deg/s",
@@ -32,6 +36,7 @@ _UNIT_SUFFIXES = {
     "mg": "mg",
     "g": "g",
 }
+# Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and nanoseconds.
 _TIME = re.compile(r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)|t|\w*timestamp")
 _TIME_SUFFIX = re.compile(r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds)")
 _TIME_SUFFIX_UNITS = {"secs": "s", "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns"} | {
@@ -42,14 +47,14 @@ _TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
 
 @dataclass(frozen=True)
 class Column:
-    """What a column is.
+    """Column of a file: its role and, for an axis, sensor and unit.
 
     Attributes:
-        label: the label as the file gives it.
+        label: label in the file.
         role: `axis` of a sensor, `time` stamps, or `auxiliary`.
         name: `gyro_x` ... `accel_z`, `gyro`, `gyro_1` for an axis, else the label without its unit.
-        sensor: the sensor of an axis, else None.
-        unit: the unit that the label states, if any.
+        sensor: sensor of an axis, else None.
+        unit: unit that the label states, if any.
         increment: whether the label says that the samples are increments (`delta_angle_x`).
         time_part: for stamps split over two columns, (common prefix, `s` or `ns`).
     """
@@ -64,7 +69,7 @@ class Column:
 
 
 def recognise(label: str) -> Column:
-    """Tell what a column is from its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
+    """Recognise a column by its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
     stem, unit = split_unit(label)
     words = _words(stem)
     axis = _axis(label, words, unit)
@@ -88,12 +93,13 @@ def split_unit(label: str) -> tuple[str, str | None]:
 
 
 def _words(stem: str) -> str:
-    """`GyroX`, `gyro.x` and `gyro[0]` alike as lower-case words joined by underscores."""
+    """Name as lower-case words joined by underscores, from e.g. `GyroX`, `gyro.x` or `gyro[0]`."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
     return re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")
 
 
 def _axis(label: str, words: str, unit: str | None) -> Column | None:
+    """Column of an axis, or None if the name is not that of one."""
     if _NOT_A_SAMPLE.search(words):
         return None
     for sensor, alias in _ALIASES.items():
@@ -111,6 +117,7 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
 
 
 def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
+    """Column of time stamps, or None if the name is not that of one."""
     if _TIME.fullmatch(words):
         return Column(label, "time", stem, unit=unit)
     suffix = _TIME_SUFFIX.fullmatch(words)

@@ -1,4 +1,4 @@
-"""A static recording of gyros and accelerometers."""
+"""Static recordings of gyros and accelerometers."""
 
 import html
 import itertools
@@ -21,22 +21,22 @@ from allanjax.record.validation import Source, check_length, check_rate, check_v
 if TYPE_CHECKING:
     import pandas as pd
 
-# Slack, in samples, within which a time counts as a sample's own.
+# Tolerance, in samples, within which a time is that of a sample: room for rounding.
 _TIME_SLACK = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Recording(ByValue):
-    """Samples of one or more axes, at one rate.
+    """Recording of a sensor at rest: samples of one or more axes at one rate.
 
     Attributes:
         values: rates in SI, rad/s and m/s²; increments have been multiplied by the rate.
         rate: sample rate in Hz.
-        axes: one per column of `values`.
+        axes: axes, one per column of `values`.
         auxiliary: other columns by name, in the units of the file.
-        name: e.g. the file's name without its suffix.
-        notes: what the reader assumed or found that the user should know.
-        dead: axes that were left out for want of noise, and why.
+        name: name for display, e.g. that of the file without its suffix.
+        notes: assumptions and findings of the reader that the user should know.
+        dead: axes that were left out because they have no noise, and why.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -61,7 +61,7 @@ class Recording(ByValue):
         auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
         name: str = "",
     ) -> "Recording":
-        """Make a recording of an array, one column per axis.
+        """Make a recording from an array, one column per axis.
 
         A column that is constant, or has no finite number at all, is left out: see `dead`.
 
@@ -159,13 +159,13 @@ class Recording(ByValue):
         }
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """One row a sample: `columns` as a pandas table, which `fit` and the like take again."""
+        """Table with one row a sample and the `columns`, which `fit` and others take again."""
         import pandas as pd
 
         return pd.DataFrame(self.columns)
 
     def select(self, *keys: str) -> "Recording":
-        """The axes named, in that order; `gyro` or `accel` stands for all axes of that sensor.
+        """Recording of the named axes, in this order; `gyro` or `accel` stands for all axes of that sensor.
 
         Raises:
             RecordingError: there is no such axis, or it is dead.
@@ -195,7 +195,7 @@ class Recording(ByValue):
         return self.select(key) if isinstance(key, str) else self.select(*key)
 
     def between(self, start: float | None = None, stop: float | None = None) -> "Recording":
-        """The samples from `start` up to but not including `stop`, in s from the first sample.
+        """Recording from `start` up to but not including `stop`, in s from the first sample.
 
         Raises:
             RecordingError: fewer than 16 samples are left, or every axis is constant there.
@@ -250,7 +250,7 @@ def build(
     notes: Sequence[str],
     source: Source,
 ) -> Recording:
-    """Check samples in their own units and make the recording of them, without dead axes; readers end here.
+    """Check samples in their own units and make a recording of the axes that are not dead.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -275,17 +275,18 @@ def build(
 def _dead(
     axes: Sequence[Axis], values: Float[np.ndarray, " axes"], living: Bool[np.ndarray, " axes"]
 ) -> tuple[DeadAxis, ...]:
-    """The axes that do not live, with the values [their own units] that they always have."""
+    """Dead axes, with the values [their own units] that they have throughout."""
     every = zip(axes, values, living, strict=True)
     return tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
 
 
 def _left_out(dead: Sequence[DeadAxis]) -> tuple[str, ...]:
+    """Notes on the axes that were left out."""
     return tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
 
 
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
-    """Rows whose time in s from the first is in [start, stop)."""
+    """Rows of the samples at times in [start, stop), in s from the first sample."""
     first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
     last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
     first = min(max(first, 0), samples)

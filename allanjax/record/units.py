@@ -21,8 +21,10 @@ Sensor = Literal["gyro", "accel"]
 Quantity = Literal["rate", "increment"]
 Value = TypeVar("Value", float, np.ndarray)
 
+#: Sensors whose noise is analysed.
 SENSORS: tuple[Sensor, ...] = ("gyro", "accel")
 
+#: Units of samples, those of rates and those of increments, as messages list and displays write them.
 SAMPLE_UNITS: dict[Sensor, dict[Quantity, tuple[str, ...]]] = {
     "gyro": {
         "rate": ("deg/h", "deg/s", "mdeg/s", "rad/s", "mrad/s", "rad/h", "arcsec/s", "rpm"),
@@ -34,6 +36,7 @@ SAMPLE_UNITS: dict[Sensor, dict[Quantity, tuple[str, ...]]] = {
     },
 }
 
+# Definitions of the units in pint's language.
 _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = u-
@@ -57,6 +60,7 @@ standard_gravity = 9.80665 * meter / second ** 2 = g
 gal = 0.01 * meter / second ** 2 = Gal
 """
 
+# Dimensions of rates and of increments, and the base dimension that a sensor's units never have.
 _RATE_DIMENSION: dict[Sensor, dict[str, float]] = {
     "gyro": {"[angle]": 1, "[time]": -1},
     "accel": {"[length]": 1, "[time]": -2},
@@ -67,11 +71,13 @@ _INCREMENT_DIMENSION: dict[Sensor, dict[str, float]] = {
 }
 _FOREIGN_DIMENSION: dict[Sensor, str] = {"gyro": "[length]", "accel": "[angle]"}
 
+# Usual units of coefficients by the exponent of time in their SI dimension rate·s^exponent.
 _COEFFICIENT_UNITS: dict[Sensor, dict[float, str]] = {
     "gyro": {1.0: "arcsec", 0.5: "deg/√h", 0.0: "deg/h", -0.5: "deg/h/√h", -1.0: "deg/h²"},
     "accel": {1.0: "m/s", 0.5: "m/s/√h", 0.0: "µg", -0.5: "m/s/h/√h", -1.0: "m/s/h²"},
 }
 
+# SI units as they are usually written.
 _SI_UNITS = (
     *("rad", "rad/√s", "rad/s", "rad/s/√s", "rad/s²"),
     *("m/s", "m/s/√s", "m/s²", "m/s²/√s", "m/s³"),
@@ -98,7 +104,7 @@ _AMBIGUOUS_PLURAL = re.compile(r"\b[a-z]?(rad|deg|g|h|hr|ft|arcsec|arcmin)s\b")
 
 @dataclass(frozen=True)
 class SampleUnit:
-    """Unit of a sensor's samples.
+    """Unit of the samples of a sensor.
 
     Attributes:
         name: label for display, e.g. `deg/s`.
@@ -113,6 +119,8 @@ class SampleUnit:
 
 @dataclass(frozen=True)
 class _Unit:
+    """Unit with its factor to SI and its exponents of the base dimensions."""
+
     scale: float
     dimension: dict[str, float]
 
@@ -132,9 +140,9 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
 
 
 def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
-    """The unit that rates are told in where samples have this one, and its factor to SI.
+    """Display unit of rates for samples in this unit, and its factor to SI.
 
-    Where the samples are increments that is rad/s or m/s².
+    For increments it is rad/s or m/s².
     """
     own = parse_sample_unit(unit, sensor)
     name = own.name if own.quantity == "rate" else {"gyro": "rad/s", "accel": "m/s²"}[sensor]
@@ -156,7 +164,7 @@ def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
 
 @functools.cache
 def si_unit(unit: str) -> str:
-    """The SI unit of the same dimension, e.g. `rad/√s` for `deg/√h`.
+    """SI unit of the same dimension, e.g. `rad/√s` for `deg/√h`.
 
     Raises:
         UnitError: the unit is unknown.
@@ -172,7 +180,7 @@ def si_unit(unit: str) -> str:
 
 
 def _per_time(base: str, exponent: float) -> str:
-    """E.g. `rad/s^0.75`."""
+    """Unit from a base and a power of seconds, e.g. `rad/s^0.75`."""
     if exponent == 0.0:
         return base
     power = "s" if abs(exponent) == 1.0 else f"s^{abs(exponent):.12g}"
@@ -207,6 +215,7 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
 
 
 def _known(text: str, sensor: Sensor | None) -> _Unit:
+    """Unit named by `text`; UnitError if it is unknown, or that of the other sensor."""
     unit = _parse(text)
     if unit is None:
         raise UnitError(
@@ -224,7 +233,7 @@ def _known(text: str, sensor: Sensor | None) -> _Unit:
 
 @functools.cache
 def _parse(text: str) -> _Unit | None:
-    """The unit that `text` names, or None if it names none."""
+    """Unit named by `text`, or None if it is unknown."""
     import pint
 
     expression = _expression(text)
@@ -243,6 +252,7 @@ def _parse(text: str) -> _Unit | None:
 
 @functools.cache
 def _registry() -> "pint.UnitRegistry":
+    """Registry of pint with the units defined here, and no others."""
     import pint
 
     registry: pint.UnitRegistry = pint.UnitRegistry(None)
@@ -251,7 +261,7 @@ def _registry() -> "pint.UnitRegistry":
 
 
 def _expression(text: str) -> str:
-    """`text` as pint reads it: powers by `**`, products by `*`, the usual spellings spelt out."""
+    """Unit as an expression for pint: powers by `**`, products by `*`, usual spellings replaced."""
     text = text.strip().translate(_SYMBOLS).replace("**", "^")
     text = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda run: "^" + run[0].translate(_SUPERSCRIPTS), text)
     text = re.sub(r"(?:√|\bsqrt|\brt-?)\s*(?:\(\s*(\w+)\s*\)|(\w+))", r"(\1\2^0.5)", text)
@@ -274,6 +284,7 @@ def _is_product(expression: str) -> bool:
 
 
 def _quantity(unit: _Unit, sensor: Sensor) -> Quantity | None:
+    """Quantity of samples in this unit, or None if it does not fit the sensor."""
     if unit.dimension == _RATE_DIMENSION[sensor]:
         return "rate"
     if unit.dimension == _INCREMENT_DIMENSION[sensor]:
@@ -282,6 +293,7 @@ def _quantity(unit: _Unit, sensor: Sensor) -> Quantity | None:
 
 
 def _display_name(text: str, scale: float, labels: tuple[str, ...]) -> str:
+    """Label for display: one of the usual ones if the unit is the same, else the text."""
     spelling = _expression(text)
     for label in labels:
         if _expression(label) == spelling:
@@ -293,6 +305,7 @@ def _display_name(text: str, scale: float, labels: tuple[str, ...]) -> str:
 
 
 def _unknown_sample_unit(text: str, sensor: Sensor, unit: _Unit | None) -> str:
+    """Error message for a unit that does not fit a sensor's samples."""
     accepted = SAMPLE_UNITS[sensor]
     other: Sensor = "accel" if sensor == "gyro" else "gyro"
     hint = f" {text!r} is a unit of {_a(other)}." if unit is not None and _quantity(unit, other) else ""
@@ -303,8 +316,10 @@ def _unknown_sample_unit(text: str, sensor: Sensor, unit: _Unit | None) -> str:
 
 
 def _dimension_label(unit: _Unit) -> str:
+    """Dimension of a unit as text."""
     return "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
 
 
 def _a(sensor: Sensor) -> str:
+    """Name of a sensor with its article."""
     return "a gyro" if sensor == "gyro" else "an accelerometer"

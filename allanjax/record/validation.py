@@ -1,4 +1,4 @@
-"""The checks that every recording passes, from a file or from an array alike."""
+"""Checks that every recording passes, from a file or from an array alike."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,12 +14,12 @@ MIN_SAMPLES = 16
 
 @dataclass(frozen=True)
 class Source:
-    """Where samples came from, for messages.
+    """Origin of samples, for messages.
 
     Attributes:
-        label: the file's path, or a name for an array.
-        locate: the place of a sample (counted from 0) in words, e.g. `line 17`.
-        missing: what a NaN may have been where it was read from.
+        label: path of the file, or a name for an array.
+        locate: place of a sample (counted from 0) in words, e.g. `line 17`.
+        missing: possible causes of a NaN in such a source.
     """
 
     label: str
@@ -27,16 +27,16 @@ class Source:
     missing: str = "nan"
 
     def after(self, rows: int) -> "Source":
-        """The source of what is left when the first `rows` samples are dropped."""
+        """Source of the samples that are left when the first `rows` are dropped."""
         return replace(self, locate=lambda row: self.locate(row + rows)) if rows else self
 
     def error(self, message: str) -> RecordingError:
-        """A `RecordingError` whose message begins with where it is."""
+        """RecordingError whose message begins with the label."""
         return RecordingError(f"{self.label}: {message}")
 
 
 def check_rate(rate: float, source: Source) -> float:
-    """Return the sample rate in Hz as a float.
+    """Check a sample rate and return it in Hz as a float.
 
     Raises:
         RecordingError: it is not a positive finite number.
@@ -61,7 +61,7 @@ def check_length(samples: int, source: Source) -> None:
 def check_values(
     values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source
 ) -> Bool[np.ndarray, " axes"]:
-    """Check samples, one column per label, and say which columns live: the others have no noise at all.
+    """Check samples, one column per label, and return which columns live; the others are dead.
 
     A dead column never changes, or has no number throughout.
 
@@ -80,7 +80,7 @@ def check_values(
 
 
 def dead_reason(value: float, unit: str) -> str:
-    """Why there is no result for an axis that has this value throughout."""
+    """Reason why an axis with this value throughout is dead, in words."""
     if np.isnan(value):
         return "not a single number in it, as of a sensor that is not connected"
     return f"constant, {value:.6g} {unit} throughout, as of a sensor that is stuck or not connected"
@@ -96,7 +96,7 @@ def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Sour
 
 
 def constant_error(label: str, value: float, source: Source) -> RecordingError:
-    """The error for a column that has this value throughout."""
+    """RecordingError for a column that has this value throughout."""
     return source.error(
         f"column {label!r} is constant ({value:g} from {source.locate(0)} on): a sensor that is stuck "
         "or not connected has no noise to fit; leave it out by columns= (--columns)"
@@ -104,7 +104,7 @@ def constant_error(label: str, value: float, source: Source) -> RecordingError:
 
 
 def bad_cells_message(label: str, count: int, place: str, text: str) -> str:
-    """Message for `count` cells of a column that are not finite numbers, the first of them at `place`."""
+    """Error message for `count` cells of a column that are not finite, the first of them at `place`."""
     cells = (
         "1 value is not a finite number"
         if count == 1

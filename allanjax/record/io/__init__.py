@@ -56,7 +56,7 @@ def read(
 
 
 def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
-    """What `read` does with these options; messages name the file `label`.
+    """Read a static recording with these options, as `read` does; messages name the file `label`.
 
     Raises:
         RecordingError, UnitError: as `read`.

@@ -1,4 +1,4 @@
-"""From a file's columns to a recording."""
+"""Assembly of a recording from the columns of a file."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from allanjax.record.validation import Source, check_length, check_rate
 
 
 def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
-    """Make a recording of a table.
+    """Make a recording from a table.
 
     Raises:
         RecordingError, UnitError: the table or the arguments are not usable.
@@ -70,7 +70,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
 
 
 def no_rate_error(source: Source) -> RecordingError:
-    """The error where neither an argument nor time stamps tell the rate."""
+    """RecordingError for samples without a rate, neither given nor in time stamps."""
     return source.error(
         "no sample rate: pass rate= in Hz (--rate), or name a column of time stamps by time= (--time) "
         "or in the header, e.g. `time [s]`"
@@ -87,7 +87,7 @@ def check_stretch(rows: slice, duration: float, source: Source) -> None:
 
 
 def stated_rate(table: Table, rate: float | None) -> float | None:
-    """The rate given, else the file's own; both must agree."""
+    """Sample rate [Hz] that is given or that the file states; if both, they must agree."""
     if rate is None:
         return None if table.rate is None else check_rate(table.rate, table.source)
     if (
@@ -103,7 +103,7 @@ def stated_rate(table: Table, rate: float | None) -> float | None:
 
 
 def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
-    """From the first time at or after `start` up to the first at or after `stop`, in s."""
+    """Rows from the first time at or after `start` up to the first at or after `stop`, in s."""
     # Half a nanosecond: a stamp that reads the same as start counts as it.
     first = 0 if start is None else _first_at(times, start - 5e-10)
     last = len(times) if stop is None else _first_at(times, stop - 5e-10)
@@ -111,12 +111,13 @@ def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) ->
 
 
 def _first_at(times: np.ndarray, moment: float) -> int:
+    """Index of the first time at or after a moment."""
     late = times >= moment
     return int(np.argmax(late)) if late.any() else len(times)
 
 
 def _auxiliary(column: Column, values: np.ndarray, source: Source, notes: list[str]) -> np.ndarray | None:
-    """The column as floats, or None with a note if it is text."""
+    """Auxiliary column as floats, or None with a note if it is text."""
     unit = f" [{column.unit}]" if column.unit else ""
     if not is_numeric(values):
         notes.append(

@@ -1,4 +1,4 @@
-"""Binary files: NumPy, Parquet, MATLAB up to -v7."""
+"""Readers of binary files: NumPy, Parquet, MATLAB up to -v7."""
 
 import re
 import zipfile
@@ -13,8 +13,10 @@ from allanjax.record.columns import split_unit
 from allanjax.record.io.table import ChunkedTable, Format, Table
 from allanjax.record.validation import Source
 
+# Names of scalars that state the sample rate, or the sample interval.
 _RATES = re.compile(r"(?:sample_?|sampling_?)?(?:rate|freq|frequency)|fs|f_s", re.IGNORECASE)
 _INTERVALS = re.compile(r"dt|(?:sample|sampling)_?(?:interval|period|time)", re.IGNORECASE)
+# Largest number of rows for which a much wider matrix is taken to be transposed.
 _FEW_AXES = 12
 
 
@@ -28,7 +30,7 @@ def read_npy(path: Path, label: str) -> Table:
 
 
 def chunked_npy(path: Path, label: str) -> ChunkedTable:
-    """What `read_npy` reads, through a memory map."""
+    """Open an .npy file, as `read_npy` reads it, to read it through a memory map."""
     table = _npy_table(path, label, "r")
     n, labels = len(table.columns[0]), table.labels
 
@@ -42,6 +44,7 @@ def chunked_npy(path: Path, label: str) -> ChunkedTable:
 
 
 def _npy_table(path: Path, label: str, mmap_mode: Literal["r"] | None) -> Table:
+    """Table of an .npy file, in memory or through a memory map."""
     source = Source(label)
     try:
         array = np.load(path, mmap_mode, allow_pickle=False)
@@ -112,7 +115,7 @@ def read_parquet(path: Path, label: str) -> Table:
 
 
 def chunked_parquet(path: Path, label: str) -> ChunkedTable:
-    """What `read_parquet` reads, by batches of rows.
+    """Open a Parquet file to read it in batches of rows.
 
     Raises:
         RecordingError: unreadable.
@@ -139,10 +142,12 @@ def chunked_parquet(path: Path, label: str) -> ChunkedTable:
 
 
 def _parquet_error(error: Exception, source: Source) -> RecordingError:
+    """RecordingError for a Parquet file that cannot be read."""
     return source.error(f"can not be read as Parquet: {error}; write the file again")
 
 
 def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    """Arrays of nested structs by their dotted names."""
     flat: dict[str, np.ndarray] = {}
     for key, value in contents.items():
         if isinstance(value, Mapping):
@@ -153,7 +158,7 @@ def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray
 
 
 def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
-    """The table of named arrays: columns, matrices [samples, columns], scalars that state the rate.
+    """Table of named arrays: columns, matrices [samples, columns], scalars that state the rate.
 
     Raises:
         RecordingError: the arrays do not fit together.
@@ -192,6 +197,7 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
 
 
 def _labels(name: str, count: int) -> tuple[str, ...]:
+    """Labels of the columns of a named array."""
     if count == 1:
         return (name,)
     stem, unit = split_unit(name)

@@ -1,4 +1,4 @@
-"""Recordings that are read a chunk at a time, for those that do not fit into memory."""
+"""Recordings that are read chunk by chunk because they do not fit into memory."""
 
 import dataclasses
 import os
@@ -26,25 +26,25 @@ from allanjax.record.validation import (
     constant_error,
 )
 
-# Time stamps of a chunk are judged together with so many before it.
+# Time stamps before a chunk that are checked together with those of the chunk.
 _BEFORE = 1024
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ChunkedRecording:
-    """A recording in a file, whose samples are read when it is iterated over, as often as that is done.
+    """Recording in a file whose samples are read anew whenever it is iterated over.
 
-    An iteration gives arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the
-    `values` that `read` would give, and dead axes, which that leaves out: constant, or nan throughout. It
+    An iteration gives arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the `values`
+    that `read` would give, and also dead axes, which `read` leaves out: constant, or nan throughout. It
     raises RecordingError at the first bad value, gap of the time stamps or damaged row, and at the end if all
     axes are dead.
 
     Attributes:
         rate: sample rate in Hz.
-        axes: one per column.
-        name: the file's name without its suffix.
-        notes: what the reader assumed or found that the user should know.
-        n: number of samples, if that is known before they are read.
+        axes: axes, one per column.
+        name: name of the file without its suffix.
+        notes: assumptions and findings of the reader that the user should know.
+        n: number of samples, if it is known before they are read.
     """
 
     rate: float
@@ -136,7 +136,7 @@ def read_chunks(
 def open_chunks(
     path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20, label: str | None = None
 ) -> ChunkedRecording:
-    """What `read_chunks` does with these options; messages name the file `label`.
+    """Open a recording with these options, as `read_chunks` does; messages name the file `label`.
 
     Raises:
         RecordingError, UnitError: as `read_chunks`.
@@ -191,7 +191,7 @@ def open_chunks(
 
 @dataclasses.dataclass(frozen=True)
 class _Piece:
-    """Some rows of the stretch: their axes in the file's units, their times, and where they are."""
+    """Successive rows of a stretch: axes in the file's units, times [s], and their place in the file."""
 
     axes: tuple[Shaped[np.ndarray, " samples"], ...]
     times: Float[np.ndarray, " samples"]
@@ -200,7 +200,7 @@ class _Piece:
 
 @dataclasses.dataclass(frozen=True)
 class _Stretch:
-    """The part of a file from `start` to `stop` [s], read chunk by chunk."""
+    """Part of a file from `start` to `stop` [s], read chunk by chunk."""
 
     table: ChunkedTable
     layout: Layout
@@ -211,10 +211,11 @@ class _Stretch:
 
     @property
     def time_label(self) -> str:
+        """Label of the time stamps."""
         return " + ".join(column.label for _, column in self.layout.time)
 
     def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
-        """Times [s] of the first samples, a chunk of them if there are so many, and where they begin."""
+        """Times [s] of the first samples, at most a chunk of them, and their place in the file."""
         times: list[np.ndarray] = []
         place = self.table.source
         for piece in self._by_time(None):
@@ -225,10 +226,11 @@ class _Stretch:
         return np.concatenate([np.zeros(0), *times])[: self.chunk], place
 
     def pieces(self, rate: float) -> Iterator[_Piece]:
-        """The stretch piece by piece, the time stamps, if there are any, checked against the rate."""
+        """Pieces of the stretch, in order; time stamps, if there are any, are checked against the rate."""
         return self._by_time(rate) if self.layout.time else self._by_number(rate)
 
     def _by_number(self, rate: float) -> Iterator[_Piece]:
+        """Pieces of a stretch that is bounded by numbers of samples, for lack of time stamps."""
         everything = sys.maxsize if self.table.n is None else self.table.n
         taken = rows_between(everything, rate, self.start, self.stop)
         row = 0
@@ -242,6 +244,7 @@ class _Stretch:
                 return
 
     def _by_time(self, rate: float | None) -> Iterator[_Piece]:
+        """Pieces of a stretch that is bounded by time stamps, checked against the rate if it is known."""
         row, elapsed, begun = 0, 0.0, False
         last: list[np.ndarray] = []
         seen = np.zeros(0)
@@ -273,5 +276,6 @@ class _Stretch:
         times: Float[np.ndarray, " samples"],
         row: int,
     ) -> _Piece:
+        """Piece from these rows of a chunk that begins at row `row` of the file."""
         axes = tuple(columns[i][rows] for i, _ in self.layout.axes)
         return _Piece(axes, times, self.table.source.after(row + rows.start))

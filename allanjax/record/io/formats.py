@@ -1,4 +1,4 @@
-"""Which format a file has, by what it begins with, whatever its suffix."""
+"""Recognition of a file's format by its first bytes, whatever its suffix."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, TEXT)
 
 
 def format_of(path: Path, label: str) -> Format:
-    """The format of a file, which messages name `label`.
+    """Format of a file; messages name it `label`.
 
     Raises:
         RecordingError: there is no such file, or it can not be opened, or is empty.
@@ -36,5 +36,5 @@ def format_of(path: Path, label: str) -> Format:
 
 
 def name_of(path: Path) -> str:
-    """The file's name without its suffix."""
+    """Name of a file without its suffix."""
     return path.name.removesuffix(".gz").rsplit(".", 1)[0]

@@ -1,4 +1,4 @@
-"""What people have in hand, as a recording: arrays, lists, data frames, files."""
+"""Recordings from whatever a user gives: arrays, lists, data frames, files."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from allanjax.record.validation import Source, check_rate
 if TYPE_CHECKING:
     import pandas as pd
 
-#: What functions of a recording take.
+#: A recording as functions take it: itself, samples, a data frame or a path.
 RecordingLike: TypeAlias = Union[
     Recording, ArrayLike, Sequence, Mapping[str, ArrayLike], "pd.DataFrame", str, os.PathLike[str]
 ]
@@ -33,13 +33,14 @@ def as_recording(
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
 ) -> Recording:
-    """The recording that `data` is.
+    """Recording from samples, a data frame or a file; a recording is returned as it is.
 
     Args:
         data: a recording; samples [samples, axes] or [samples], as `Recording.from_array` takes them; a data
             frame or a mapping of columns, recognised by their names as those of a file; a file's path.
-        rate, gyro_unit, accel_unit: of the samples; a recording has its own, and columns may state theirs.
-        names: names of the columns; of a data frame and of a file the columns to take, as `read` has it.
+        rate, gyro_unit, accel_unit: sample rate [Hz] and units of the samples; a recording has its own, and
+            columns may state theirs.
+        names: names of the columns; for a data frame and a file the columns to take, as in `read`.
 
     Raises:
         RecordingError, UnitError: something is missing or wrong; the message says what to give.
@@ -75,7 +76,7 @@ def samples_of(
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
 ) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
-    """Samples, rate [Hz] and axes of `as_recording`; of an array whose unit nobody tells there are no axes.
+    """Samples, rate [Hz] and axes of the data; axes are None for an array without units.
 
     Raises:
         RecordingError, UnitError, AllanjaxError: as `as_recording`; another shape.
@@ -92,13 +93,14 @@ def samples_of(
 
 
 def _needed(rate: float | None) -> float:
+    """Sample rate; AllanjaxError if there is none."""
     if rate is None:
         raise AllanjaxError("an array needs its sample rate: give rate in Hz")
     return rate
 
 
 def _columns(data: Any) -> dict[str, np.ndarray] | None:
-    """The columns of a data frame or a mapping, its index among them if that holds times; None of others."""
+    """Columns of a data frame (with its index if it holds times) or a mapping; None for other data."""
     index: Any = getattr(data, "index", None)
     times = {}
     if hasattr(index, "dtype"):
@@ -129,5 +131,6 @@ def _samples(data: Any) -> np.ndarray:
 
 
 def _named(data: Any) -> str:
+    """Type of the data with its article, for messages."""
     kind = type(data).__name__
     return f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind}"

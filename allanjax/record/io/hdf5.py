@@ -1,4 +1,4 @@
-"""HDF5 files, those of MATLAB -v7.3 among them; needs h5py."""
+"""Reader of HDF5 files, those of MATLAB -v7.3 among them; it needs h5py."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -11,6 +11,7 @@ from allanjax.record.io.binary import from_named
 from allanjax.record.io.table import ChunkedTable, Format, Table
 from allanjax.record.validation import Source
 
+# End of messages: other formats to save the data in.
 _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save it as CSV, Parquet or .npz"
 
 
@@ -27,7 +28,7 @@ def read_hdf5(path: Path, label: str) -> Table:
 
 
 def chunked_hdf5(path: Path, label: str) -> ChunkedTable:
-    """What `read_hdf5` reads, some rows at a time.
+    """Open an HDF5 file to read it some rows at a time.
 
     Raises:
         RecordingError: as `read_hdf5`.
@@ -51,6 +52,7 @@ def chunked_hdf5(path: Path, label: str) -> ChunkedTable:
 
 
 def _opened(path: Path, source: Source) -> Any:
+    """Opened HDF5 file; RecordingError if it cannot be read."""
     try:
         import h5py
     except ModuleNotFoundError as error:
@@ -65,7 +67,7 @@ def _opened(path: Path, source: Source) -> Any:
 
 
 def _datasets(file: Any) -> Mapping[str, Any]:
-    """All datasets by name, but for text and what else MATLAB writes as if it were numbers."""
+    """Datasets of numbers by name, without text and empty arrays, which MATLAB writes as numbers."""
     import h5py
 
     found: dict[str, Any] = {}
@@ -82,7 +84,7 @@ def _datasets(file: Any) -> Mapping[str, Any]:
 
 
 def _rows(dataset: Any, rows: slice) -> np.ndarray:
-    """These rows, [rows] or [rows, columns]; a dataset that has no rows as a whole."""
+    """Rows of a dataset, [rows] or [rows, columns]; the whole of a dataset that has no rows."""
     if not _is_samples(dataset):
         return np.asarray(dataset[()])
     array = dataset[rows] if _row_axis(dataset) == 0 else dataset[:, rows].T
@@ -90,7 +92,7 @@ def _rows(dataset: Any, rows: slice) -> np.ndarray:
 
 
 def _outline(dataset: Any) -> np.ndarray:
-    """An array with the shape of all rows, which takes no memory; a dataset that has no rows itself."""
+    """Array with the shape of a dataset that takes no memory; the dataset itself if it has no rows."""
     if not _is_samples(dataset):
         return np.asarray(dataset[()])
     shape = dataset.shape if _row_axis(dataset) == 0 else dataset.shape[::-1]
@@ -98,11 +100,12 @@ def _outline(dataset: Any) -> np.ndarray:
 
 
 def _is_samples(dataset: Any) -> bool:
+    """Whether a dataset is an array of numbers, not a scalar."""
     return dataset.dtype.kind in "fiub" and dataset.size > 1
 
 
 def _row_axis(dataset: Any) -> int:
-    """Along which axis the rows are: MATLAB writes its matrices transposed, and a vector lies either way."""
+    """Axis along which a dataset has its rows; MATLAB transposes matrices, and vectors may lie either way."""
     if dataset.ndim != 2:
         return 0
     axis = int("MATLAB_class" in dataset.attrs)

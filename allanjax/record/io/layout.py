@@ -1,4 +1,4 @@
-"""Which column of a table is what: axes, time, auxiliary."""
+"""Layout of a table: which columns are axes, time stamps and auxiliary channels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,8 +9,10 @@ from allanjax.record.io.options import ReadOptions, TimeChoice
 from allanjax.record.io.table import Table
 from allanjax.record.units import SENSORS
 
+#: Index of a column in the table, and what it is.
 Indexed = tuple[int, Column]
 
+# Entries in a list of columns that skip a column.
 _SKIP = ("-", "_", "")
 
 
@@ -25,10 +27,10 @@ class Layout:
 
 
 def find_layout(table: Table, options: ReadOptions) -> Layout:
-    """Tell what each column is, by the user's columns, else by the labels, else by the units given.
+    """Find the layout of a table, by the user's columns, else by the labels, else by the units given.
 
     Raises:
-        RecordingError: that can not be told, two columns are the same axis, or a triad lacks one.
+        RecordingError: the columns are not recognised, two are the same axis, or a triad lacks one.
     """
     notes: list[str] = []
     if options.columns is not None:
@@ -119,6 +121,7 @@ def _match(table: Table, name: str) -> tuple[int, ...]:
 
 
 def _renamed(table: Table, index: int, name: str) -> Column:
+    """Column with the name that the user gave, and the unit of its label."""
     column = recognise(name)
     if table.labels is None or column.unit is not None:
         return column
@@ -128,7 +131,7 @@ def _renamed(table: Table, index: int, name: str) -> Column:
 def _chosen_time(
     table: Table, found: Sequence[Indexed], time: TimeChoice, notes: list[str]
 ) -> tuple[Indexed, ...]:
-    """The column of time stamps, or the pair of seconds and nanoseconds."""
+    """Column of time stamps, or the pair of seconds and nanoseconds; none if there is none to use."""
     if time is False or (time is not None and time.casefold() == "none"):
         return ()
     if time is not None:
@@ -154,12 +157,14 @@ def _chosen_time(
 
 
 def _pairs(candidates: Sequence[Indexed]) -> list[tuple[Indexed, ...]]:
+    """Pairs of columns with the seconds and nanoseconds of the same stamps."""
     seconds = {c.time_part[0]: (i, c) for i, c in candidates if c.time_part and c.time_part[1] == "s"}
     nanoseconds = {c.time_part[0]: (i, c) for i, c in candidates if c.time_part and c.time_part[1] == "ns"}
     return [(seconds[key], nanoseconds[key]) for key in seconds if key in nanoseconds]
 
 
 def _check_labels(table: Table) -> None:
+    """Raise RecordingError if a label occurs more than once."""
     labels = table.labels or ()
     repeated = sorted({label for label in labels if labels.count(label) > 1})
     if repeated:
@@ -170,6 +175,7 @@ def _check_labels(table: Table) -> None:
 
 
 def _check_triads(table: Table, columns: Sequence[Column]) -> None:
+    """Raise RecordingError if a sensor has two axes of x, y and z."""
     for sensor in SENSORS:
         triad = [f"{sensor}_{axis}" for axis in "xyz"]
         present = [name for name in triad if any(column.name == name for column in columns)]

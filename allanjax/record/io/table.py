@@ -1,4 +1,4 @@
-"""A file's columns as they were read, before it is known what they are."""
+"""Columns of a file as they were read, before their meaning is known."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -13,14 +13,14 @@ from allanjax.record.validation import Source, bad_cells_message
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length.
+    """Columns of equal length, read from a file.
 
     Attributes:
         columns: numbers, datetime64, or objects where a text file has text.
-        labels: one per column, or None if the file has no names.
-        source: where they came from.
+        labels: labels of the columns, or None if the file has no names.
+        source: origin of the columns.
         rate: sample rate in Hz that the file itself states, if any.
-        notes: what the reader did that the user should know.
+        notes: actions of the reader that the user should know.
     """
 
     columns: tuple[Shaped[np.ndarray, " samples"], ...]
@@ -30,7 +30,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def label(self, index: int) -> str:
-        """The column's label, or its place (from 1) if the file has no names."""
+        """Label of a column, or its place (from 1) if the file has no names."""
         return f"column {index + 1}" if self.labels is None else self.labels[index]
 
 
@@ -39,9 +39,10 @@ class ChunkedTable:
     """Columns that are read some rows at a time.
 
     Attributes:
-        rows: columns of at most so many rows, one stretch of the file after the other.
-        n: rows in all, if the file tells.
-        labels, source, rate, notes: as those of a `Table`.
+        rows: function from a number of rows to an iterator over the columns of successive stretches of at
+            most so many.
+        n: number of rows in all, if the file states it.
+        labels, source, rate, notes: as in `Table`.
     """
 
     rows: Callable[[int], Iterator[tuple[Shaped[np.ndarray, " samples"], ...]]]
@@ -52,7 +53,7 @@ class ChunkedTable:
     notes: tuple[str, ...] = ()
 
     def head(self, columns: tuple[Shaped[np.ndarray, " samples"], ...]) -> Table:
-        """The table of its first rows."""
+        """Table of the first rows, whose columns are given."""
         return Table(columns, self.labels, self.source, self.rate, self.notes)
 
 
@@ -74,12 +75,12 @@ class Format:
 
 
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
-    """Whether the dtype is one of real numbers or booleans."""
+    """Whether a column has a dtype of real numbers or booleans."""
     return values.dtype.kind in "fiub"
 
 
 def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
-    """The column as floats; NaN stays, as does a column without a single value.
+    """Column as floats; NaN stays, as does a column without a single value.
 
     Raises:
         RecordingError: a cell is text that is no number.

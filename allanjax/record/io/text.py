@@ -1,4 +1,4 @@
-"""Text files: comma, semicolon, tab or white space between columns, with or without a header."""
+"""Reader of text files: comma, semicolon, tab or white space between columns, with or without a header."""
 
 import csv
 import gzip
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
+# Lines among which the first row of numbers is sought.
 _LINES_BEFORE_DATA = 1000
+# Lines of numbers with decimal commas.
 _DECIMAL_COMMA = re.compile(
     r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?:[\s;]+[+-]?\d+,\d+(?:[eE][+-]?\d+)?)*\s*;?\s*"
 )
@@ -30,7 +32,7 @@ _DECIMAL_COMMA = re.compile(
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the file is written: `start` is the index of the first line of data."""
+    """Layout of a text file; `start` is the index of the first line of data."""
 
     start: int
     labels: tuple[str, ...] | None
@@ -58,7 +60,7 @@ def read_text(path: Path, label: str) -> Table:
 
 
 def chunked_text(path: Path, label: str) -> ChunkedTable:
-    """What `read_text` reads, some rows at a time.
+    """Open a text file, gzip-compressed or not, to read it some rows at a time.
 
     Raises:
         RecordingError: no row of numbers, or decimal commas; `rows` raises it at a row of another length.
@@ -80,6 +82,7 @@ def chunked_text(path: Path, label: str) -> ChunkedTable:
 
 
 def _source(path: Path, label: str, layout: _Layout) -> Source:
+    """Source that locates samples by the lines of the file."""
     return Source(
         label,
         lambda row: f"line {_line_number(path, layout, row)}",
@@ -88,7 +91,7 @@ def _source(path: Path, label: str, layout: _Layout) -> Source:
 
 
 def _options(layout: _Layout) -> dict[str, Any]:
-    """How pandas is to read the file."""
+    """Arguments of `pandas.read_csv` for this layout."""
     return {
         "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
         "header": None,
@@ -104,6 +107,7 @@ def _options(layout: _Layout) -> dict[str, Any]:
 
 @contextmanager
 def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[None]:
+    """Context that turns errors of pandas into RecordingErrors that name the line."""
     import pandas as pd
 
     try:
@@ -115,6 +119,7 @@ def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[Non
 
 
 def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> tuple[np.ndarray, ...]:
+    """Columns of a data frame, as many as the layout has."""
     columns = [frame[name].to_numpy() for name in frame.columns]
     # A delimiter at the end of every line makes one empty column too many.
     if len(columns) == layout.fields + 1 and frame[layout.fields].isna().all():
@@ -125,6 +130,7 @@ def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source)
 
 
 def _layout(path: Path, source: Source) -> _Layout:
+    """Layout of a file, from its first lines."""
     compressed, encoding = _encoding(path, source)
     lines = itertools.islice(_lines(path, compressed, encoding), _LINES_BEFORE_DATA)
     head = [(number, line) for number, line in enumerate(lines) if not _is_blank(line)]
@@ -148,7 +154,7 @@ def _layout(path: Path, source: Source) -> _Layout:
 
 
 def _first_row(head: list[tuple[int, str]]) -> int | None:
-    """Index in `head` of the first row: what follows names of axes, else what is numbers at least by half."""
+    """Index in `head` of the first row of data: after names of axes, else with at least half numbers."""
     plain = [k for k, (_, line) in enumerate(head) if not _is_comment(line)]
     for before, k in itertools.pairwise(plain):
         delimiter = _delimiter(head[k][1])
@@ -171,7 +177,7 @@ def _with_header(
     encoding: str,
     compressed: bool,
 ) -> _Layout:
-    """The layout, its header sought among the lines before the first that has numbers."""
+    """Layout with the header, which is sought among the lines before the first with numbers."""
     plain = [(number, line) for number, line in before if not _is_comment(line)]
     comments = [(number, line) for number, line in before if _is_comment(line)]
     mark = "%" if any(line.lstrip().startswith("%") for _, line in comments) else "#"
@@ -201,12 +207,14 @@ def _with_header(
 
 
 def _skipped(lines: tuple[str, ...]) -> tuple[str, ...]:
+    """Note on lines before the data that were skipped, if any."""
     return (
         (f"{len(lines)} lines before the data skipped, the first {lines[0].strip()[:60]!r}",) if lines else ()
     )
 
 
 def _encoding(path: Path, source: Source) -> tuple[bool, str]:
+    """Whether a file is gzip-compressed, and its encoding."""
     with path.open("rb") as stream:
         compressed = stream.read(2) == _GZIP_MAGIC
     try:
@@ -230,6 +238,7 @@ def _encoding(path: Path, source: Source) -> tuple[bool, str]:
 
 
 def _lines(path: Path, compressed: bool, encoding: str) -> Iterator[str]:
+    """Lines of a file."""
     with (
         gzip.open(path, "rt", encoding=encoding, errors="replace")
         if compressed
@@ -246,11 +255,13 @@ def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, str]]:
 
 
 def _line_number(path: Path, layout: _Layout, row: int) -> int:
+    """Number of the line (from 1) of a row of data (from 0)."""
     number, _ = next(itertools.islice(_rows(path, layout), row, None))
     return number
 
 
 def _ragged_row(path: Path, layout: _Layout) -> str | None:
+    """Error message about the first row with another number of columns, or None."""
     for number, line in _rows(path, layout):
         fields = _split(line.split(layout.comment)[0], layout.delimiter)
         if not _fits(fields, layout.fields):
@@ -263,18 +274,22 @@ def _ragged_row(path: Path, layout: _Layout) -> str | None:
 
 
 def _is_comment(line: str) -> bool:
+    """Whether a line begins with a mark of comments."""
     return line.lstrip().startswith(_COMMENT_MARKS)
 
 
 def _is_blank(line: str) -> bool:
+    """Whether a line is empty; tabs alone are empty cells."""
     return not line.strip(" \r\n")
 
 
 def _delimiter(line: str) -> str | None:
+    """Delimiter of a line; None for white space."""
     return next((mark for mark in "\t;," if mark in line), None)
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
+    """Fields of a line."""
     line = line.strip(" \r\n")
     if delimiter is None:
         # A unit belongs to the name before it.
@@ -284,7 +299,7 @@ def _split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _trim(fields: list[str]) -> list[str]:
-    """The fields without the empty one after a delimiter at the line's end."""
+    """Fields without the empty one after a delimiter at the line's end."""
     return fields[:-1] if len(fields) > 1 and not fields[-1] else fields
 
 
@@ -294,6 +309,7 @@ def _fits(fields: list[str], count: int) -> bool:
 
 
 def _is_number(text: str) -> bool:
+    """Whether a field is a number."""
     try:
         float(text)
     except ValueError:

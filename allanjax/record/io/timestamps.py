@@ -1,4 +1,4 @@
-"""Sample times from a file's time stamps, and the sample rate from them."""
+"""Sample times and the sample rate from a file's time stamps."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -12,19 +12,24 @@ from allanjax.record.io.table import as_float, is_numeric
 from allanjax.record.units import convert
 from allanjax.record.validation import Source
 
+# An interval longer than the median by this factor is a gap.
 _GAP = 1.5
+# Largest rms jitter of the other intervals, over their mean.
 _MAX_JITTER = 0.2
+#: Largest relative difference between two statements of the sample rate.
 MAX_RATE_DIFFERENCE = 0.01
-# More long intervals than this are irregular sampling, not gaps.
+# Share of long intervals above which sampling is irregular, not interrupted by gaps.
 _MANY_GAPS = 0.05
+# End of messages about gaps.
 _IGNORE_STAMPS = "or if no sample is lost ignore the stamps by time='none' and rate= (--time none --rate)"
+# Units that stamps without one may have.
 _UNITS = ("s", "ms", "us", "ns")
 # What stamps without a unit must fit: UNIX time in s, 2001 to 2065, and the rates of inertial sensors in Hz.
 _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
 
 
-#: Words for gaps: of times, their label, the samples before the gaps, the typical interval, the source.
+#: Message about gaps, from times, their label, the samples before the gaps, the typical interval, the source.
 GapMessage = Callable[[np.ndarray, str, np.ndarray, float, Source], str]
 
 
@@ -73,9 +78,9 @@ def rate_from_times(
     source: Source,
     gap_message: GapMessage,
 ) -> tuple[float, str]:
-    """Sample rate in Hz and a note on it, from times in s; a `rate` given is used if they agree with it.
+    """Sample rate in Hz from times in s, and a note on it; a given `rate` is used if they agree with it.
 
-    `gap_message` says what is wrong where there are gaps: `gap_in_record` or `gap_in_stream`.
+    `gap_message` makes the message about gaps: `gap_in_record` or `gap_in_stream`.
 
     Raises:
         RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
@@ -119,7 +124,7 @@ def rate_from_times(
 
 
 def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
-    """Stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
+    """Stamps minus the first one: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
         return (values - values[0]).astype(np.int64).astype(float)
     numbers = as_float(values, label, source)
@@ -149,6 +154,7 @@ def _unit(
     rate: float | None,
     source: Source,
 ) -> tuple[str, tuple[str, ...]]:
+    """Unit of the stamps, and notes: stated, or the only one that fits."""
     for unit in filter(None, (column.unit, time_unit)):
         try:
             convert(1.0, unit, "s")
@@ -197,7 +203,7 @@ def gap_in_record(
     typical: float,
     source: Source,
 ) -> str:
-    """What to say of gaps after the samples `gaps`, where all times of the record are known."""
+    """Error message about gaps after the samples `gaps`, where all times of the record are known."""
     edges = np.concatenate([[-1], gaps, [len(times) - 1]])
     longest = int(np.argmax(np.diff(edges)))
     begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
@@ -215,7 +221,7 @@ def gap_in_stream(
     typical: float,
     source: Source,
 ) -> str:
-    """What to say of gaps after the samples `gaps`, where more samples may follow."""
+    """Error message about gaps after the samples `gaps`, where more samples may follow."""
     first = int(gaps[0])
     return (
         f"{_gap(times, label, gaps, typical, source)}; take what comes before it by "
@@ -231,6 +237,7 @@ def _gap(
     typical: float,
     source: Source,
 ) -> str:
+    """Beginning of a message about gaps: length and place of the first."""
     first = int(gaps[0])
     length = times[first + 1] - times[first]
     return (
@@ -239,10 +246,11 @@ def _gap(
     )
 
 
-# Rounded inwards, to stay clear of the gaps; but a time that is a whole ms stays so.
 def _after(time: float) -> float:
+    """Time rounded up to ms, to stay clear of a gap before it; a whole ms stays as it is."""
     return float(np.ceil(time * 1e3 - 1e-7) / 1e3)
 
 
 def _before(time: float) -> float:
+    """Time rounded down to ms, to stay clear of a gap after it; a whole ms stays as it is."""
     return float(np.floor(time * 1e3 + 1e-7) / 1e3)

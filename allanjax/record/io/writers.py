@@ -1,4 +1,4 @@
-"""Writing recordings so that `read` needs no arguments to read them again."""
+"""Writers of recordings in files that `read` reads again without arguments."""
 
 import os
 from pathlib import Path
