@@ -8,7 +8,9 @@ from jaxtyping import Array, Float, Int
 
 from allanjax.base.errors import AllanjaxError
 
+#: Kinds of variances.
 Kind = Literal["allan", "modified", "hadamard"]
+#: Spacings of cluster sizes, explained at `cluster_sizes`.
 Spacing = Literal["octave", "decade", "all"] | int | Sequence[float] | Float[np.ndarray, " m"]
 
 _Sizes = TypeVar("_Sizes", np.ndarray, Array)

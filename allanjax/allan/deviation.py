@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: Estimators of the variance, explained at `allan_deviation`.
 Estimator = Literal["exact", "pyramid"]
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.allan.clusters import WEIGHTS, Kind, difference_count
 
+#: Quantities that samples may be of: rates, or phases (angles or velocities).
 DataType = Literal["rate", "phase"]
 
 # Differences are taken this many at a time: few enough to stay in cache, enough to hide the loop's overhead.

@@ -10,6 +10,7 @@ from typing import TextIO
 ERRORS = "allanjax"
 """Name of the error handler that writes these replacements, for `str.encode` and for streams."""
 
+# Roots and raised digits, which are written as a whole, and single characters.
 _ROOT = re.compile(r"√([A-Za-z]+)")
 _RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻]+")
 _LEVEL = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻", "0123456789+-")

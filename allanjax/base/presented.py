@@ -14,6 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
+# Functions by the qualified names of the methods that they are.
 _FUNCTIONS: dict[str, str] = {}
 
 

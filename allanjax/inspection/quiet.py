@@ -33,6 +33,7 @@ _ONE_WAY = 0.6
 # Number of windows up to which an event is sudden, and share of the record up to which it is short.
 _SUDDEN, _SHORT = 6, 0.02
 
+#: Kinds of events.
 Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-up", "shift"]
 
 

@@ -30,6 +30,7 @@ _SOFT = 0.5
 # 0.7 steps, at 0.6 it is 0.4, and the level then rules how often the value changes.
 _DITHERED, _COARSE = 0.4, 0.6
 
+#: Scores of axes and groups of axes.
 Scores = Float[np.ndarray, "groups places"]
 
 

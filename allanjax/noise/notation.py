@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 #: A model as functions take it: the model itself, a single term, or a text for `parse_model`.
 ModelLike: TypeAlias = Model | NoiseTerm | str
 
+# A term, a parameter in its brackets, and a value with its unit.
 _TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
 _ARGUMENT = re.compile(r"(?P<name>\w+)\s*=\s*(?P<value>.+)", re.DOTALL)
 _VALUE = re.compile(
     r"(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*(?P<held>\bheld)?"
 )
+# SI units of parameters that are no amplitudes, by their kind.
 _KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
 
 

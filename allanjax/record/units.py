@@ -17,7 +17,9 @@ from allanjax.base.errors import UnitError
 if TYPE_CHECKING:
     import pint
 
+#: Kinds of sensors.
 Sensor = Literal["gyro", "accel"]
+#: Quantities that samples are of: rates, or their increments over a sample interval.
 Quantity = Literal["rate", "increment"]
 Value = TypeVar("Value", float, np.ndarray)
 

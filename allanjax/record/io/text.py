@@ -20,6 +20,7 @@ from allanjax.record.validation import Source
 if TYPE_CHECKING:
     import pandas as pd
 
+# First bytes of a gzip-compressed file, and marks at the beginning of comments.
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
 # Lines among which the first row of numbers is sought.
