@@ -127,17 +127,18 @@ class LogNormal(Prior):
 
 
 class ModifiedLogUniform(Prior):
-    """Uniform in ln(x + knee) on [0, upper]: p(x) = 1/[(x + knee)·ln(1 + upper/knee)].
+    """Modified Jeffreys prior on [0, upper]: p(x) = 1/[(x + scale)·ln(1 + upper/scale)].
 
-    The modified Jeffreys prior of Gregory (2005, ApJ 631:1198): uniform below the knee, where an amplitude
-    cannot be told from zero, and uniform in ln x far above it. Unlike 1/x it is proper, and zero is allowed.
+    It is that of Gregory (2005, ApJ 631:1198), uniform in ln(x + scale): uniform below the scale, where an
+    amplitude cannot be told from zero, and uniform in ln x far above it. Unlike 1/x it is proper, and zero is
+    allowed.
     """
 
-    knee: float
+    scale: float
     upper: float
 
     def __check_init__(self) -> None:
-        self._require(0.0 < self.knee < math.inf, "give a finite knee above 0")
+        self._require(0.0 < self.scale < math.inf, "give a finite scale above 0")
         self._require(0.0 < self.upper < math.inf, "give a finite upper above 0")
 
     @property
@@ -146,19 +147,19 @@ class ModifiedLogUniform(Prior):
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
         x = jnp.asarray(x, float)
-        density = -jnp.log(jnp.maximum(x, 0.0) + self.knee) - jnp.log(jnp.log1p(self.upper / self.knee))
+        density = -jnp.log(jnp.maximum(x, 0.0) + self.scale) - jnp.log(jnp.log1p(self.upper / self.scale))
         return self._inside(x, density)
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        return self.knee * np.expm1(np.asarray(u) * np.log1p(self.upper / self.knee))
+        return self.scale * np.expm1(np.asarray(u) * np.log1p(self.upper / self.scale))
 
 
 def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
     """Default priors of `sample`, by label, in SI.
 
-    Amplitudes: `ModifiedLogUniform`, its knee the amplitude that these data could just tell from zero. Times,
-    frequencies and numbers: `LogUniform` (of the distance from the parameter's own lower bound). Frequencies
-    of lines: `Uniform`. The supports are those of the likelihood, far wider than what data can say.
+    Amplitudes: `ModifiedLogUniform`, its scale the amplitude that these data could just tell from zero.
+    Times, frequencies and numbers: `LogUniform` (of the distance from the parameter's own lower bound).
+    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than what data can say.
     """
     priors: dict[str, Prior] = {}
     for i, p in enumerate(likelihood.parameters):

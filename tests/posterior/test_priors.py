@@ -53,7 +53,7 @@ def test_densities_are_those_of_scipy():
     np.testing.assert_allclose(
         PRIORS[4].log_density(x), stats.lognorm(np.log(2.5), scale=3.0).logpdf(x), rtol=1e-12, atol=1e-12
     )
-    # Gregory (2005): uniform far below the knee, 1/x far above it.
+    # Gregory (2005): uniform far below the scale, 1/x far above it.
     gregory = PRIORS[5]
     assert gregory.log_density(0.0) == pytest.approx(-np.log(1e-2 * np.log(1.0 + 40.0 / 1e-2)))
     assert np.exp(gregory.log_density(2.0) - gregory.log_density(20.0)) == pytest.approx(10.0, rel=5e-3)

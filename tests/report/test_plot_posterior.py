@@ -103,7 +103,7 @@ def test_the_diagonal_shows_density_median_interval_and_prior_in_display_units(p
     walk = plot_corner(axis).axes[0]
     marks = sorted(line.get_xdata()[0] for line in walk.get_lines() if line.get_label() != "prior")
     assert marks[1] == pytest.approx(np.degrees(N) * 60.0, rel=1e-3)
-    # Of an amplitude the prior is a density per deg/√h: 1/[(x + knee)·ln(1 + upper/knee)].
+    # Of an amplitude the prior is a density per deg/√h: 1/[(x + scale)·ln(1 + upper/scale)].
     (prior,) = [line for line in walk.get_lines() if line.get_label() == "prior"]
     x, density = prior.get_data()
     expected = 1.0 / ((x + np.degrees(1e-6) * 60.0) * np.log1p(1e6))
