@@ -20,6 +20,7 @@ from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
+from allanjax.record.axes import names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -133,9 +134,7 @@ class AllanDeviation(ByValue):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the axes; "0", "1", … for an array."""
-        if self.axes is None:
-            return tuple(str(k) for k in range(self.deviation.shape[1]))
-        return tuple(axis.name for axis in self.axes)
+        return names_of(self.axes, self.deviation.shape[1])
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Table with one row a cluster time: each axis's deviation, 68 % interval and degrees of freedom.

@@ -46,7 +46,7 @@ def fit_allan(
     variance = curve.variance.T
     records = [None] * len(axes) if values is None else values.T
     starts = find_starts(design, variance, active, records, curve.n, curve.rate)
-    free = np.array([term.has_free_amplitude for term in template.terms])
+    free = design.free
     # A line is seen in the record far better than in its Allan variances, which get to know of it.
     indices, wanted = lines_of(template)
     lines = [

@@ -46,6 +46,11 @@ class Design(eqx.Module):
         return free_shapes(self.model)
 
     @property
+    def free(self) -> Bool[np.ndarray, " terms"]:
+        """Which terms have an amplitude to be estimated."""
+        return np.array([term.has_free_amplitude for term in self.model.terms])
+
+    @property
     def movable(self) -> Bool[np.ndarray, " shapes"]:
         """Which shapes are fitted to these estimates: frequencies of lines are known from the record."""
         return np.array([not self.model.terms[p.term].deterministic for p in self.shapes], bool)

@@ -228,9 +228,7 @@ def select_terms(
     place = recording.n, recording.rate
     ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
     c = cosine_transform(recording.values - recording.values.mean(axis=0))
-    squares, cross, gram = (bins.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
-    statistics = SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
-    return rank_terms(model, bins, statistics, recording.axes, recording.name)
+    return rank_terms(model, bins, bins.statistics(c, ramp), recording.axes, recording.name)
 
 
 def candidates_of(candidates: ModelLike | None, rate: float) -> Model:

@@ -124,14 +124,13 @@ def fit_spectrum(
     noise = Model(tuple(term for term in template.terms if not term.deterministic))
     used = spectrum.used([k for k in range(len(template)) if not active[k]])
     design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
-    free = _free(noise)
     V = projection.level[None]
     misfit = None
     if bool(solution.converged[0]) and float(solution.discrepancy[0]) > 0.0:
         variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof)
         solution = widened(solution, [misfit])
-    inference = infer(design, V, free, active[random][None], solution)
+    inference = infer(design, V, design.free, active[random][None], solution)
     (noise_found,) = coefficients_of(
         noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
     )
@@ -154,11 +153,6 @@ def fit_spectrum(
     )
 
 
-def _free(noise: Model) -> Bool[np.ndarray, " terms"]:
-    """Which terms have an amplitude to be estimated."""
-    return np.array([term.has_free_amplitude for term in noise.terms])
-
-
 def _expected(design: Design, solution: Solution) -> Float[np.ndarray, " m"]:
     """Expected levels under a solution."""
     return np.asarray(solution.power @ design.means(solution.shape))
@@ -172,7 +166,7 @@ def _fit_noise(
     peaks: Float[np.ndarray, " peaks"] | Sequence[float],
 ) -> tuple[SpectralDesign, Projection, Solution]:
     """Fit the random terms, alternating with the projection of the deterministic parts in use."""
-    bins, free = spectrum.bins, _free(noise)
+    bins = spectrum.bins
     solution: Solution | None = None
     variance = _smoothed(spectrum)
     for _ in range(_ROUNDS if used.any() else 1):
@@ -186,11 +180,11 @@ def _fit_noise(
             starts = best_starts(design, rough[None], active[None], shapes[None])
             # Levels are many and a correlation time has several places to settle: all starts are tried.
             for k in range(starts.power.shape[1] if design.movable.any() else 1):
-                other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])
+                other = solve(design, V, design.free, active[None], starts.power[:, k], starts.shape[:, k])
                 if solution is None or _better(other, solution):
                     solution = other
         else:
-            solution = solve(design, V, free, active[None], solution.power, solution.shape)
+            solution = solve(design, V, design.free, active[None], solution.power, solution.shape)
         assert solution is not None
         variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
     assert solution is not None

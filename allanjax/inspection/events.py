@@ -58,11 +58,11 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
     # What a few windows show is left out of what is averaged over more.
     for length in LENGTHS:
-        rows = list(noise_rows(windows, sensors, length, _touched(windows, found)))
+        rows = list(noise_rows(windows, sensors, length, touched_by(windows, found)))
         louder, quieter = (_runs(rows, len(windows), sign) for sign in (1.0, -1.0))
         found += [Stretch(a, b, "noisier") for a, b in louder]
         found += [Stretch(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, found)]
-    steps = list(step_rows(windows, sensors, _touched(windows, found)))
+    steps = list(step_rows(windows, sensors, touched_by(windows, found)))
     moved: list[Stretch] = []
     for k in range(len(steps)):
         lag = steps[k].width // 2
@@ -73,7 +73,7 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     return _merged(sorted(found + moved, key=lambda s: s.first))
 
 
-def _touched(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
+def touched_by(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
     """Which windows are in one of the stretches."""
     touched = np.zeros(len(windows), bool)
     for s in stretches:
@@ -195,7 +195,7 @@ def excesses(
         The largest excess, over all cluster times and axes, of the mean square difference (twice the Allan
         variance) in standard deviations of its estimate; and that excess as a share of the mean square.
     """
-    touched = _touched(windows, stretches)
+    touched = touched_by(windows, stretches)
     sigmas, shares = np.zeros(len(stretches)), np.zeros(len(stretches))
     for square, weight, width in _squares(windows):
         # Places that have a part in a stretch are touched as a whole.

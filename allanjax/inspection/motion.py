@@ -11,18 +11,18 @@ from jaxtyping import Float
 from allanjax.inspection.scores import mean_squares, step_rows
 from allanjax.inspection.windows import Windows
 
-_DEG = np.pi / 180.0
+DEG = np.pi / 180.0
 # Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] at rest has. The noisiest consumer
 # gyros have 2 deg/√h, 0.033 deg/s at 1 s, and the noisiest accelerometers 1 mg/√Hz, 0.01 m/s²; a correlated
 # part, or a line, makes up to ten times of it.
-AT_REST = {"gyro": 0.3 * _DEG, "accel": 0.15}
+AT_REST = {"gyro": 0.3 * DEG, "accel": 0.15}
 # Cluster times [s] tested: below, vibration and quantization are large at rest, too; above, drift is.
 _SHORTEST, _LONGEST = 0.3, 10.0
 # Largest range of the mean at rest [rad/s or m/s²]: zero-rate levels drift by less than 3 deg/s once a sensor
 # runs, and 0.5 m/s² is a tilt of 3 degrees.
-WANDERS = {"gyro": 3.0 * _DEG, "accel": 0.5}
+WANDERS = {"gyro": 3.0 * DEG, "accel": 0.5}
 # Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
-SHAKES = {"gyro": 10.0 * _DEG, "accel": 2.0}
+SHAKES = {"gyro": 10.0 * DEG, "accel": 2.0}
 
 
 @dataclasses.dataclass(frozen=True)

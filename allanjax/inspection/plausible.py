@@ -7,12 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.inspection.motion import AT_REST
+from allanjax.inspection.motion import AT_REST, DEG
 from allanjax.inspection.windows import Windows
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import parse_sample_unit, unit_scale
 
-_DEG = np.pi / 180.0
 _G = 9.80665
 # Tolerance of gravity measured by a triad, and by a single axis. Gravity is known to 0.3 % anywhere, biases
 # and scale factors of consumer sensors to 5 %. A tilted single axis may read anything: hence less for it.
@@ -23,9 +22,9 @@ _ABOUT = 0.2
 _NONE = 0.1
 _ACCEL_UNITS = ("m/s²", "g", "mg", "cm/s²", "ft/s²")
 # Zero-rate level beyond the specification of any gyro.
-_LARGEST_BIAS = 20.0 * _DEG
+_LARGEST_BIAS = 20.0 * DEG
 # deg/√h in rad/√s; m/s/√h in m/s/√s.
-_ROOT_HOUR = _DEG / 60.0
+_ROOT_HOUR = DEG / 60.0
 # White noise [rad/√s] that no gyro has been made with.
 _BEST_GYRO = 3e-5 * _ROOT_HOUR
 # Least ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units it is 0.17
@@ -127,7 +126,7 @@ def _gyro(
     noise, bias = float(np.median(white.min(axis=0)[gyros])), float(abs(mean[gyros]).max())
     # Motion has its own spectrum; noise in another unit is as white as it was.
     flat = bool(np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[gyros]) < 0.0)
-    known = f"gyros average {bias / _DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
+    known = f"gyros average {bias / DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
     if (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving):
         remedy = "is the unit right? (--gyro-unit)" if "deg" in unit else "are they deg/s? --gyro-unit deg/s"
         return f"{known}, beyond any gyro at rest; {remedy}"

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.inspection.events import Stretch, beside, excesses, longest_quiet, unlike
+from allanjax.inspection.events import Stretch, beside, excesses, longest_quiet, touched_by, unlike
 from allanjax.inspection.windows import Windows
 
 # An event matters if it changes the Allan variance by more than this, in standard deviations of the estimate.
@@ -155,9 +155,7 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
 
 def _untouched(windows: Windows, events: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
     """Which windows are outside of all events; all windows if none is."""
-    untouched = np.ones(len(windows), bool)
-    for s in events:
-        untouched[s.first : s.last] = False
+    untouched = ~touched_by(windows, events)
     return untouched if untouched.any() else ~untouched
 
 

@@ -7,6 +7,7 @@ each variance the χ² law of its degrees of freedom under the model, by its nor
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -47,17 +48,17 @@ class Likelihood(eqx.Module):
         found: which parameters belong to terms that the fit found.
     """
 
-    parameters: eqx.AbstractVar[tuple[ModelParameter, ...]]
-    start: eqx.AbstractVar[Float[np.ndarray, " params"]]
-    scatter: eqx.AbstractVar[Float[np.ndarray, " params"]]
-    lower: eqx.AbstractVar[Float[np.ndarray, " params"]]
-    upper: eqx.AbstractVar[Float[np.ndarray, " params"]]
-    prior_scale: eqx.AbstractVar[Float[np.ndarray, " params"]]
-    found: eqx.AbstractVar[Bool[np.ndarray, " params"]]
+    parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
+    start: Float[np.ndarray, " params"]
+    scatter: Float[np.ndarray, " params"]
+    lower: Float[np.ndarray, " params"]
+    upper: Float[np.ndarray, " params"]
+    prior_scale: Float[np.ndarray, " params"]
+    found: Bool[np.ndarray, " params"]
 
+    @abc.abstractmethod
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
         """Log-likelihood [nats] up to a constant; NaN or −inf where the noise has no power."""
-        raise NotImplementedError
 
 
 def likelihood_of(fit: Fit, axis: str) -> Likelihood:
@@ -145,13 +146,6 @@ class WhittleLikelihood(Likelihood):
     The sign of ramps, the phase of lines and the amplitudes of regressors are averaged.
     """
 
-    parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
-    start: Float[np.ndarray, " params"]
-    scatter: Float[np.ndarray, " params"]
-    lower: Float[np.ndarray, " params"]
-    upper: Float[np.ndarray, " params"]
-    prior_scale: Float[np.ndarray, " params"]
-    found: Bool[np.ndarray, " params"]
     design: SpectralDesign
     layout: _ParameterLayout
     squares: Float[np.ndarray, " m"]
@@ -198,13 +192,6 @@ class WhittleLikelihood(Likelihood):
 class AllanLikelihood(Likelihood):
     """Likelihood of the Allan variances: correlated χ² laws, whose covariance follows the powers only."""
 
-    parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
-    start: Float[np.ndarray, " params"]
-    scatter: Float[np.ndarray, " params"]
-    lower: Float[np.ndarray, " params"]
-    upper: Float[np.ndarray, " params"]
-    prior_scale: Float[np.ndarray, " params"]
-    found: Bool[np.ndarray, " params"]
     design: AllanDesign
     layout: _ParameterLayout
     variance: Float[np.ndarray, " m"]

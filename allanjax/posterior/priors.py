@@ -158,8 +158,8 @@ def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
     """Default priors of `sample`, by label, in SI.
 
     Amplitudes: `ModifiedLogUniform`, its scale the amplitude that these data could just tell from zero.
-    Times, frequencies and numbers: `LogUniform` (of the distance from the parameter's own lower bound).
-    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than what data can say.
+    Times, frequencies and numbers: `LogUniform`, of the distance from the parameter's lower bound.
+    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than data need.
     """
     priors: dict[str, Prior] = {}
     for i, p in enumerate(likelihood.parameters):

@@ -69,6 +69,11 @@ def axes_of(
     return axes, (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
 
 
+def names_of(axes: Sequence[Axis] | None, count: int) -> tuple[str, ...]:
+    """Names of the axes; "0", "1", … for the columns of an array without axes."""
+    return tuple(map(str, range(count)) if axes is None else (axis.name for axis in axes))
+
+
 def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
     return np.array([_scale(axis.unit, axis.sensor, rate) for axis in axes])

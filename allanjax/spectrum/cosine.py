@@ -147,6 +147,13 @@ class CosineBins(Bins):
         found[real] = np.add.reduceat(products, self.first[real] - 1, axis=0)
         return found
 
+    def statistics(
+        self, c: Float[np.ndarray, "n-1 axes"], ramp: Float[np.ndarray, " n-1"]
+    ) -> SpectralStatistics:
+        """Statistics [axes, m] of axes with these coefficients, and of a ramp with these."""
+        squares, cross, gram = (self.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
+        return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
+
 
 class _Transform(eqx.Module):
     """Quadratures of one transform as in `CosineBins`, with length and rate as data, not compiled in."""

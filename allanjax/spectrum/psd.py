@@ -18,6 +18,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
 from allanjax.noise.estimate import Estimate
+from allanjax.record.axes import names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -105,9 +106,7 @@ class PowerSpectrum(ByValue):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the axes; "0", "1", … for an array."""
-        if self.axes is None:
-            return tuple(str(k) for k in range(self.density.shape[1]))
-        return tuple(axis.name for axis in self.axes)
+        return names_of(self.axes, self.density.shape[1])
 
     @property
     def standard_error(self) -> Float[np.ndarray, "m axes"]:
@@ -309,7 +308,7 @@ def power_spectrum(
     if method not in get_args(Method):
         raise AllanjaxError(f"unknown method {method!r}: expected 'logarithmic' or 'welch'")
     values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    labels = [str(k) for k in range(values.shape[1])] if axes is None else [axis.name for axis in axes]
+    labels = names_of(axes, values.shape[1])
     check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
     n = len(values)
     length = n

@@ -234,22 +234,22 @@ class SegmentSpectra:
             raise FitError(f"{self.n} samples are too few for a spectrum; record at least 64")
         n, depth = len(self.last), len(self.segmented)
         c = cosine_transform(self.last - self.last.mean(axis=0))
-        ramp = ramp_column(n, self.rate / _FACTOR**depth)[:, None]
+        ramp = ramp_column(n, self.rate / _FACTOR**depth)
         if not depth:
             bins = CosineBins.of(n, self.rate)
-            return bins, _statistics(*(bins.sums(x) for x in (c**2, c * ramp, ramp**2)))
+            return bins, bins.statistics(c, ramp)
         edges = bin_edges(1, -(-n * _LOWEST * _FACTOR // _SEGMENT), _LAST_BINS)
         parts = [Part(n, self.rate / _FACTOR**depth, edges, 1)]
-        c, ramp = c[: edges[-1] - 1], ramp[: edges[-1] - 1]
+        c, ramp = c[: edges[-1] - 1], ramp[: edges[-1] - 1, None]
         sums = [[_binned(x, edges) for x in (c**2, c * ramp, ramp**2)]]
         for k in reversed(range(depth)):
             level, edges, rate = self.segmented[k], _edges(k), self.rate / _FACTOR**k
             parts.append(Part(_SEGMENT, rate, edges, level.count))
             gram = level.count * _binned(_segment_ramp(edges) ** 2, edges)
             sums.append([level.squares, level.cross / rate, gram / rate**2])
-        return PooledBins.of(self.n, self.rate, parts), _statistics(
-            *map(np.concatenate, zip(*sums, strict=True))
-        )
+        squares, cross, gram = (np.concatenate(x).T for x in zip(*sums, strict=True))
+        statistics = SpectralStatistics(squares, cross, np.broadcast_to(gram, squares.shape))
+        return PooledBins.of(self.n, self.rate, parts), statistics
 
     def _with_level(self) -> SegmentSpectra:
         """These statistics with the last level cut into segments, and a shorter one after it."""
@@ -301,10 +301,3 @@ def _segment_ramp(edges: Int[np.ndarray, " m+1"]) -> Float[np.ndarray, "k 1"]:
 def _whole_segment_ramp() -> Float[np.ndarray, " k"]:
     """All coefficients of a ramp of 1 per sample in a segment."""
     return ramp_column(_SEGMENT, 1.0)
-
-
-def _statistics(
-    squares: Float[np.ndarray, "m axes"], cross: Float[np.ndarray, "m axes"], gram: Float[np.ndarray, "m 1"]
-) -> SpectralStatistics:
-    """Statistics stacked by axes."""
-    return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram.T, squares.T.shape))
