@@ -66,7 +66,7 @@ def discrete_gauss(
     N = counts[:, None].astype(float)
     x, w = np.polynomial.legendre.leggauss(order)
     nodes, weights = (N * (x + 1.0) - 1.0) / 2.0, N * w / 2.0
-    # A long sum is an integral, to 1/(24·count²): worth knowing where eigenvalue problems are large.
+    # A long sum is an integral, to 1/(24·count²), which saves large eigenvalue problems.
     exact = counts <= (_LONG_SUM if order > 2 * _ORDER else np.inf)
     k, N = np.arange(1, order), N[exact]
     beta = np.maximum(k**2 * (N**2 - k**2) / (4.0 * (4.0 * k**2 - 1.0)), 0.0)
@@ -107,7 +107,7 @@ def _pairs_at_lag(
 ) -> Float[np.ndarray, "pairs lags"]:
     """Number of pairs of differences at distance u from lag m_j − m_i, on the side with this shift d."""
     beyond = (u - (mj - mi) - shift) / sj
-    # Nodes of the tail are far apart: they stand for the mean of the steps, of which equal strides have none.
+    # In the tail nodes are far apart and stand for the mean of the steps; equal strides have no steps.
     steps = np.where((si < sj) & (u <= mi + mj), np.ceil(beyond), beyond + (1.0 - si / sj) / 2.0)
     return np.clip(Mj - steps, 0.0, Mj)
 

@@ -236,7 +236,8 @@ def allan_deviation(
     variance = np.asarray(
         allan_variance_estimates(values, sizes, rate, kind=kind, overlapping=overlapping, data_type=data_type)
     )
-    # A sample that is not finite spoils all variances of its axis: a look at each one would take longer.
+    # A sample that is not finite makes variances of its axis NaN: checking the samples first would take
+    # longer.
     if not np.isfinite(variance).all():
         check_finite(values)
     edf = equivalent_degrees_of_freedom(n, rate, sizes, kind, overlapping)

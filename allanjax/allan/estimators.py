@@ -101,7 +101,7 @@ def _shared_sums_of_axes(
     table = values if isinstance(values, jax.Array) else np.asarray(values, dtype=float)
     n = len(table) - (data_type == "phase")
     cores = os.cpu_count() or 1
-    # The sums of a modified variance go through the whole record in one.
+    # The running sums of a modified variance go through the whole record in one piece.
     shares = 1 if kind == "modified" else cores
 
     def sums_of(task: tuple[Array, int]) -> Float[np.ndarray, " m"]:
@@ -208,7 +208,7 @@ def _square_sums_of_sums(
 
     def of_size(m: Array) -> Array:
         # The first sum of m second differences comes from sums of the phases, the others by their increments:
-        # sums of phases grow so fast that far into the record they would lack the digits.
+        # sums of phases grow so fast that they would lose their digits far into the record.
         first = x_sums[3 * m] - 3 * x_sums[2 * m] + 3 * x_sums[m]
         count = difference_count(n, m, "modified")
 

@@ -102,7 +102,7 @@ class Pyramid:
         junction, first = np.empty((axes, 0)), border
         for k in range(len(merged.head)):
             (left_head, left_tail), (right_head, right_tail) = self._held(k), right._held(k)
-            # A block across the border is the mean of two that the level below has at its junction.
+            # A block across the border is the mean of two blocks of the level below.
             block = border >> k
             begin, end = block << k, (block + 1) << k
             across = np.empty((axes, 0))
@@ -186,7 +186,8 @@ def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecu
         sums, rows_above = climb(rows, first, pool)
         if k == 0:
             pyramid.sums[:_SMALL] = sums[:_SMALL]
-            # Every sample is in one of the blocks of the first pass, or among those beside them.
+            # Every sample is in a block that the first pass returns, or among the samples beside these
+            # blocks.
             if not all(np.isfinite(x).all() for x in (rows_above, values[:_HELD], values[-_HELD:])):
                 check_finite(values, origin)
         levels = pyramid.sums[_SMALL + k :][:LEVELS]

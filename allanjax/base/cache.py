@@ -30,7 +30,7 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
     except OSError as error:
         why = error.strerror
     if not os.access(path, os.W_OK | os.X_OK):
-        # A home that can not be written to, as in a container, is nobody's mistake.
+        # A home directory that is not writable, as in a container, is not the user's mistake.
         if chosen:
             _warn(path, why)
         return None

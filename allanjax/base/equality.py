@@ -38,7 +38,7 @@ def equal(a: Any, b: Any) -> bool:
         return len(a) == len(b) and all(map(equal, a, b))
     if dataclasses.is_dataclass(a):
         return _same_fields(a, b)
-    if hasattr(a, "equals"):  # of pandas
+    if hasattr(a, "equals"):  # pandas
         return bool(a.equals(b))
     return bool(a == b) or (a != a and b != b)
 

@@ -64,7 +64,7 @@ def non_negative_least_squares(
     A = A / size
     normal, target = A.T @ A, A.T @ b
 
-    # Which entries are positive has no derivative.
+    # The set of positive entries has no derivative.
     still_normal, still_target = jax.lax.stop_gradient((normal, target))
 
     def solution(

@@ -81,7 +81,7 @@ def _power(largest: float) -> int:
 def _fixed(x: float, error: float, power: int) -> str:
     """Number x/10^power with decimals down to the second digit of its error."""
     decimals = power + 1 - _exponent(error, 2)
-    # Adding zero makes minus zero plain.
+    # Adding zero turns minus zero into zero.
     rounded = round(x / 10.0**power, decimals) + 0.0
     return f"{rounded:,.{max(decimals, 0)}f}"
 

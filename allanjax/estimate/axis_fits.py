@@ -47,7 +47,7 @@ def fit_allan(
     records = [None] * len(axes) if values is None else values.T
     starts = find_starts(design, variance, active, records, curve.n, curve.rate)
     free = design.free
-    # A line is seen in the record far better than in its Allan variances, which get to know of it.
+    # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
     lines = [
         {}
@@ -87,7 +87,7 @@ def solve_and_infer(
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
     """Best solution from the starts of each axis, the inference around it, and its misfit."""
     solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
-    # A correlation time has several places to settle: all starts are tried.
+    # The cost may have several minima in a correlation time: all starts are tried.
     for k in range(1, starts.power.shape[1]):
         doubtful = ~np.asarray(solution.converged) | design.movable.any()
         if not doubtful.any():
@@ -199,7 +199,7 @@ def with_curve(
     place = _parameters(design, results)
     curve = _with_model_edf(curve, design, results, np.asarray(_variances(design, *place)))
     mean = np.asarray(_means(design, *place))
-    # What is profiled out of the spectrum is still in the Allan deviations.
+    # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
     found = []
     for k, result in enumerate(results):
@@ -207,7 +207,8 @@ def with_curve(
         if result.misfit is not None and result.measured and not (profiled or result.regression):
             ratio = curve.deviation[:, k] / np.sqrt(mean[k])
             misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
-        # Of a fitted spectrum its own is the word, unless the Allan deviation is what is far off.
+        # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
+        # excessive.
         found.append(with_misfit(result, misfit) if misfit is not None and misfit.excessive else result)
     return tuple(found), curve
 

@@ -118,7 +118,7 @@ def take_out_lines(
     rest = np.array(x, float)
     angle = 2.0 * np.pi * (np.arange(n) + 0.5) / rate if len(wanted) else None
     found: dict[int, tuple[Line, np.ndarray]] = {}
-    # Those with a frequency first, then the strongest.
+    # Lines with a given frequency first, then the strongest.
     order = sorted(range(len(wanted)), key=lambda k: wanted[k][0] is None)
     for sweep in range(2 if len(wanted) > 1 else 1):
         for k in order:
@@ -181,7 +181,7 @@ def _refined(
     first = max(centre - LINE_REACH, 1)
     indices = np.arange(first, min(centre + LINE_REACH, n - 1) + 1)
     data = c[indices - 1]
-    # The noise there: the mean without what no noise would do (a line, say).
+    # The level of the noise: a mean without outliers, such as another line.
     around = c[max(centre - _LEVEL_REACH, 1) - 1 : centre + _LEVEL_REACH] ** 2
     level = float(np.mean(around[around < _OUTLYING * np.median(around) / _MEDIAN]))
 
@@ -264,7 +264,7 @@ class AxisSpectrum(ByValue):
         for term, line in lines.items():
             near = line.indices - 1
             own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
-            # The part of the others is what a line's own coefficients lack.
+            # The rest, which is due to other lines, is not in a line's own coefficients.
             fitted = own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
             apart[near] += fitted**2
             present[near] += fitted
@@ -301,7 +301,7 @@ class AxisSpectrum(ByValue):
             dof -= np.einsum("mab,ba->m", gram, inverse) / variance
         known = dof > 1e-3
         dof = np.where(known, dof, 0.0)
-        # A level that is not known is what is expected, and counts for nothing.
+        # A level without degrees of freedom is set to its expectation and has no weight.
         level = np.where(known, np.maximum(rss, 0.0) / np.where(known, dof, 1.0), variance)
         return Projection(level, dof, amplitude, covariance)
 
@@ -322,7 +322,8 @@ def amplitude_quantile(square: float, degrees: int, probability: float) -> float
     if probability < 0.5:
         square = max(square, float(chi2.ppf(0.5, degrees)))
     if square > 400.0:
-        # Where the law is normal; the mean of the estimate is (degrees − 1)/(2·amplitude) above.
+        # Here the law is normal, and the mean of the estimate exceeds the amplitude by (degrees −
+        # 1)/(2·amplitude).
         return float(np.sqrt(square) - norm.ppf(probability) - (degrees - 1) / (2.0 * np.sqrt(square)))
     if ncx2.cdf(square, degrees, 1e-12) <= probability:
         return 0.0

@@ -115,7 +115,7 @@ def _marginal_factor(precision: Array, power: Array, score: Array, prior_scale: 
     # Uniform in y = ln(1 + c/prior_scale), as the prior is, from zero to where the integrand has ended.
     width = 1.0 / jnp.sqrt(precision)
     top = jnp.log1p(jnp.sqrt(power + 8.0 * width) / prior_scale)
-    # Where the power is known well, only its surroundings.
+    # If the power is well determined, only values near it are needed.
     bottom = jnp.log1p(jnp.sqrt(jnp.maximum(power - 8.0 * width, 0.0)) / prior_scale)
     y = bottom + (top - bottom) * (jnp.arange(_QUADRATURE) + 0.5) / _QUADRATURE
     v = (prior_scale * jnp.expm1(y)) ** 2
@@ -164,7 +164,7 @@ def _evidence(
         new = _non_negative_powers(
             columns * weight @ columns.T, columns @ (weight * level), subset.terms, power
         )
-        # Fisher's scoring overshoots now and then; half the step is for that.
+        # Fisher scoring overshoots at times; then half the step is taken.
         tried = jnp.stack([new, 0.5 * (power + new)])
         means = jnp.maximum(tried @ columns, 1e-300)
         values = jax.vmap(lambda mean: _log_likelihood(statistics, size, share, mean, subset.ramp))(means)
@@ -247,7 +247,7 @@ def evidences(
     if first is None:
         first = np.zeros((len(share), count, len(fixed) + 1))
     for begin in range(0, count, BLOCK):
-        # The last block is filled up: one shape, one compilation.
+        # The last block is padded, so that all have one shape and are compiled once.
         rows = np.minimum(np.arange(begin, begin + BLOCK), count - 1)
         block = TermSubset(*(x[rows] for x in subsets))
         found = _evidences(block, first[:, rows], statistics, fixed, grid, size, share, np.asarray(steps))

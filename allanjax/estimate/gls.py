@@ -163,17 +163,19 @@ def _solve(
             longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
             shape = state.shape + jnp.clip(shape - state.shape, -longest, longest)
         step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
-        # Reweighting converges by a steady factor, sometimes a slow or a negative one. Anderson's (1965)
-        # acceleration, with one step of memory and steps measured by how they move the curve, sees to that.
+        # Reweighting converges linearly, sometimes slowly or with alternating sign. Anderson's (1965)
+        # acceleration
+        # remedies that, with one step of memory and steps measured by how far they move the curve.
         to_curve = W @ (means(state.shape) / reference).T
         here_step, last_step = to_curve @ step[0], to_curve @ state.last_step[0]
         change = here_step - last_step
         gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
-        # Steps that grow in one direction leave a place where there was almost a solution: on, not back.
+        # Steps that grow in one direction lead away from what is almost a solution: extrapolate, do not
+        # return.
         leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
         gamma = jnp.where(leaving, -_MAX_EXTRAPOLATION, gamma)
-        # While warming up each step solves another problem: nothing to extrapolate; nor after many, when
-        # the iteration goes round in circles.
+        # No extrapolation while warming up, when each step solves another problem, nor after many steps, when
+        # the iteration cycles.
         steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _DAMPING_AFTER_STEP)
         gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
         here = (state.power, state.shape)
@@ -195,11 +197,11 @@ def _solve(
         )
         # Minus twice the Gaussian log-likelihood, to choose among starts.
         cost = design.cost(V, reference, covariance, state.discrepancy, with_discrepancy + 2.0 * log_det)
-        # Where the discrepancy dominates, χ² goes with its inverse square.
+        # Where the discrepancy dominates the covariance, χ² is proportional to its inverse square.
         excess = with_discrepancy / dof
         s = jnp.clip(state.discrepancy * jnp.sqrt(excess), 1e-4, 10.0)
         warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_DISCREPANCY))
-        # Nothing is to be gained from iterating a model that is far off.
+        # A model that is far off is not iterated further without a discrepancy.
         hopeless = (chi2 > 4.0 * limit) & (k >= 5)
         plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
         incomplete = plain_ends & ~(at_rest & (chi2 < limit))

@@ -268,7 +268,7 @@ def rank_terms(
     per_octave = bins_per_octave(bins)[keep]
     log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(subsets.ramp)))
     incomplete = np.array([off(k, int(np.argmax(log_evidence[k]))) > 0.0 for k in every])
-    # The sets without a free time come first; only these are left where none suffices.
+    # The sets without a free time come first; only these are compared where none suffices.
     plain = int((~subsets.terms[:, -1]).sum())
     log_evidence[incomplete, plain:] = -np.inf
     discrepancy = np.zeros(len(axes))
@@ -378,7 +378,7 @@ def _ranked(
             continue
         chosen = {places[i] for i in np.flatnonzero(terms)} | (set(ramps) if ramp else set())
         by_set.setdefault(tuple(labels[k] for k in sorted(chosen)), []).append(float(value))
-    # A grid of times is one set: the mean of its evidences.
+    # The evidence of a set with a free time is the mean over the grid of times.
     total = {s: float(np.logaddexp.reduce(v) - np.log(len(v))) for s, v in by_set.items()}
     norm = float(np.logaddexp.reduce(list(total.values())))
     ranking = sorted(total.items(), key=lambda item: -item[1])

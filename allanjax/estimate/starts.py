@@ -62,7 +62,7 @@ def best_starts(
     from scipy.ndimage import median_filter
 
     given = [getattr(t, t.amplitude_parameter().name) for t in design.model.terms]
-    # One estimate that happens to be small must not pull everything down.
+    # A single estimate that is small by chance must not lower all powers.
     smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
     rough, misfit = _rough_powers(design, smooth, active, shape)
     power = np.array(rough)
@@ -105,11 +105,11 @@ def _rough_powers(
         A = design.means(shape) / V
         normal, target = (A * weight) @ A.T, A @ weight
 
-        # Lee & Seung's (2001) multiplicative steps: they stay positive and never get worse.
+        # Lee & Seung's (2001) multiplicative steps keep powers positive and never increase the misfit.
         def step(_: int, v: Array) -> Array:
             return v * target / (normal @ v)
 
-        # From below: no term alone explains more than the curve.
+        # The start is low enough for no term alone to exceed the curve.
         start = jnp.where(active, 1.0 / jnp.max(A, axis=1) / len(A), 0.0)
         v = jax.lax.fori_loop(0, 500, step, start)
         return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
@@ -171,7 +171,7 @@ def find_lines(x: Float[np.ndarray, " samples"], rate: float) -> Float[np.ndarra
         f, S = welch(x, rate, nperseg=length, detrend="linear")
         f, S = f[2:-1], S[2:-1]
         ratio = S / median_filter(S, min(101, len(S) // 4 * 2 + 1))
-        # Log-likelihood gain of a free level for a mean of that many periodograms.
+        # Gain in log-likelihood from a free level of a mean of len(x)/length periodograms.
         excess = len(x) / length * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
         for i in np.argsort(excess)[::-1][:40]:
             found.append((excess[i], f[i], 2.0 * rate / length))

@@ -174,11 +174,11 @@ def _fit_noise(
         design = SpectralDesign.of(noise, bins, projection.dof)
         V = projection.level[None]
         if solution is None:
-            # Single coefficients scatter too much to be compared with anything.
+            # Single coefficients scatter too much for start values.
             rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
             shapes = shape_candidates(design.shapes, float(bins.n / bins.rate), bins.rate, peaks)
             starts = best_starts(design, rough[None], active[None], shapes[None])
-            # Levels are many and a correlation time has several places to settle: all starts are tried.
+            # The cost may have several minima in a correlation time: all starts are tried.
             for k in range(starts.power.shape[1] if design.movable.any() else 1):
                 other = solve(design, V, design.free, active[None], starts.power[:, k], starts.shape[:, k])
                 if solution is None or _better(other, solution):

@@ -56,7 +56,7 @@ class Stretch:
 def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     """Stretches whose noise or whose change of the mean is unlike the rest's, in order, none overlapping."""
     found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
-    # What a few windows show is left out of what is averaged over more.
+    # Stretches found from few windows are left out of the averages over more.
     for length in LENGTHS:
         rows = list(noise_rows(windows, sensors, length, touched_by(windows, found)))
         louder, quieter = (_runs(rows, len(windows), sign) for sign in (1.0, -1.0))
@@ -67,7 +67,7 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     for k in range(len(steps)):
         lag = steps[k].width // 2
         for a, b in _moves(steps, k, groups_of(sensors)):
-            # What was seen over few windows is seen over more.
+            # A change that was found over few windows shows over more of them, too.
             if not _overlaps(a - lag, b + lag, moved):
                 moved.append(Stretch(a, b, "moved"))
     return _merged(sorted(found + moved, key=lambda s: s.first))
@@ -97,12 +97,12 @@ def _runs(rows: Sequence[Row], count: int, sign: float) -> list[tuple[int, int]]
         if not alarmed.any():
             continue
         high, low = (score[alarmed] > _UNLIKE).any(axis=0), (score[alarmed] > _STILL).any(axis=0)
-        # Of several windows together, the middle ones: whatever is loud there is in these.
+        # For averages over several windows, the middle ones: the loud part is among these.
         inner = (row.width - 1) // 2
         peak[inner : inner + len(high)] |= high
         still[inner : inner + len(low)] |= low
         if row.width > 1:
-            # At the record's ends there is no middle.
+            # At the record's ends no average has these windows in its middle.
             peak[: inner + 1] |= high[0]
             peak[inner + len(high) - 1 :] |= high[-1]
     return [(a, b) for a, b in _spans(peak | still) if peak[a:b].any()]
@@ -145,7 +145,7 @@ def _where(rows: Sequence[Row], k: int, first: int, last: int, place: int) -> tu
     axis = int(np.argmax(row.square[:, place] / row.scatter**2))
     size, middle = abs(row.step[axis, place]), place + lag
     slow = first + lag, last + lag
-    # A sudden step is as large over fewer windows.
+    # A sudden step has the same size over fewer windows.
     for finer in reversed(rows[:k]):
         assert finer.step is not None
         half = finer.width // 2
@@ -174,7 +174,7 @@ def _overlaps(first: int, last: int, others: Sequence[Stretch]) -> bool:
 
 
 def _merged(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches with overlapping ones joined; of their kinds "moved" has the least priority."""
+    """Stretches with overlapping ones joined, of the first kind among silent, noisier, quieter, moved."""
     merged: list[Stretch] = []
     for s in found:
         if merged and s.first <= merged[-1].last:
@@ -198,7 +198,7 @@ def excesses(
     touched = touched_by(windows, stretches)
     sigmas, shares = np.zeros(len(stretches)), np.zeros(len(stretches))
     for square, weight, width in _squares(windows):
-        # Places that have a part in a stretch are touched as a whole.
+        # A place counts as touched if one of its windows is in a stretch.
         seen = np.concatenate([[0], np.cumsum(touched)])
         places = seen[width:] > seen[: len(seen) - width]
         quiet = ~places & (weight > 0)
@@ -206,7 +206,7 @@ def excesses(
             continue
         level = np.average(square[quiet], axis=0, weights=weight[quiet])
         level = np.where(level > 0.0, level, np.inf)
-        # Neighbouring places have windows in common: there are as many as fit side by side.
+        # Neighbouring places share windows: only as many as fit side by side are independent.
         independent = max(quiet.sum() / width, 1.0) * (len(square) / quiet.sum())
         scatter = np.sqrt(np.average((square[quiet] / level - 1.0) ** 2, axis=0, weights=weight[quiet]))
         error = np.maximum(scatter / np.sqrt(independent), 1e-12)

@@ -161,7 +161,7 @@ def look(
     moving = motions(part, sensors, rate)
     about = {sensors[m.axis] for m in moving}
     units = implausible(axes, rate, mean, _white(part, rate), auxiliary or {}, about)
-    # A wrong unit makes noise into motion.
+    # In a wrong unit noise looks like motion.
     moving = [] if vibrating else [m for m in moving if sensors[m.axis] not in units]
     said = said_of_events(touched, axes, rate, n / rate)
     refusal, happened = "", ""
@@ -174,7 +174,7 @@ def look(
         percent = 50.0 * sum(e.share for e in touched)
         happened = f"{said}: the Allan deviation is {percent:.1g} % off by it at most"
     elif touched and moving:
-        # That it moves is the first thing to say, and reason enough.
+        # The warning about motion comes first, and is reason enough.
         happened = f"{said}; the longest part without that is {where}"
     elif touched:
         refusal = unclear(said) if unlikely_rest else refused(said, where, LEAST_SHARE)

@@ -72,7 +72,8 @@ def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Moti
         if not _SHORTEST <= time <= _LONGEST:
             continue
         for k, sensor in enumerate(sensors):
-            # White noise averages out; a difference of two is √2 times the Allan deviation.
+            # The limit follows white noise up to 1 s; the rms difference of two means is √2 times the Allan
+            # deviation.
             limit = AT_REST[sensor] * np.sqrt(2.0 / min(time, 1.0))
             if square[k] > limit**2:
                 found.append(Motion("changes", k, float(np.sqrt(square[k])), float(limit), time))
@@ -87,6 +88,6 @@ def _averaged(mean: Float[np.ndarray, "w axes"], over: int) -> Float[np.ndarray,
 
 def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
     """Rms of the samples about the mean of their window."""
-    # The sum of squares about the mean is that of the differences of halves of all sizes.
+    # The sum of squares about the mean is a weighted sum over the differences of halves of all sizes.
     scales = 2.0 ** np.arange(len(windows.power))
     return np.sqrt((windows.power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())

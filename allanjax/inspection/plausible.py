@@ -23,9 +23,9 @@ _NONE = 0.1
 _ACCEL_UNITS = ("m/s²", "g", "mg", "cm/s²", "ft/s²")
 # Zero-rate level beyond the specification of any gyro.
 _LARGEST_BIAS = 20.0 * DEG
-# deg/√h in rad/√s; m/s/√h in m/s/√s.
+# deg/√h in rad/√s.
 _ROOT_HOUR = DEG / 60.0
-# White noise [rad/√s] that no gyro has been made with.
+# White noise [rad/√s] below that of the best gyro made.
 _BEST_GYRO = 3e-5 * _ROOT_HOUR
 # Least ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units it is 0.17
 # (fibre-optic gyros beside MEMS accelerometers) to 30, and 57 times less if rad/s are taken for deg/s.
@@ -124,7 +124,7 @@ def _gyro(
         return ""
     unit = axes[gyros[0]].unit
     noise, bias = float(np.median(white.min(axis=0)[gyros])), float(abs(mean[gyros]).max())
-    # Motion has its own spectrum; noise in another unit is as white as it was.
+    # Motion is not white, but noise in another unit still is.
     flat = bool(np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[gyros]) < 0.0)
     known = f"gyros average {bias / DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
     if (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving):
@@ -180,7 +180,7 @@ def coarse(
         lines.append(line)
     scales = scales_of(axes, rate)
     repeated = np.average(windows.repeated, axis=0, weights=windows.count)
-    # The rms difference of neighbours, were they not rounded, makes so many of them equal.
+    # Share of equal neighbours that rounding makes of Gaussian noise with this rms difference.
     rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1))
     chance = windows.resolution / np.where(rms > 0.0, rms, np.inf) / np.sqrt(2.0 * np.pi)
     for k, axis in enumerate(axes):

@@ -100,7 +100,7 @@ def noise_rows(
     if len(windows) < _FEWEST * length:
         return
     groups, floor = groups_of(sensors), lattice_power(windows)
-    # A window at a seam, with few differences, has another scatter than the others.
+    # A short window at a seam has fewer differences and scatters more than the others.
     few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
     squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
     roots = np.cbrt(squares + floor)
@@ -111,7 +111,7 @@ def noise_rows(
         relative = root / np.where(middle > 0.0, middle, np.inf)
         averaged = _running(np.where(np.isfinite(relative), relative, 1.0), length)
         together = np.stack([averaged[:, g].mean(axis=1) for g in groups])
-        # No scatter is less than that of as many independent differences.
+        # The scatter is no less than that of as many independent differences.
         usual = float(max(np.median(windows.pairs[scale]), 1.0))
         sizes = np.array([len(g) for g in groups])
         least = np.sqrt(2.0 / (9.0 * usual * length * sizes))

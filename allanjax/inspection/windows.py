@@ -224,7 +224,7 @@ class Windows:
 def _statistics(values: Float[np.ndarray, "n axes"], size: int) -> tuple[np.ndarray, ...]:
     """Mean, least and largest sample, sums of squares, largest step and repeats of each window."""
     axes = values.shape[1]
-    # One axis after the other: sums over neighbours are then sums over what is side by side in memory.
+    # Axis by axis, so that neighbouring samples are adjacent in memory.
     x = np.ascontiguousarray(values.T).reshape(axes, -1, size)
     low, high = x.min(axis=2), x.max(axis=2)
     repeats = _repeats(x).T
@@ -252,5 +252,5 @@ def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes
     if len(x) < 2:
         return np.full(values.shape[1], np.inf)
     d = np.diff(x, axis=0)
-    # What rounding to floating point makes of equal values is no step.
+    # Differences by rounding to floating point are no steps.
     return np.where(d > 1e-9 * np.ptp(x, axis=0), d, np.inf).min(axis=0)

@@ -220,7 +220,7 @@ class NoiseTerm(eqx.Module):
                 bound = ""
                 if not (value >= 0 if p.is_amplitude else value > p.lower):
                     bound = "≥ 0" if p.is_amplitude else f"> {p.lower:g}"
-                # Infinity is a limit that a term may know, e.g. of a cutoff.
+                # Infinity is a valid limit of some parameters, e.g. of a cutoff.
                 elif value >= p.upper < math.inf:
                     bound = f"< {p.upper:g}"
                 if bound:

@@ -70,7 +70,7 @@ def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> 
     total = jnp.sum(jnp.where(lag > 0, 2.0, 1.0) * single * fading(lag) * jnp.cos(a * lag))
 
     def summand(d: Array) -> Array:
-        # Another call may have another gauge, which the last single lag tells.
+        # Another call may have another gauge: it is matched at the last single lag.
         H = -_derivative(_derivative(G_of))(jnp.append(d, _SINGLE_LAGS) * h)
         return 2.0 * (H[:-1] - H[-1] + single[-1]) * fading(d) * jnp.cos(a * d)
 
@@ -104,7 +104,7 @@ def increment_autocovariance(G_of: PhaseCovariance, n: int, rate: float) -> Floa
     last = _second_difference(h**4 * G4) / 360.0
     inner = (h**2 * G2 + h**4 * G4 / 12.0)[1:-1] + last
     expanded = jnp.pad(_second_difference(inner) / h**2, (3, 0))
-    # What is left out is far less than the last term, which may do no harm already.
+    # The truncation error is far less than the last term of the expansion.
     error = jnp.pad(jnp.abs(_second_difference(last)) / h**2, (3, 0), constant_values=jnp.inf)
     rounding = 64.0 * jnp.finfo(float).eps * jax.lax.cummax(jnp.abs(G))[2:] / h**2
     return jnp.where(error <= jnp.maximum(1e-9 * jnp.abs(expanded), rounding), expanded, direct)

@@ -78,7 +78,7 @@ class AxisSampler:
             self._walkers(len(sampled)), self.max_steps, self.min_length, self.max_change, self.max_r_hat
         )
         target = Target.of(posterior, sampled, options.walkers // 2)
-        # Every axis has a stream of its own, whichever others are sampled.
+        # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
         streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
         random = np.random.RandomState(streams)
         try:
@@ -150,7 +150,7 @@ class AxisSampler:
         fit, parameters = self.fit[name], posterior.likelihood.parameters
         full = target.embedded(chains.y)
         chain = posterior.values(full)[..., sampled]
-        # Per SI unit instead of per unit of the coordinates.
+        # The density per SI unit, instead of per unit of the coordinates.
         jacobian = posterior.log_jacobian(full)[..., sampled].sum(axis=-1)
         thin = max(1, int(np.nan_to_num(chains.tau).max() / 2.0))
         y = chains.y[::thin].reshape(-1, len(sampled))

@@ -78,7 +78,7 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
             f"{axis}: the spectrum that was fitted is not in the file that the fit was loaded from; "
             "fit the recording again to sample"
         )
-    # The frequency of a line is none of the Allan variances' business.
+    # The Allan variances do not determine the frequency of a line.
     lines = [k for k, term in enumerate(fit.template.terms) if term.deterministic]
     parameters = tuple(p for p in parameters if p.term not in lines or p.parameter.is_amplitude)
     return _allan(fit, result, parameters, fit.axes.index(axis))
@@ -163,7 +163,7 @@ class WhittleLikelihood(Likelihood):
         p, U = weight @ self.cross, jnp.einsum("m,mab->ab", weight, self.gram)
         q = len(p) - len(self.ramps)
         if q:
-            # A flat prior for the regressors' amplitudes, integrated.
+            # The regressors' amplitudes have a flat prior and are integrated out.
             half = whiten(U[:q, :q], jnp.concatenate([p[:q, None], U[:q, q:]], axis=1))
             total += 0.5 * jnp.sum(half.values[:, 0] ** 2) - half.log_det
             p = p[q:] - half.values[:, 1:].T @ half.values[:, 0]
@@ -208,7 +208,7 @@ class AllanLikelihood(Likelihood):
         whitened = self.design.whiten(
             covariance, mean, jnp.asarray(self.discrepancy), (score * jnp.sqrt(own))[:, None]
         )
-        # The density of V: that of the scores, times their slopes.
+        # The density of V is that of the scores, times their derivatives by V.
         slope = -2.0 / 3.0 * jnp.log(ratio) - 0.5 * jnp.log(own) - jnp.log(mean)
         normal = -0.5 * jnp.sum(whitened.values**2) - whitened.log_det + 0.5 * jnp.sum(jnp.log(own))
         return normal + jnp.sum(slope)
@@ -257,7 +257,7 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
         _found(result, parameters),
         design,
         layout,
-        # Each line's own likelihood ratio knows nothing of the others.
+        # The likelihood ratio of each line neglects the other lines.
         spectrum.squares - spectrum.overlap,
         spectrum.cross[:, columns],
         spectrum.gram[:, columns][:, :, columns],
@@ -354,7 +354,7 @@ def _amplitude_scales(
         jnp.asarray(covariance), jnp.asarray(mean), jnp.asarray(discrepancy), relative
     ).values
     own = np.sum(np.asarray(whitened) ** 2, axis=0) ** -0.25
-    # At most as much of a term as fits under the data everywhere.
+    # The largest amplitude of a term whose curve fits under the data everywhere.
     fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
     for term, place in enumerate(layout.amplitude):
         if place >= 0:

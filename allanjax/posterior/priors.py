@@ -84,7 +84,7 @@ class LogUniform(Prior):
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
         x = jnp.asarray(x, float)
-        # Outside the support only the logarithm's argument must be harmless.
+        # Outside the support the logarithm must only have a valid argument.
         distance = jnp.maximum(x, self.lower) - self.origin
         ratio = (self.upper - self.origin) / (self.lower - self.origin)
         return self._inside(x, -jnp.log(distance) - jnp.log(jnp.log(ratio)))

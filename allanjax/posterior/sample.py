@@ -57,7 +57,7 @@ def sample(
         AllanjaxError: an unknown axis or label, a bad number.
         FitError: an axis of which there is no fit, or a posterior without density anywhere.
     """
-    # What it needs takes long to load.
+    # Imported here, since emcee takes long to load.
     from allanjax.posterior.axis_sampler import AxisSampler
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)

@@ -101,7 +101,7 @@ def _log_densities(
         priors = posterior.log_prior(values) + posterior.log_jacobian(y)
         prior = jnp.sum(jnp.where(counted, priors, 0.0))
         allowed = jnp.isfinite(prior)
-        # Outside the support the likelihood need not exist.
+        # Outside the support the likelihood may be undefined.
         likelihood = posterior.likelihood(jnp.where(allowed, values, posterior.likelihood.start))
         allowed &= ~jnp.isnan(likelihood)
         return jnp.stack([jnp.where(allowed, likelihood, -jnp.inf), jnp.where(allowed, prior, 0.0)])
@@ -166,7 +166,7 @@ class StudentMove(RedBlueMove):
         others = np.concatenate(complement)
         k, d = sample.shape
         covariance = np.cov(others.T).reshape(d, d)
-        # Few walkers in many dimensions leave directions without any scatter.
+        # Few walkers in many dimensions may have no scatter in some directions.
         covariance += np.diag(1e-6 * np.diag(covariance) + 1e-20)
         L = np.linalg.cholesky(covariance)
         stretch = np.sqrt(_STUDENT_DOF / random.chisquare(_STUDENT_DOF, k))
@@ -250,7 +250,7 @@ def run(
         r_hat = np.array([split_r_hat(chain[:, :, i]) for i in range(chain.shape[2])])
         long_enough = len(chain) > options.min_length * tau
         converged = bool(np.all(long_enough & (change < options.max_change) & (r_hat < options.max_r_hat)))
-        # R̂² − 1 falls as one over the length.
+        # R̂² − 1 is inversely proportional to the length.
         lack = max(1.0, np.nan_to_num(np.max((r_hat**2 - 1.0) / (options.max_r_hat**2 - 1.0)), nan=1.0))
         wanted = burn_in + max(1.1 * options.min_length * np.nanmax([*tau, 1.0]), 1.1 * lack * len(chain))
         expected = int(np.clip(wanted, 1.2 * steps, 2.0 * steps))
@@ -311,7 +311,7 @@ def first_walkers(
     centre = target.base[at]
     with np.errstate(all="ignore"):
         spread = scatter / np.exp(posterior.log_jacobian(target.base)[at])
-    # Of lines the coordinate is in Hz, of all else a logarithm.
+    # The coordinate of a line is in Hz; all others are logarithms.
     reach = np.where(posterior.line[at], np.abs(start), 1.0)
     spread = np.where(np.isfinite(spread) & (spread > 0.0), np.minimum(spread, reach), 0.1 * reach)
     priors = [posterior.priors[i] for i in at]
@@ -319,7 +319,8 @@ def first_walkers(
     cloud = np.empty((walkers, len(at)))
     missing = np.arange(walkers)
     for attempt in range(_ATTEMPTS):
-        # Narrower and narrower, should the fit's standard deviations be too large; at last from the priors.
+        # The cloud shrinks, in case the fit's standard deviations are too large; finally draws from the
+        # priors.
         width = _OVERDISPERSION * spread * 0.5 ** min(attempt, 10)
         y = centre + width * random.standard_normal((len(missing), len(at)))
         y = np.where(posterior.amplitude[at], np.abs(y), y)

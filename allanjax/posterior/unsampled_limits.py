@@ -109,7 +109,7 @@ def _followed(
     density = np.full(len(grid), -np.inf)
     displaced = np.zeros((len(grid), len(target.sampled)))
     for g in range(len(grid)):
-        # Where they were heading.
+        # Start from the linear continuation of the last two translations.
         moved = 2.0 * displaced[g - 1] - displaced[g - 2] if g > 1 else displaced[0]
         for _ in range(_CORRECTIONS):
             log_weight = _log_weights(target, index, few, grid[g : g + 1], moved[None])[0]

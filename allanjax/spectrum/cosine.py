@@ -115,14 +115,15 @@ class CosineBins(Bins):
             steps = np.append(steps, np.ceil(steps[-1] * _GROWTH))
         for f in around:
             j = np.rint(2.0 * n * f / rate)
-            # Farther out they would be wider than the bins that are there anyway.
+            # Farther out they would be wider than the logarithmic bins.
             near = steps[steps < max(0.6 * j, _AROUND + 1.0)]
             edges = np.concatenate([edges, j - near + 1.0, j + near])
         edges = np.unique(edges[(edges > top + 1) & (edges < n)])
         edges = np.concatenate([np.arange(1, top + 2), edges, [n]]).astype(int)
         first, size = edges[:-1], np.diff(edges)
         first, size = first[size > 0], size[size > 0]
-        # The same number of bins wherever the lines are, so that compiled functions serve again.
+        # The number of bins does not depend on where the lines are, so that compiled functions are used
+        # again.
         most = top + int(PER_OCTAVE * octaves) + 1 + 2 * len(steps) * len(around)
         pad = most - len(first)
         first, size = np.append(first, np.full(pad, n // 2)), np.append(size, np.zeros(pad, int))
@@ -241,7 +242,7 @@ def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
 def _expected(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
     """Mean expected square [rate²] of the coefficients in each bin: exact for the lowest ones."""
     above = _from_density(term, of)
-    # An oscillating covariance is too fast for a few lags: what differs from a smooth one has no memory.
+    # An oscillating covariance needs too many lags; its difference from a smooth one has a short memory.
     smooth = term.at_low_frequencies() if term.oscillates else term
     if smooth is None or term.deterministic or not of.lags.size:
         return above

@@ -166,7 +166,7 @@ class PowerSpectrum(ByValue):
             AllanjaxError: there is no such axis, or no flat band.
         """
         k, s = self._index(axis), self.averaged()
-        # Neighbours are correlated, so that a band has not the sum of its points' degrees of freedom.
+        # Neighbours are correlated, so that a band has fewer degrees of freedom than its points together.
         share = s.degrees_of_freedom(s.count.sum()) * s.count / s.count.sum()
         found = flattest(s.frequency, s.density[:, k], s._coloured(k), s.count, s.dof, share)
         if found is None:
@@ -322,10 +322,10 @@ def power_spectrum(
     def periodogram(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " frequencies"]:
         if method == "welch":
             return welch(x, rate, window=weights, noverlap=overlap)[1]
-        # scipy.signal's periodogram takes seven times as long.
+        # The periodogram of scipy.signal takes seven times as long.
         return 2.0 * abs(rfft(_without_line(x) * weights)) ** 2 / (rate * (weights @ weights))
 
-    # One axis at a time: transforms of all of a long record would fill the memory.
+    # Axis by axis: transforms of all axes of a long record would fill the memory.
     count = (length + 1) // 2 - 1
     segments = 1 + (n - length) // (length - overlap)
     raw = PowerSpectrum(

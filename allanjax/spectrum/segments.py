@@ -81,7 +81,7 @@ class SegmentedLevel:
             squares += np.einsum("sja,sja->ja", c, c)
             coefficients += c.sum(axis=0)
         cross = coefficients * _segment_ramp(edges)
-        # Copies: a view would keep all of x.
+        # Copies, since views would keep all of x in memory.
         return cls(
             first, x[:begin].copy(), x[end:].copy(), count, _binned(squares, edges), _binned(cross, edges)
         )
@@ -163,7 +163,7 @@ class SegmentSpectra:
             raise AllanjaxError(
                 f"sample {start + row} of axis {axis} is not finite: give samples without gaps, or a stretch"
             )
-        # A copy of what is kept: the array may be a buffer that is filled again.
+        # The values that are kept are copied: the array may be a buffer that is filled again.
         last = values if len(values) > _KEPT else values.copy()
         return cls(float(rate), start, start + len(values), (), last)._shortened()
 
@@ -198,7 +198,7 @@ class SegmentSpectra:
         for k, (a, b) in enumerate(zip(left.segmented, right.segmented, strict=True)):
             between = np.concatenate([a.end, straddling, b.head])
             merged.append(a.merge(between, b, _edges(k)))
-            # The block of the next level that has samples of both pieces, if they complete it.
+            # The block of the next level with samples of both pieces, if they complete it.
             length = _FACTOR ** (k + 1)
             block = self.stop // length
             complete = self.start <= block * length < self.stop and (block + 1) * length <= right.stop

@@ -56,7 +56,7 @@ def exponential_density(
     M = 1.0 if sample_interval == 0.0 else 1.0 / (rate * sample_interval)
     x = pole / rate / M
     q, y, z = jnp.exp(x), -jnp.expm1(x), -jnp.expm1(M * x)
-    # Its series where the terms of r_0 would cancel.
+    # A series where the terms of r_0 would cancel.
     series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
     r_0 = jnp.where(jnp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
     r_1 = q * (z / (M * y)) ** 2

@@ -34,7 +34,7 @@ class PowerLaw(NoiseTerm):
         scale = 2.0 * jnp.exp(e * jnp.log(2.0 * jnp.pi) + reflected - gammaln(3.0 + e))
         log = jnp.log(jnp.where(lag > 0.0, lag, 1.0))
         near = jnp.abs(e) < _NEAR
-        # t^ε/ε, or (t^ε − 1)/ε. Far from α = 1 the second would have t² swallow the digits of t^(α+1).
+        # t^ε/ε, or (t^ε − 1)/ε. Far from α = 1 the t² of the second would dominate the digits of t^(α+1).
         power = jnp.where(near, log * _relative_expm1(jnp.where(near, e, 0.0) * log), 0.0)
         power += jnp.where(near, 0.0, jnp.exp(e * log) / jnp.where(near, 1.0, e))
         return self.amplitude**2 * scale * power * lag**2 * (lag > 0.0)

@@ -62,7 +62,7 @@ class Resonance(NoiseTerm):
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD of the oscillator at the sample instants, or of its means between them."""
         if self.sample_interval == 0.0:
-            # Of means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
+            # For means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
             aliases = jnp.asarray(frequency, float)[..., None] + rate * jnp.arange(-_ALIASES, _ALIASES + 1)
             return jnp.sum(self.psd(aliases) * jnp.sinc(aliases / rate) ** 2, axis=-1)
         pole, c = self._poles()

@@ -104,7 +104,7 @@ def stated_rate(table: Table, rate: float | None) -> float | None:
 
 def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
     """Rows from the first time at or after `start` up to the first at or after `stop`, in s."""
-    # Half a nanosecond: a stamp that reads the same as start counts as it.
+    # Tolerance of half a nanosecond for the rounding of stamps.
     first = 0 if start is None else _first_at(times, start - 5e-10)
     last = len(times) if stop is None else _first_at(times, stop - 5e-10)
     return slice(first, max(first, last))

@@ -36,7 +36,7 @@ def chunked_npy(path: Path, label: str) -> ChunkedTable:
 
     def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
         for first in range(0, n, chunk):
-            # A map of its own for each chunk: the pages of a map stay in memory as long as it does.
+            # A new map for each chunk, because the pages of a map stay in memory as long as the map.
             columns = _npy_table(path, label, "r").columns
             yield tuple(np.array(column[first : first + chunk]) for column in columns)
 

@@ -76,7 +76,7 @@ def _datasets(file: Any) -> Mapping[str, Any]:
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return
         if item.attrs.get("MATLAB_class") != b"char" and "MATLAB_empty" not in item.attrs:
-            # The slash of a unit is no group's.
+            # A slash in a unit does not separate groups.
             found[re.sub(r"/(?![^\[]*\])", ".", name)] = item
 
     file.visititems(visit)

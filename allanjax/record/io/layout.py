@@ -85,7 +85,7 @@ def _chosen(table: Table, columns: str | Sequence[str]) -> list[Indexed]:
         if len(names) == len(entries) and all(matches):
             picked = {i for match in matches for i in match}
             recognised = [(i, recognise(label)) for i, label in enumerate(table.labels)]
-            # Time stamps stay, as what the rate is taken from.
+            # Time stamps are kept, because the rate is taken from them.
             return [(i, column) for i, column in recognised if i in picked or column.role == "time"]
         unknown = [name for name, match in zip(names, matches, strict=True) if not match]
         if len(entries) != len(table.columns) and unknown:

@@ -186,7 +186,7 @@ def _with_header(
     for number, line in named or plain:
         labels = _trim(_split(line, delimiter))
         if _fits(fields, len(labels)):
-            # What follows the header is data, even where it is no number: it will be reported as such.
+            # All lines after the header are data, even those without numbers, which will be reported.
             skipped = tuple(text for n, text in plain if n < number)
             return _Layout(
                 number + 1,

@@ -109,7 +109,7 @@ def rate_from_times(
     if np.any(long):
         raise source.error(gap_message(times, label, np.flatnonzero(long), typical, source))
     measured = (len(times) - 1) / float(times[-1] - times[0])
-    # Below a nanosecond it is the rounding of the stamps.
+    # Jitter below a nanosecond is due to the rounding of the stamps.
     shaken = f"jitter {jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "jitter below 1 ns"
     stamped = f"{measured:.9g} Hz from column {label!r}, {shaken}"
     if rate is None:
@@ -192,7 +192,7 @@ def _fits(unit: str, first: float, typical: float, values: np.ndarray, rate: flo
         return abs(stamped / rate - 1.0) < MAX_RATE_DIFFERENCE
     low, high = _PLAUSIBLE_RATES
     unix = _UNIX_SECONDS[0] < first * scale < _UNIX_SECONDS[1]
-    # Whole numbers may as well be a counter's.
+    # Whole numbers may also be a counter.
     return low <= stamped <= high and (unix or bool(np.any(values % 1)))
 
 
