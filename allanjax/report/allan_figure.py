@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
@@ -15,6 +17,7 @@ from allanjax.noise.estimate import title_of
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Recording
 from allanjax.report.allan_panel import (
+    CLUSTER_TIME,
     Drawable,
     deviation_label,
     draw_measured,
@@ -23,25 +26,8 @@ from allanjax.report.allan_panel import (
     times_to_draw,
     unit_of,
 )
-from allanjax.report.figure import (
-    Cells,
-    KeyEntry,
-    Residual,
-    Unit,
-    draw_key,
-    draw_residuals,
-    draw_title,
-    facts_of,
-    figure_with,
-    only_one,
-    rows_of,
-    save_and_close,
-    set_scales,
-    style,
-    term_entry,
-    term_style,
-    wrapped,
-)
+from allanjax.report.figure import MODEL, KeyEntry, Unit, facts_of, term_entry, term_style, wrapped
+from allanjax.report.frame import PRECISE, Heading, Panels, Residual, rows_of
 from allanjax.report.guides import draw_slopes, write_values
 from allanjax.report.overlay_figure import plot_several
 
@@ -49,10 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
-
-
-# Estimates with a larger relative error do not set the scale of the residuals.
-_PRECISE = 0.2
 
 
 def plot_allan(
@@ -86,75 +68,53 @@ def plot_allan(
     Raises:
         AllanjaxError: there is no such axis; not a label for each curve; `ax` for more than one axis.
     """
-    import matplotlib.pyplot as plt
-
     wanted = [axes] if isinstance(axes, str) else axes
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return plot_several(data, wanted, path, labels, ax)
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = fit_and_curve(data)
-    rows = rows_of(curve.names, curve.axes, wanted)
-    with style():
-        if ax is not None:
-            _draw_into(ax, only_one(rows), fit, curve)
-            return figure_with(ax, path)
-        keys = {k: [] if fit is None else _key(fit, fit.results[k]) for row in rows for k in row}
-        cells = Cells.of(rows, keys, has_strip=fit is not None)
-        figure = plt.figure(figsize=cells.size)
-        title = fit.name if fit is not None and fit.name else kind_of(curve)
-        draw_title(figure, cells, title, facts_of(curve.n, curve.rate), has_model=fit is not None)
-        for i, row in enumerate(rows):
-            _draw_row(figure, cells, i, row, curve, fit, keys)
-        return save_and_close(figure, path)
+    title = fit.name if fit is not None and fit.name else kind_of(curve)
+    has_fit = fit is not None
+    heading = Heading(curve.names, title, facts_of(curve.n, curve.rate), has_fit, has_fit)
+    return _AllanPanels(fit, curve).figure(rows_of(curve.names, curve.axes, wanted), heading, path, ax)
 
 
-def _draw_into(panel: Axes, k: int, fit: Fit | None, curve: AllanDeviation) -> None:
-    """One axis in a panel of the caller's."""
-    unit = unit_of(None if curve.axes is None else curve.axes[k])
-    draw_measured(panel, curve, k, unit)
-    lines = {} if fit is None or not fit.results[k].converged else _draw_model(panel, fit, k, unit)
-    set_scales({k: panel}, {}, curve.cluster_time, curve.deviation[:, [k]] / unit.scale)
-    draw_slopes(panel)
-    if fit is not None and lines:
-        write_values(panel, fit.results[k], lines)
-    panel.set_xlabel("cluster time T [s]")
-    panel.set_ylabel(deviation_label(curve, unit))
+@dataclass(frozen=True)
+class _AllanPanels(Panels):
+    """Allan deviations and, of a fit, the model, its terms and residuals."""
 
+    X_LABEL: ClassVar[str] = CLUSTER_TIME
 
-def _draw_row(
-    figure: Figure,
-    cells: Cells,
-    row: int,
-    indices: Sequence[int],
-    curve: AllanDeviation,
-    fit: Fit | None,
-    keys: dict[int, list[KeyEntry]],
-) -> None:
-    panels: dict[int, Axes] = {}
-    strips: dict[int, Axes] = {}
-    lines: dict[int, dict[str, Line2D]] = {}
-    unit = unit_of(None if curve.axes is None else curve.axes[indices[0]])
-    for column, k in enumerate(indices):
-        panels[k] = lowest = cells.panel(figure, row, column)
-        panels[k].set_title(curve.names[k], loc="left", fontweight="bold")
-        draw_measured(panels[k], curve, k, unit)
-        if fit is not None:
-            strips[k] = lowest = cells.strip(figure, row, column)
-            if fit.results[k].converged:
-                lines[k] = _draw_model(panels[k], fit, k, unit)
-            draw_key(cells.key(figure, row, column), cells, keys[k])
-        lowest.set_xlabel("cluster time T [s]")
-    if fit is not None:
-        draw_residuals(strips, curve.cluster_time, _residuals(strips, fit))
-    set_scales(panels, strips, curve.cluster_time, curve.deviation[:, list(panels)] / unit.scale)
-    for k, panel in panels.items():
+    fit: Fit | None
+    curve: AllanDeviation
+
+    def y_label(self, k: int) -> str:
+        return deviation_label(self.curve, self._unit(k))
+
+    def key(self, k: int) -> list[KeyEntry]:
+        return [] if self.fit is None else _key(self.fit, self.fit.results[k])
+
+    def draw(self, panel: Axes, k: int) -> dict[str, Line2D]:
+        draw_measured(panel, self.curve, k, self._unit(k))
+        if self.fit is None or not self.fit.results[k].converged:
+            return {}
+        return _draw_model(panel, self.fit, k, self._unit(k))
+
+    def extent(self, row: Sequence[int]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m columns"]]:
+        return self.curve.cluster_time, self.curve.deviation[:, list(row)] / self._unit(row[0]).scale
+
+    def residual(self, k: int) -> Residual | None:
+        assert self.fit is not None
+        return _residual(self.fit, k)
+
+    def finish(self, panel: Axes, k: int, drawn: dict[str, Line2D]) -> None:
         draw_slopes(panel)
-        if fit is not None and k in lines:
-            write_values(panel, fit.results[k], lines[k])
-    panels[indices[0]].set_ylabel(deviation_label(curve, unit))
-    if strips:
-        strips[indices[0]].set_ylabel("measured /\nmodel − 1 [%]")
+        if self.fit is not None and drawn:
+            write_values(panel, self.fit.results[k], drawn)
+
+    def _unit(self, k: int) -> Unit:
+        return unit_of(None if self.curve.axes is None else self.curve.axes[k])
 
 
 def _draw_model(panel: Axes, fit: Fit, k: int, unit: Unit) -> dict[str, Line2D]:
@@ -171,28 +131,26 @@ def _draw_model(panel: Axes, fit: Fit, k: int, unit: Unit) -> dict[str, Line2D]:
         style = term_style(fit, label)
         y = np.sqrt(variance) / unit.scale
         (lines[label],) = panel.plot(time, y, label=title_of(label, result.axis), **style)
-    panel.plot(time, np.sqrt(total) / unit.scale, color="black", linewidth=1.4, label="model", zorder=2.5)
+    panel.plot(time, np.sqrt(total) / unit.scale, **MODEL)
     return lines
 
 
-def _residuals(strips: Mapping[int, Axes], fit: Fit) -> dict[int, Residual]:
-    curve = fit.curve
+def _residual(fit: Fit, k: int) -> Residual | None:
+    """Measured deviations over the model's, None for an axis without result."""
+    curve, result = fit.curve, fit.results[k]
+    if not result.converged:
+        return None
     lower, upper = curve.confidence_interval(0.68)
-    found = {}
-    for k in strips:
-        result = fit.results[k]
-        if not result.converged:
-            continue
-        model = fit.model_deviation(result.axis.name, curve.cluster_time)
-        measured = curve.deviation[:, k]
-        spread = np.stack([measured - lower[:, k], upper[:, k] - measured])
-        found[k] = Residual(
-            100.0 * (measured / model - 1.0),
-            100.0 * np.maximum(spread, 0.0) / model,
-            curve.edf[:, k] > 0.5 / _PRECISE**2,
-            result.misfit.rms if result.measured and result.misfit else 0.0,
-        )
-    return found
+    model = fit.model_deviation(result.axis.name, curve.cluster_time)
+    measured = curve.deviation[:, k]
+    spread = np.stack([measured - lower[:, k], upper[:, k] - measured])
+    return Residual(
+        curve.cluster_time,
+        100.0 * (measured / model - 1.0),
+        100.0 * np.maximum(spread, 0.0) / model,
+        curve.edf[:, k] > 0.5 / PRECISE**2,
+        result.misfit.rms if result.measured and result.misfit else 0.0,
+    )
 
 
 def _key(fit: Fit, result: AxisFit) -> list[KeyEntry]:

@@ -12,14 +12,12 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
-from allanjax.report.figure import (
-    Unit,
-    marks,
-)
+from allanjax.report.figure import Unit, marks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CLUSTER_TIME = "cluster time T [s]"
 #: What can be drawn as an Allan deviation.
 Drawable: TypeAlias = Fit | AllanDeviation | Recording
 

@@ -17,7 +17,7 @@ from allanjax.record.recording import Axis
 from allanjax.record.units import default_coefficient_unit, unit_scale
 from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
 from allanjax.report.critique_words import p_value, what, wrap
-from allanjax.report.figure import POINTS, Unit, facts_of, literal, save_and_close, style
+from allanjax.report.figure import POINTS, Unit, add_grid, facts_of, literal, save_and_close, style
 from allanjax.spectrum.psd import density_unit
 
 if TYPE_CHECKING:
@@ -172,9 +172,7 @@ def _draw_curves(panels: Any, stages: Any, axis: Axis) -> None:
     _limit(panels[1])
     for panel, unit, (x, y) in zip(panels, units, names, strict=True):
         panel.set(xscale="log", yscale="log", xlabel=x, ylabel=f"{y} [{unit.name}]")
-        panel.grid(True, which="major", color="0.88", linewidth=0.6)
-        panel.set_axisbelow(True)
-        panel.tick_params(which="both", direction="in")
+        add_grid(panel)
         panel.legend(frameon=False, fontsize=7.5)
 
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.record.recording import Axis
 from allanjax.report.allan_panel import (
+    CLUSTER_TIME,
     Drawable,
     deviation_label,
     draw_measured,
@@ -21,26 +24,14 @@ from allanjax.report.allan_panel import (
     times_to_draw,
     unit_of,
 )
-from allanjax.report.figure import (
-    COLOURS,
-    Cells,
-    KeyEntry,
-    draw_key,
-    draw_title,
-    facts_of,
-    figure_with,
-    only_one,
-    rows_of,
-    save_and_close,
-    set_scales,
-    style,
-    wrapped,
-)
+from allanjax.report.figure import COLOURS, KeyEntry, Unit, facts_of, wrapped
+from allanjax.report.frame import Heading, Panels, rows_of
 from allanjax.report.guides import draw_slopes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 # For black and white.
 _MARKERS = "os^Dv*"
@@ -48,7 +39,7 @@ _MARKERS = "os^Dv*"
 
 @dataclass(frozen=True)
 class _Curve:
-    """One of the curves: its name, what it is, and how it looks."""
+    """One of the curves: its label, the fit that it comes from if any, and its style."""
 
     label: str
     fit: Fit | None
@@ -56,9 +47,13 @@ class _Curve:
     colour: str
     marker: str
 
+    def index(self, name: str) -> int:
+        """Place of the axis of this name among the curve's."""
+        return self.curve.names.index(name)
+
     def result(self, name: str) -> AxisFit | None:
         """The fit of the axis of this name, if there is one."""
-        found = None if self.fit is None else self.fit.results[self.curve.names.index(name)]
+        found = None if self.fit is None else self.fit.results[self.index(name)]
         return found if found is not None and found.converged else None
 
 
@@ -69,42 +64,74 @@ def plot_several(
     labels: Sequence[str] | None,
     ax: Axes | None,
 ) -> Figure:
-    """Draw them; see `plot_allan`."""
-    import matplotlib.pyplot as plt
-
+    """Draw several curves over one another; see `plot_allan`."""
     curves = _curves(data, labels)
     # The axes of all, in the order in which they come.
-    known = {name: c.curve.axes and c.curve.axes[k] for c in curves for k, name in enumerate(c.curve.names)}
-    names, of_curves = list(known), [axis for axis in known.values() if axis]
-    if of_curves and len(of_curves) < len(names):
+    known: dict[str, Axis | None] = {}
+    for c in curves:
+        known |= zip(c.curve.names, c.curve.axes or [None] * len(c.curve.names), strict=True)
+    of_curves = [axis for axis in known.values() if axis]
+    if of_curves and len(of_curves) < len(known):
         raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
-    rows = rows_of(names, of_curves or None, axes)
-    with style():
-        if ax is not None:
-            name = names[only_one(rows)]
-            _draw({name: ax}, curves, known[name])
-            ax.set_xlabel("cluster time T [s]")
-            handles, texts = ax.get_legend_handles_labels()
-            drawn = dict(zip(texts, handles, strict=True))
-            shown = [c.label for c in curves if c.label in drawn]
-            ax.legend([drawn[label] for label in shown], shown, frameon=False)
-            return figure_with(ax, path)
-        keys = {
-            k: [_entry(c, names[k]) for c in curves if names[k] in c.curve.names] for row in rows for k in row
-        }
-        cells = Cells.of(rows, keys, has_strip=False)
-        figure = plt.figure(figsize=cells.size)
-        facts = dict.fromkeys(facts_of(c.curve.n, c.curve.rate) for c in curves)
-        has_model = any(c.fit is not None for c in curves)
-        draw_title(figure, cells, kind_of(curves[0].curve), "; ".join(facts), has_model=has_model)
-        for i, row in enumerate(rows):
-            panels = {names[k]: cells.panel(figure, i, column) for column, k in enumerate(row)}
-            for column, k in enumerate(row):
-                panels[names[k]].set_title(names[k], loc="left", fontweight="bold")
-                panels[names[k]].set_xlabel("cluster time T [s]")
-                draw_key(cells.key(figure, i, column), cells, keys[k])
-            _draw(panels, curves, known[names[row[0]]])
-        return save_and_close(figure, path)
+    rows = rows_of(list(known), of_curves or None, axes)
+    facts = "; ".join(dict.fromkeys(facts_of(c.curve.n, c.curve.rate) for c in curves))
+    has_model = any(c.fit is not None for c in curves)
+    heading = Heading(list(known), kind_of(curves[0].curve), facts, has_model, has_strip=False)
+    return _OverlayPanels(curves, list(known), list(known.values())).figure(rows, heading, path, ax)
+
+
+@dataclass(frozen=True)
+class _OverlayPanels(Panels):
+    """Several curves over one another, those of axes of one name in one panel.
+
+    Attributes:
+        curves: what is drawn.
+        names, axes: all their axes; None for those of arrays without a unit.
+    """
+
+    X_LABEL: ClassVar[str] = CLUSTER_TIME
+
+    curves: Sequence[_Curve]
+    names: Sequence[str]
+    axes: Sequence[Axis | None]
+
+    def y_label(self, k: int) -> str:
+        return deviation_label(self.curves[0].curve, self._unit(k))
+
+    def key(self, k: int) -> list[KeyEntry]:
+        return [_entry(c, self.names[k]) for c in self._of(k)]
+
+    def draw(self, panel: Axes, k: int) -> dict[str, Line2D]:
+        unit, name = self._unit(k), self.names[k]
+        for c in self._of(k):
+            draw_measured(panel, c.curve, c.index(name), unit, c.label, color=c.colour, fmt=c.marker)
+            if c.fit is not None and c.result(name) is not None:
+                time = times_to_draw(c.curve)
+                y = c.fit.model_deviation(name, time) / unit.scale
+                panel.plot(time, y, color=c.colour, linewidth=1.2, label=f"{c.label}: model", zorder=2.5)
+        return {}
+
+    def extent(self, row: Sequence[int]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m columns"]]:
+        drawn = [(c.curve, c.index(self.names[k])) for k in row for c in self._of(k)]
+        times = np.sort(np.concatenate([curve.cluster_time for curve, _ in drawn]))
+        measured = np.concatenate([curve.deviation[:, i] for curve, i in drawn])
+        return times, measured[:, None] / self._unit(row[0]).scale
+
+    def finish(self, panel: Axes, k: int, drawn: dict[str, Line2D]) -> None:
+        draw_slopes(panel)
+
+    def add_legend(self, panel: Axes) -> None:
+        handles, texts = panel.get_legend_handles_labels()
+        drawn = dict(zip(texts, handles, strict=True))
+        shown = [c.label for c in self.curves if c.label in drawn]
+        panel.legend([drawn[label] for label in shown], shown, frameon=False)
+
+    def _of(self, k: int) -> list[_Curve]:
+        """The curves that have an axis of this name."""
+        return [c for c in self.curves if self.names[k] in c.curve.names]
+
+    def _unit(self, k: int) -> Unit:
+        return unit_of(self.axes[k])
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:
@@ -125,32 +152,8 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     ]
 
 
-def _draw(panels: dict[str, Axes], curves: Sequence[_Curve], axis: Any) -> None:
-    """The panels of a row, in one scale; `axis` is one of them."""
-    unit = unit_of(axis)
-    seen_x, seen_y = [], []
-    for name, panel in panels.items():
-        for c in curves:
-            if name not in c.curve.names:
-                continue
-            k, curve = c.curve.names.index(name), c.curve
-            draw_measured(panel, curve, k, unit, c.label, color=c.colour, fmt=c.marker)
-            seen_x.append(curve.cluster_time)
-            seen_y.append(curve.deviation[:, k] / unit.scale)
-            if c.fit is not None and c.result(name) is not None:
-                time = times_to_draw(curve)
-                y = c.fit.model_deviation(name, time) / unit.scale
-                label = f"{c.label}: model"
-                panel.plot(time, y, color=c.colour, linewidth=1.2, label=label, zorder=2.5)
-    times, y = np.sort(np.concatenate(seen_x)), np.concatenate(seen_y)
-    set_scales(dict(enumerate(panels.values())), {}, times, y[:, None])
-    for panel in panels.values():
-        draw_slopes(panel)
-    next(iter(panels.values())).set_ylabel(deviation_label(curves[0].curve, unit))
-
-
 def _entry(c: _Curve, name: str) -> KeyEntry:
-    """Its name and, of a fit, what was found."""
+    """Entry of a curve in the key: its label and, of a fit, the coefficients that were detected."""
     result, text = c.result(name), c.label
     if c.fit is not None and result is None:
         text += ": no result"

@@ -16,16 +16,13 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.units import unit_scale
-from allanjax.report.figure import literal, save_and_close
+from allanjax.report.figure import COLOURS, FONT_SIZE, POINTS, add_grid, literal, marks, save_and_close, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# As in `plot`: Okabe and Ito's blue, points in dark grey.
-_COLOUR = "#0072B2"
-_POINTS = "0.3"
-_FONT_SIZE = 8.5
+_COLOUR = COLOURS[0]
 _DISPLAY_UNIT = {"gyro": "deg/h", "accel": "µg"}
 _DENSITY_UNIT = {"gyro": "(deg/h)²/Hz", "accel": "µg²/Hz"}
 
@@ -57,7 +54,6 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     Returns:
         The matplotlib figure; its axes are in rows from the top, those of a row from the left.
     """
-    import matplotlib
     import matplotlib.pyplot as plt
 
     marginals = [posterior.coefficients[label] for label in posterior.labels]
@@ -69,7 +65,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     width = max(_CORNER_LEFT + side + _RIGHT, 4.0)
     height = _CORNER_TOP + side + _CORNER_BOTTOM
     ranges = [_range(x) for x in draws.T]
-    with matplotlib.rc_context({"font.size": _FONT_SIZE, "axes.linewidth": 0.7}):
+    with style():
         figure = plt.figure(figsize=(width, height))
         figure.text(
             0.12 / width,
@@ -91,7 +87,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
                 if row == column:
                     prior = _prior_density(posterior, row, ranges[row], scales[row])
                     _draw_margin(panel, draws[:, row], ranges[row], prior)
-                    panel.set_title(_heading(marginals[row]), fontsize=_FONT_SIZE)
+                    panel.set_title(_heading(marginals[row]), fontsize=FONT_SIZE)
                 else:
                     _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
                 _label(panel, marginals, row, column)
@@ -227,7 +223,6 @@ def plot_posterior(
     Raises:
         AllanjaxError: there is no such axis.
     """
-    import matplotlib
     import matplotlib.pyplot as plt
 
     names = tuple(posterior.axes if axes is None else axes)
@@ -237,7 +232,7 @@ def plot_posterior(
     measured = posterior.fit.curve if curve is None else curve.curve if isinstance(curve, Fit) else curve
     width = _LEFT + 2.0 * _PANEL_WIDTH + _GAP + _RIGHT
     height = _TOP + len(chosen) * _PANEL_HEIGHT + (len(chosen) - 1) * _ROW_GAP + _BOTTOM
-    with matplotlib.rc_context({"font.size": _FONT_SIZE, "axes.linewidth": 0.7}):
+    with style():
         figure = plt.figure(figsize=(width, height))
         _draw_title(figure, posterior, measured, width, height)
         for row, result in enumerate(chosen):
@@ -281,7 +276,7 @@ def _draw_title(
     figure.text(y=1.0 - 0.4 / height, s=facts, color="0.35", fontsize=9.5, **at)
     handles = [
         Line2D(
-            [], [], color=_POINTS, marker="o", markersize=3, linewidth=0.8, label="measured, 68 % interval"
+            [], [], color=POINTS, marker="o", markersize=3, linewidth=0.8, label="measured, 68 % interval"
         ),
         Line2D([], [], color=_COLOUR, linewidth=1.2, label="model, median"),
         Patch(color=_COLOUR, alpha=0.45, linewidth=0.0, label="68 %"),
@@ -320,13 +315,9 @@ def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation, k
         curve.cluster_time,
         deviation / scale,
         spread / scale,
-        fmt="o",
-        color=_POINTS,
-        markersize=2.6,
-        markeredgewidth=0.0,
-        elinewidth=0.8,
         label="measured",
         zorder=3,
+        **marks(2.6),
     )
     positive = deviation[deviation > 0.0] / scale
     panel.set_xlim(time[0] / 1.4, time[-1] * 1.4)
@@ -350,7 +341,7 @@ def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> 
             frequency[shown],
             density[shown],
             "o",
-            color=_POINTS,
+            color=POINTS,
             markersize=2.0,
             markeredgewidth=0.0,
             alpha=0.6,
@@ -377,9 +368,7 @@ def _finish(panel: Axes) -> None:
 
     panel.set_xscale("log")
     panel.set_yscale("log")
-    panel.grid(True, which="major", color="0.88", linewidth=0.6)
-    panel.set_axisbelow(True)
-    panel.tick_params(which="both", direction="in")
+    add_grid(panel)
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_minor_formatter(NullFormatter())

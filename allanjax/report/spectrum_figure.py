@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,38 +14,19 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.report.figure import (
-    Cells,
-    KeyEntry,
-    Residual,
-    Unit,
-    draw_key,
-    draw_residuals,
-    draw_title,
-    facts_of,
-    figure_with,
-    marks,
-    only_one,
-    rows_of,
-    save_and_close,
-    set_scales,
-    style,
-    term_entry,
-    term_style,
-    wrapped,
-)
+from allanjax.report.figure import MODEL, KeyEntry, Unit, facts_of, marks, term_entry, term_style, wrapped
+from allanjax.report.frame import PRECISE, Heading, Panels, Residual, rows_of
 from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     from allanjax.noise.model import Model
     from allanjax.noise.terms import NoiseTerm
 
-# Estimates with a larger relative error do not set the scale of the residuals.
-_PRECISE = 0.2
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
 _RESIDUALS_PER_OCTAVE = 4
 _BAND = "0.93"
@@ -82,25 +64,15 @@ def plot_psd(
         AllanjaxError: there is no such axis, the fit is one of another recording, or `ax` is given for more
             than one axis.
     """
-    import matplotlib.pyplot as plt
-
     spectrum = spectrum.averaged()
     rows = rows_of(spectrum.names, spectrum.axes, [axes] if isinstance(axes, str) else axes)
     results = {} if fit is None else {k: _result(spectrum, fit, k) for row in rows for k in row}
-    if ax is not None:
-        with style():
-            _draw_into(ax, only_one(rows), spectrum, fit, results)
-            return figure_with(ax, path)
-    with style():
-        walks = {k: _random_walk(spectrum, k) for row in rows for k in row}
-        keys = {k: _key(fit, results.get(k), walks[k], spectrum) for k in walks}
-        cells = Cells.of(rows, keys, has_strip=fit is not None)
-        figure = plt.figure(figsize=cells.size)
-        title = fit.name if fit is not None and fit.name else "power spectral density"
-        draw_title(figure, cells, title, facts_of(spectrum.n, spectrum.rate), has_model=fit is not None)
-        for i, row in enumerate(rows):
-            _draw_row(figure, cells, i, row, spectrum, fit, results, walks, keys)
-        return save_and_close(figure, path)
+    # In axes of the caller's there is no key to say what the band is.
+    walks = {} if ax is not None else {k: _random_walk(spectrum, k) for row in rows for k in row}
+    title = fit.name if fit is not None and fit.name else "power spectral density"
+    has_fit = fit is not None
+    heading = Heading(spectrum.names, title, facts_of(spectrum.n, spectrum.rate), has_fit, has_fit)
+    return _SpectrumPanels(spectrum, fit, results, walks).figure(rows, heading, path, ax)
 
 
 def plot_spectrum(
@@ -114,25 +86,49 @@ def plot_spectrum(
     return plot_psd(spectrum, axes=axes, path=path, ax=ax)
 
 
-def _draw_into(
-    panel: Axes, k: int, spectrum: PowerSpectrum, fit: Fit | None, results: Mapping[int, AxisFit]
-) -> None:
-    """One axis in a panel of the caller's."""
-    unit = _unit(spectrum, k)
-    _draw_measured(panel, spectrum, k, unit)
-    if fit is not None and results[k].converged:
-        _draw_model(panel, spectrum, fit, results[k], unit)
-    set_scales({k: panel}, {}, spectrum.frequency, spectrum.density[:, [k]] / unit.scale)
-    panel.set_xlabel("frequency f [Hz]")
-    panel.set_ylabel(_label(unit))
+@dataclass(frozen=True)
+class _SpectrumPanels(Panels):
+    """Power spectral densities and, of a fit, the model, its terms and residuals.
 
+    Attributes:
+        spectrum: averaged densities.
+        fit: fit of the same recording.
+        results: fits of the axes to draw, by their index in the spectrum.
+        walks: N by the flat part of each spectrum, None where it has none.
+    """
 
-def _unit(spectrum: PowerSpectrum, k: int) -> Unit:
-    return Unit("", 1.0) if spectrum.axes is None else Unit(*density_unit(spectrum.axes[k]))
+    X_LABEL: ClassVar[str] = "frequency f [Hz]"
 
+    spectrum: PowerSpectrum
+    fit: Fit | None
+    results: Mapping[int, AxisFit]
+    walks: Mapping[int, Estimate | None]
 
-def _label(unit: Unit) -> str:
-    return "one-sided PSD" + (f"\n[{unit.name}]" if unit.name else "")
+    def y_label(self, k: int) -> str:
+        unit = self._unit(k)
+        return "one-sided PSD" + (f"\n[{unit.name}]" if unit.name else "")
+
+    def key(self, k: int) -> list[KeyEntry]:
+        return _key(self.fit, self.results.get(k), self.walks[k], self.spectrum)
+
+    def draw(self, panel: Axes, k: int) -> dict[str, Line2D]:
+        walk = self.walks.get(k)
+        if walk is not None and walk.band is not None:
+            panel.axvspan(*walk.band, color=_BAND, linewidth=0.0, zorder=0, label="flat part")
+        _draw_measured(panel, self.spectrum, k, self._unit(k))
+        if self.fit is not None and self.results[k].converged:
+            _draw_model(panel, self.spectrum, self.fit, self.results[k], self._unit(k))
+        return {}
+
+    def extent(self, row: Sequence[int]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m columns"]]:
+        return self.spectrum.frequency, self.spectrum.density[:, list(row)] / self._unit(row[0]).scale
+
+    def residual(self, k: int) -> Residual | None:
+        return _residual(self.spectrum, k, self.results[k]) if self.results[k].converged else None
+
+    def _unit(self, k: int) -> Unit:
+        axes = self.spectrum.axes
+        return Unit("", 1.0) if axes is None else Unit(*density_unit(axes[k]))
 
 
 def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
@@ -158,45 +154,6 @@ def _random_walk(spectrum: PowerSpectrum, k: int) -> Estimate | None:
         return spectrum.random_walk(spectrum.names[k])
     except AllanjaxError:
         return None
-
-
-def _draw_row(
-    figure: Figure,
-    cells: Cells,
-    row: int,
-    indices: Sequence[int],
-    spectrum: PowerSpectrum,
-    fit: Fit | None,
-    results: Mapping[int, AxisFit],
-    walks: Mapping[int, Estimate | None],
-    keys: Mapping[int, list[KeyEntry]],
-) -> None:
-    panels: dict[int, Axes] = {}
-    strips: dict[int, Axes] = {}
-    residuals: dict[int, Residual] = {}
-    unit = _unit(spectrum, indices[0])
-    starts = _residual_groups(spectrum)
-    for column, k in enumerate(indices):
-        panels[k] = lowest = cells.panel(figure, row, column)
-        panels[k].set_title(spectrum.names[k], loc="left", fontweight="bold")
-        walk = walks[k]
-        if walk is not None and walk.band is not None:
-            panels[k].axvspan(*walk.band, color=_BAND, linewidth=0.0, zorder=0, label="flat part")
-        _draw_measured(panels[k], spectrum, k, unit)
-        if fit is not None:
-            strips[k] = lowest = cells.strip(figure, row, column)
-            if results[k].converged:
-                _draw_model(panels[k], spectrum, fit, results[k], unit)
-                residuals[k] = _residual(spectrum, k, starts, results[k])
-        if keys[k]:
-            draw_key(cells.key(figure, row, column), cells, keys[k])
-        lowest.set_xlabel("frequency f [Hz]")
-    middle = np.add.reduceat(spectrum.count * spectrum.frequency, starts)
-    draw_residuals(strips, middle / np.add.reduceat(spectrum.count, starts), residuals)
-    set_scales(panels, strips, spectrum.frequency, spectrum.density[:, list(panels)] / unit.scale)
-    panels[indices[0]].set_ylabel(_label(unit))
-    if strips:
-        strips[indices[0]].set_ylabel("measured /\nmodel − 1 [%]")
 
 
 def _draw_measured(panel: Axes, spectrum: PowerSpectrum, k: int, unit: Unit) -> None:
@@ -228,7 +185,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
         density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
         total += density
         panel.plot(frequency, density / unit.scale, label=title, **style)
-    panel.plot(frequency, total / unit.scale, color="black", linewidth=1.4, label="model", zorder=2.5)
+    panel.plot(frequency, total / unit.scale, **MODEL)
 
 
 def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
@@ -243,10 +200,9 @@ def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f
     return f[(lowest <= f) & (f <= highest)]
 
 
-def _residual(
-    spectrum: PowerSpectrum, k: int, starts: Int[np.ndarray, " groups"], result: AxisFit
-) -> Residual:
-    """Mean over groups of points: single points of few degrees of freedom would only clutter the strip."""
+def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
+    """Mean residual of each group of points; single points of few degrees of freedom would only clutter."""
+    starts = _residual_groups(spectrum)
     rate = spectrum.rate
     model = 2.0 * np.asarray(result.model.sampled(rate).sampled_psd(spectrum.frequency, rate))
     count = np.add.reduceat(spectrum.count, starts)
@@ -260,9 +216,10 @@ def _residual(
     has_line = np.histogram(lines, edges)[0] > 0
     has_line |= np.roll(has_line, 1) | np.roll(has_line, -1)
     return Residual(
+        np.add.reduceat(spectrum.count * spectrum.frequency, starts) / count,
         100.0 * (ratio - 1.0),
         100.0 * np.maximum(spread, 0.0),
-        (dof > 2.0 / _PRECISE**2) & ~has_line,
+        (dof > 2.0 / PRECISE**2) & ~has_line,
         off=0.0,
     )
 
