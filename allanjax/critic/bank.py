@@ -1,4 +1,4 @@
-"""Banks of shapes for matched filters, and the price of searching through them.
+"""Banks of shapes for matched filters, and the trials factor of searching through them.
 
 In the whitened record an effect a·h in noise of covariance C has the signal-to-noise ratio
 a·√(h'C⁻¹h), and no detector does better than its matched filter. The largest output of a bank of filters has
@@ -22,22 +22,25 @@ from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 
+# Draws of noise from which the law of the largest output is extrapolated: a judgement.
 _DRAWS = 400
+# Largest growth of the logarithm of the number of independent filters per unit of the output: a judgement.
 _GROWTH = 0.6
+# Neighbouring samples that are held out together.
 _FOLD_BLOCK = 8
-#: Share of a shape's square below which nothing of it is left beside what is free.
+#: Smallest share of a shape's squared norm that is left after projection; less is rounding.
 NOTHING = 1e-12
 #: Parts of a record, each held out in turn.
 PARTS = 8
-#: Effects that are slow: so many of the lowest coefficients have all of them that noise leaves.
+#: Number of lowest coefficients in which slow effects are looked for: noise hides the others.
 SLOW = 4096
-#: Of the finest bank there is, of strong steps.
+#: Number of lowest coefficients of the finest bank, that of strong steps.
 FINEST = 8 * SLOW
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """The output of a bank.
+    """Outputs of a bank's matched filters.
 
     Attributes:
         snr: of each shape, with its sign.
@@ -50,24 +53,24 @@ class Scan:
 
     @property
     def best(self) -> int:
-        """The most conspicuous shape."""
+        """Index of the shape with the largest output."""
         return int(np.argmax(abs(self.snr)))
 
     @property
     def log_trials_factor(self) -> float:
-        """What not knowing the shape costs [nats]: the best likelihood over their mean."""
+        """Log trials factor of the search [nats]: the largest likelihood of a shape over their mean."""
         half = 0.5 * self.snr**2
         return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
 
 
 def log_occam_factor(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
-    """What an unknown amplitude costs [nats], with the prior of `evidence` for either sign."""
+    """Log Occam factor of an amplitude of either sign [nats], under the prior of `evidence`."""
     return np.log((np.abs(snr) + 1.0) * 2.0 * LOG_PRIOR_RANGE / np.sqrt(2.0 * np.pi))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Matched:
-    """Matched filters: shapes and a record divided by the noise, without what is free beside them.
+    """Whitened shapes and record, after projecting out the nuisance directions (ramp, other accepted shapes).
 
     No copy of all shapes is made: that would cost more than the sums over them.
 
@@ -75,9 +78,9 @@ class Matched:
         shapes: cosine coefficients, one row a shape.
         root: standard deviation of the coefficients.
         whitened: the record, whitened.
-        free: orthonormal directions that are projected out.
+        free: orthonormal basis of the nuisance directions.
         common: products of the whitened shapes with these.
-        lengths: of the whitened shapes, what is free being projected out.
+        lengths: norms of the whitened and projected shapes.
     """
 
     shapes: Float[np.ndarray, "shapes slow"]
@@ -88,11 +91,11 @@ class Matched:
     lengths: Float[np.ndarray, " shapes"]
 
     def products(self, z: Float[np.ndarray, " slow"]) -> Float[np.ndarray, " shapes"]:
-        """Of every shape with something that is whitened."""
+        """Product of every projected shape with whitened coefficients."""
         return self.shapes @ (z / self.root) - self.common @ (z @ self.free)
 
     def rows(self, some: slice | Int[np.ndarray, " some"] = slice(None)) -> Float[np.ndarray, "some slow"]:
-        """Some of the shapes, whitened."""
+        """Some of the shapes, whitened and projected."""
         rows = self.shapes[some] / self.root
         for k, q in enumerate(self.free.T):
             # In place: another array of this size would cost more than the product.
@@ -102,7 +105,7 @@ class Matched:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bank:
-    """Cosine coefficients of shapes, the lowest `SLOW` ones.
+    """Shapes that are searched for, each as its lowest `SLOW` cosine coefficients.
 
     Attributes:
         shapes: one row a shape.
@@ -112,11 +115,11 @@ class Bank:
 
     @functools.cached_property
     def squares(self) -> Float[np.ndarray, "shapes slow"]:
-        """Of the coefficients."""
+        """Squares of the coefficients."""
         return self.shapes**2
 
     def matched(self, view: View, noise: Noise) -> Matched:
-        """To this noise; a ramp that it has, or the shapes beside which these are looked at, are free."""
+        """Matched filters in this noise; its ramp and the shapes `view.beside` are nuisances."""
         J = self.shapes.shape[1]
         v = view.lowest(noise, J)
         root = np.sqrt(v)
@@ -131,16 +134,15 @@ class Bank:
         return Matched(self.shapes, root, e - free @ (e @ free), free, common, np.sqrt(left))
 
     def scan(self, view: View, noise: Noise) -> Scan:
-        """Every shape's matched filter."""
+        """Outputs of all matched filters, and the amplitudes that they estimate."""
         matched = self.matched(view, noise)
         projected, norms = matched.products(matched.whitened), matched.lengths
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
-        """Log-likelihood [nats] gained on held-out data by the effect that is not there `after`.
+        """Gain in log-likelihood [nats] on held-out data by the effect that is subtracted in `after`.
 
-        The whole bank is searched without the part of the record that is predicted, in this noise or that of
-        `after`.
+        The whole bank is searched without the part that is held out, in this noise or that of `after`.
         """
         noise = noise or after.noise
         matched = self.matched(view, noise)
@@ -158,7 +160,7 @@ class Bank:
         return view.held_out_gain(after, 0.5 * float(whole.max()), gain)
 
     def p_value(self, view: View, noise: Noise, snr: float | None = None) -> float:
-        """Probability that noise alone has an output as large as this, or as the largest in this view."""
+        """Probability that noise alone has an output as large as `snr`, by default the view's largest."""
         if snr is None:
             snr = float(np.max(abs(self.scan(view, noise).snr)))
         matched = self.matched(view, noise)
@@ -171,10 +173,10 @@ class Bank:
 
 
 def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:
-    """A partition of n samples into parts, each of blocks from everywhere, by chance.
+    """Random partition of n samples into `PARTS`, each of blocks from the whole record.
 
-    What is predicted for a part is found and fitted without it. With eight parts that is done with seven
-    eighths of the data; with halves an effect would have to be twice as conspicuous to be found at all.
+    A part is predicted by what the others show. With eight parts these are seven eighths of the data; with
+    halves an effect would have to be twice as strong to be found at all.
     """
     owner = np.random.default_rng(1).permutation(np.arange(-(-n // block)) % PARTS)
     owner = np.repeat(owner, block)[:n]
@@ -182,7 +184,7 @@ def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:
 
 
 def extrapolated(largest: Float[np.ndarray, " draws"], value: float) -> float:
-    """P(max > value) from draws of the maximum of many standard normal magnitudes.
+    """Tail probability P(max > value) from draws of the maximum of many standard normal magnitudes.
 
     P = 1 − exp(−N(u)·2Q(u)) with ln N linear in u, fitted to the upper half of the draws.
     """
@@ -206,13 +208,13 @@ def any_of(p: float, count: float) -> float:
 
 @functools.lru_cache(maxsize=2)
 def step_bank(n: int) -> tuple[Bank, np.ndarray]:
-    """Steps at `SLOW`/4 places, and these [samples]."""
+    """Bank of steps at `SLOW`/4 places, and the places [samples]."""
     J = min(SLOW, n - 1)
     places = np.unique(np.rint(np.linspace(0.0, n, min(SLOW // 4, n // 4) + 2)[1:-1]))
     return Bank(step_coefficients(places, n, J)), places
 
 
 def step_coefficients(places: np.ndarray, n: int, J: int) -> np.ndarray:
-    """Of a unit step from sample k on: −√(2/n) sin(a_j·k)/(2 sin(a_j/2))."""
+    """Coefficients of unit steps from sample k on: −√(2/n) sin(a_j·k)/(2 sin(a_j/2))."""
     a = np.pi * np.arange(1, J + 1) / n
     return -np.sqrt(2.0 / n) * np.sin(np.outer(places, a)) / (2.0 * np.sin(a / 2.0))

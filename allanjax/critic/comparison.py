@@ -1,4 +1,4 @@
-"""The record beside its simulations: whitened residuals, and the law of Allan deviations.
+"""Whitened residuals of a record, and the law of Allan deviations in its simulations.
 
 A simulation draws cosine coefficients c_j ~ N(0, v_j), the levels v themselves being known only as well as
 the record shows them. The Allan variance of the record continued by its mirror image at both ends, known as
@@ -25,19 +25,22 @@ from allanjax.critic.view import in_time
 from allanjax.noise.terms import Markov, PowerLaw
 from allanjax.record.recording import Axis
 
+# Most coefficients whose weights are in memory at once.
 _CHUNK = 1 << 16
 # Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
 _FAST = 40.0
+# Phase [rad] over which a weight is taken to be constant.
 _TURN = 0.04
-# Relative precision of such sums: what levels leave of a variance is no less.
+# Relative precision of such sums: the variance that fitted levels leave is no smaller.
 _ROUNDING = 1e-3
+# Bins of a spectrum and cluster times of a curve in an octave.
 _PER_OCTAVE = 6
 _CURVE_PER_OCTAVE = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StageResiduals:
-    """An axis at one stage of the critique, and what its model expects of it.
+    """One axis at one stage of the critique, with the spectrum that its model expects.
 
     Attributes:
         axis, scale: whose it is; factor from its own unit to SI.
@@ -58,7 +61,7 @@ class StageResiduals:
 
     @classmethod
     def of(cls, axis: Axis, scale: float, rate: float, stage: Snapshot) -> StageResiduals:
-        """The ramp that the model has is taken out of the measurement as it is of the simulation."""
+        """Residuals of a stage; the model's ramp is subtracted, as it is from simulations."""
         x = stage.x
         if stage.ramp and np.isfinite(stage.ramp):
             x = x - stage.ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / rate
@@ -76,12 +79,12 @@ class StageResiduals:
 
     @functools.cached_property
     def whitened(self) -> Float[np.ndarray, " n"]:
-        """The same in time order."""
+        """Whitened residuals in time order."""
         return in_time(self.whitened_coefficients)
 
     @functools.cached_property
     def _spectra(self) -> list[Float[np.ndarray, " n-1"]]:
-        """Of the noise terms, unit amplitude."""
+        """Spectra of the noise terms at unit amplitude."""
         family, found = family_of(self.n, self.rate), []
         for name in self.stage.powers:
             if name in FIXED:
@@ -92,9 +95,9 @@ class StageResiduals:
         return found
 
     def shares(self, part: slice = slice(None)) -> Float[np.ndarray, "terms some"]:
-        """Share of each noise term in the expected squares; no rows where the terms are not known.
+        """Share of each noise term in some of the expected squares; no rows where the terms are not known.
 
-        Of a part of the coefficients: all of them at all stages would take gigabytes.
+        The shares of all coefficients at all stages would take gigabytes.
         """
         rows = [p * x[part] for p, x in zip(self.stage.powers.values(), self._spectra, strict=True)]
         if not rows:
@@ -102,13 +105,13 @@ class StageResiduals:
         return np.stack(rows) / np.maximum(np.sum(rows, axis=0), 1e-300)
 
     def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
-        """Of one noise term; None if there is no such term."""
+        """Share of one noise term in the expected squares; None if there is no such term."""
         names = list(self.stage.powers)
         return self.shares()[names.index(term)] if term in names else None
 
     @functools.cached_property
     def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
-        """Of the relative errors of the terms' powers.
+        """Covariance of the relative errors of the terms' powers.
 
         The inverse of the Fisher information, to which 1 is added: no power is taken to be uncertain by more
         than itself.
@@ -122,21 +125,22 @@ class StageResiduals:
         return 0.5 * sum((q @ q.T for q in map(self.shares, _chunks(self.n - 1))), start=np.zeros((k, k)))
 
     def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
-        """A record of the model at its levels [SI], without mean and ramp."""
+        """Simulated record of the model [SI], without mean and ramp."""
         draw = np.random.default_rng(seed).standard_normal(self.n - 1)
         return in_time(draw * np.sqrt(self.variance))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AllanLaw:
-    """Allan variances of a record, and their law in simulations.
+    """Allan variances of a record, and their distribution in simulations.
 
     Attributes:
         time: cluster times [s].
         measured: Allan variances [rate²].
         mean: of the simulations' variances.
-        covariance: of these over their means, errors of the model's levels included.
-        fitted: of the measured variances over the mean, if the model is right: its levels follow the record.
+        covariance: covariance of the simulated variances over their means, errors of the levels included.
+        fitted: covariance of the measured variances over the means if the model is right: its levels were
+            fitted to the same record.
     """
 
     time: Float[np.ndarray, " m"]
@@ -146,31 +150,31 @@ class AllanLaw:
     fitted: Float[np.ndarray, "m m"]
 
     def at(self, some: slice) -> AllanLaw:
-        """At some of the cluster times."""
+        """Law at some of the cluster times."""
         both = some, some
         return AllanLaw(
             self.time[some], self.measured[some], self.mean[some], self.covariance[both], self.fitted[both]
         )
 
     def quantile(self, probability: float) -> Float[np.ndarray, " m"]:
-        """Of the simulations' Allan variances."""
+        """Quantile of the simulations' Allan variances."""
         dof = degrees_of_freedom(self.covariance)
         return self.mean * chi2.ppf(probability, dof) / dof
 
 
 def degrees_of_freedom(covariance: Float[np.ndarray, "m m"]) -> Float[np.ndarray, " m"]:
-    """Of the χ² laws that have the mean 1 and these variances."""
+    """Degrees of freedom of χ² laws with mean 1 and these variances."""
     return 2.0 / np.diag(covariance)
 
 
 def allan_law(record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
-    """Of clusters of so many samples."""
+    """Allan law of a record for clusters of these sizes [samples]."""
     (law,) = allan_laws([record], sizes)
     return law
 
 
 def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
-    """Of several records of one length: the weights are computed once."""
+    """Allan laws of several records of one length, for which the weights are computed once."""
     n = records[0].n
     sums = [_Sums.zero(len(sizes), len(record.stage.powers)) for record in records]
     for part in _chunks(n - 1):
@@ -199,7 +203,7 @@ def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) 
 
 @dataclasses.dataclass(eq=False)
 class _Sums:
-    """Over the coefficients: of weighted squares, expected ones, their covariance, and by noise term."""
+    """Sums over the coefficients: weighted squares, their mean and covariance, and parts by noise term."""
 
     measured: Float[np.ndarray, " m"]
     mean: Float[np.ndarray, " m"]
@@ -208,9 +212,11 @@ class _Sums:
 
     @classmethod
     def zero(cls, m: int, terms: int) -> _Sums:
+        """Sums over no coefficients."""
         return cls(np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms)))
 
     def law(self, record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
+        """Allan law that the sums over all coefficients give."""
         slope = self.slope / self.mean[:, None]
         known = 2.0 * self.square / np.outer(self.mean, self.mean)
         L = record.level_covariance
@@ -227,7 +233,7 @@ class _Sums:
 
 
 def _chunks(size: int) -> Iterator[slice]:
-    """Parts of an array that double in length: the lowest coefficients differ most."""
+    """Slices of an array that double in length: the lowest coefficients differ most."""
     first, length = 0, 1024
     while first < size:
         yield slice(first, min(first + length, size))
@@ -235,7 +241,7 @@ def _chunks(size: int) -> Iterator[slice]:
 
 
 def octave_sizes(n: int) -> Int[np.ndarray, " m"]:
-    """Clusters of 1, 2, 4, … samples, up to half of the record."""
+    """Cluster sizes 1, 2, 4, … samples, up to half of the record."""
     return 2 ** np.arange(int(np.log2(n // 2)) + 1)
 
 
@@ -250,7 +256,7 @@ def octave_bins(n: int) -> Int[np.ndarray, " bins+1"]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SimulationEnvelope:
-    """A measured curve and where 95 % of simulations lie.
+    """A measured curve and the band in which 95 % of simulations lie.
 
     Attributes:
         statistic: "allan_deviation" [rate, SI] over cluster time [s], or "psd", one-sided [rate²/Hz, SI],
@@ -269,7 +275,7 @@ class SimulationEnvelope:
 
 
 def summaries(record: StageResiduals) -> tuple[SimulationEnvelope, SimulationEnvelope]:
-    """Allan deviation and power spectral density, beside their simulations."""
+    """Allan deviation and power spectral density of a record, with those of its simulations."""
     n = record.n
     sizes = np.unique(
         np.rint(2.0 ** (np.arange(_CURVE_PER_OCTAVE * np.log2(n // 2) + 1) / _CURVE_PER_OCTAVE))

@@ -31,15 +31,18 @@ from allanjax.estimate.fit import fit as fit_recording
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Recording
 
-# Discrepancies of an extended model that are less probable than this are reported as unexplained.
+# Discrepancies of an extended model that are less probable than this are reported as unexplained: a
+# judgement.
 _UNEXPLAINED = 1e-6
-# Statistics that compare with other channels: what they show has a cause there.
+# Statistics that compare with other channels: what they show has its cause in these.
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
+# Statistics of the samples themselves, by the cause that explains each.
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 # Statistics of the samples' distribution: restored samples are drawn, by a simple rule, and show it.
 _OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
+# Fewest samples of a record that is criticized: a judgement.
 _SHORTEST = 1024
-# One more than there are cores on a small machine: axes wait for each other's compiled functions.
+# Threads, one more than a small machine has cores: axes wait for each other's compiled functions.
 _WORKERS = 3
 
 
@@ -51,10 +54,9 @@ def criticize(
     false_alarms: float,
     progress: Callable[[str], None] | None,
 ) -> Critique:
-    """See `critique`.
+    """Criticize a recording; the arguments are those of `critique`.
 
-    The axes are criticized beside each other: threads of BLAS, which wait for work by spinning, would only be
-    in their way.
+    The axes are criticized in parallel, with one BLAS thread each: idle BLAS threads spin and take the cores.
     """
     causes = CAUSES if causes is None else causes
     tell = progress or (lambda text: None)
@@ -80,8 +82,8 @@ def criticize(
         view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
         return search(view, causes, per_axis, tell)
 
-    # The work is in transforms and compiled functions, which run beside each other. Where the terms are
-    # chosen the search needs no fit: it is for the report.
+    # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
+    # search needs no fit: it is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
         fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
         searches = list(pool.map(searched, range(len(recording.axes))))
@@ -156,6 +158,7 @@ def criticize(
 
 
 def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
+    """Fit of the Allan variances, or of the spectrum where that does not converge."""
     tell("fitting the noise model")
     # What was done to the recording is what is looked for.
     fit = fit_recording(recording, as_is=True)
@@ -166,6 +169,7 @@ def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
 
 
 def _stages(s: Search) -> tuple[Snapshot, ...]:
+    """Axis before the first finding and after each."""
     # The last one is without all lines: of harmonics, which are one finding, some may have come late.
     views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
     return tuple(_snapshot(view) for view in views)
@@ -186,7 +190,7 @@ def _compared(
 def _of_samples(
     step: Step, before: tuple[Discrepancy, ...], after: tuple[Discrepancy, ...]
 ) -> list[tuple[Discrepancy, Discrepancy]]:
-    """What is seen in the samples themselves, and is mended by the causes that are found there."""
+    """Discrepancy of the samples themselves that a finding removes, before it and after it."""
     statistic = _IN_SAMPLES.get(step.candidate.cause)
     old, new = ({d.statistic: d for d in found} for found in (before, after))
     return [(old[statistic], new[statistic])] if statistic else []
@@ -213,7 +217,7 @@ def _finding(
 
 
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
-    """The most significant discrepancy that is left, if it is beyond doubt."""
+    """Finding of the most significant discrepancy that is left, if it is beyond doubt."""
     known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.restored else ())
     left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
     if not left:

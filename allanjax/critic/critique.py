@@ -1,4 +1,4 @@
-"""What a simulation of the fitted sensor gets wrong, why, and what is gained by mending it."""
+"""The function `critique`."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def critique(
     """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
 
     Every axis is whitened by its model; each cause looks in the residuals for its own signature with the best
-    filter there is for it. Competing explanations, among them other basic noise terms, are compared by their
-    evidence; the best is accepted if it is significant and predicts data that it was not estimated from,
-    taken out, and the search begins anew. What was found earlier is fitted again beside it if that matters,
-    and dropped if nothing is left of it. See `allanjax.critic` for writing a cause of one's own.
+    filter for it. Competing explanations, among them other basic noise terms, are compared by their evidence.
+    The best one is accepted if it is significant and predicts data that it was not estimated from; it is
+    subtracted, and the search begins anew. Earlier findings are refitted conditional on it where that
+    matters, and dropped where nothing is left of them. See `allanjax.critic` for writing a cause of your own.
 
     Args:
         recording: what `read` returns, or what else `allanjax.fit` takes.
@@ -38,8 +38,8 @@ def critique(
         causes: what to look for; by default `allanjax.critic.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding; it is shared by its
             axes. Basic terms that a given model lacks come on top (`Cause.min_log_odds`, as often again).
-        progress: is told what is being done.
-        rate, gyro_unit, accel_unit, names: of an array, see `allanjax.fit`.
+        progress: called with a text that says what is being done.
+        rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.
 
     Raises:
         AllanjaxError: `fit` is of other axes; `false_alarms` is not between 0 and 1.

@@ -1,4 +1,4 @@
-"""In which respects does a simulation differ from the measurement, and what did a finding mend?"""
+"""Discrepancies between a measurement and its simulations, and those that a finding removes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def discrepancies(
         raw: its samples as recorded [SI]; restored ones once a cause that makes them what they are was found.
         others: other axes by name.
         auxiliary: other channels by name.
-        seed: of the simulation that repeated values are counted in.
+        seed: seed of the simulation in which repeated values are counted.
 
     Returns:
         One discrepancy a statistic, also where there is none (p near 1).
@@ -63,7 +63,7 @@ def discrepancies(
 def mended(
     records: Sequence[StageResiduals], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
 ) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
-    """What each finding mended: statistics before it and after, where the finding improved them most.
+    """Statistics before and after each finding, at the place where it improved them most.
 
     Args:
         records: an axis before its first finding and after each.
@@ -88,7 +88,7 @@ def mended(
 def _cheap(
     record: StageResiduals, law: AllanLaw, channels: Mapping[str, Float[np.ndarray, " n-1"]]
 ) -> list[Profile]:
-    """Profiles that cost little beside the transforms."""
+    """Profiles that cost little beside the transforms, for every stage."""
     profiles = [
         allan_deviation(record, law),
         psd(record),
@@ -103,13 +103,13 @@ def _cheap(
 def _varying(
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None,
 ) -> dict[str, Float[np.ndarray, " n-1"]]:
-    """Cosine coefficients of the channels that can be correlated with."""
+    """Cosine coefficients of the channels that are finite and not constant."""
     channels = {name: np.asarray(h, float) for name, h in (auxiliary or {}).items()}
     return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
 
 
 def _lattice(record: StageResiduals, raw: Float[np.ndarray, " n"]) -> Discrepancy:
-    """Share of the samples on a lattice; one finer than the noise is the file's way to write numbers."""
+    """Share of the samples on a lattice; one finer than the noise is only how the file writes numbers."""
     q = lattice(raw)
     if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
         return Discrepancy("lattice", 0.0, "", 0.0, 0.0, "1", 1.0)
@@ -117,7 +117,7 @@ def _lattice(record: StageResiduals, raw: Float[np.ndarray, " n"]) -> Discrepanc
 
 
 def _repeated(record: StageResiduals, raw: Float[np.ndarray, " n"], seed: int) -> Discrepancy:
-    """Share of samples equal to the one before; simulations have the recording's resolution."""
+    """Share of samples equal to the one before, in simulations of the recording's resolution too."""
     gaps = np.diff(np.unique(raw))
     q = float(gaps.min()) if len(gaps) else 0.0
     count = int(np.sum(raw[1:] == raw[:-1]))

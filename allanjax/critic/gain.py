@@ -1,4 +1,4 @@
-"""What a finding changes: the basic coefficients, and the drift that the model predicts."""
+"""Changes by a finding: of the basic coefficients, and of the drift that the model predicts."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from allanjax.critic.view import View
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 
+# Times over which drift is predicted [s].
 _HORIZONS = 4.0 ** np.arange(0.0, 10.0)
 
 
 def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
-    """Every basic coefficient that the noise had before or has after a finding."""
+    """Changes of every basic coefficient that the noise has before or after a finding."""
     before, after = step.before.noise.power, step.candidate.after.noise.power
     sensor = step.before.axis.sensor
     changes = []
@@ -41,7 +42,7 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
 
     The drift over a time T is the integral of the rate over T less that over the T before: its mean square is
     2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
-    taken together. An effect with a shape of its own drifts as its shape does.
+    taken together. An effect with a waveform of its own drifts as its waveform does.
     """
     known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
 
@@ -58,6 +59,7 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
 def _drift_change(
     step: Step, predicted: Callable[[View], Float[np.ndarray, "halves m"]]
 ) -> DriftChange | None:
+    """Change of the predicted drift by one finding; None for a record that is too short."""
     before, after = step.before, step.candidate.after
     T, m = _horizons(before)
     if len(T) == 0:
@@ -80,11 +82,13 @@ def _drift_change(
 
 
 def _horizons(view: View) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """Times of the drift that a half of the record holds [s], and in samples."""
     T = _HORIZONS[_HORIZONS * view.rate * 4.0 <= view.n // 2]
     return T, np.rint(T * view.rate).astype(int)
 
 
 def _halves(view: View) -> tuple[slice, slice]:
+    """First and second half of the record."""
     half = view.n // 2
     return slice(0, half), slice(half, 2 * half)
 
@@ -100,7 +104,7 @@ def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray
 
 
 def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
-    """Allan variances of the noise that each half of the record shows."""
+    """Allan variances of the noise that is estimated from each half of the record."""
     half = view.n // 2
     _, m = _horizons(view)
     family = family_of(half, view.rate)
@@ -120,7 +124,7 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
 
 @functools.lru_cache(maxsize=1)
 def _weights(n: int, m: tuple[int, ...]) -> Float[np.ndarray, "m n-1"]:
-    """Of the levels of n samples in their Allan variances: (1/n)·2 sin⁴(m·a/2)/(m² sin²(a/2))."""
+    """Weights of the levels of n samples in Allan variances: (1/n)·2 sin⁴(m·a/2)/(m² sin²(a/2))."""
     a = np.pi * np.arange(1, n) / n
     sine = np.sin(a / 2.0) ** 2
     return np.stack([2.0 * np.sin(k * a / 2.0) ** 4 / (sine * n * k**2) for k in m])

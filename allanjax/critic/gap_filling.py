@@ -1,4 +1,4 @@
-"""Samples that tell nothing, drawn anew given all others."""
+"""Conditional simulation of missing samples, given all others."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from scipy.fft import dct
 
 from allanjax.critic.view import View, in_time
 
-# Draws, and a change of the spectrum's logarithm that ends them.
+# Most draws, and the change of the log spectrum between two of them that ends them.
 _DRAWS, _SETTLED = 12, 0.1
-# Of the record's own spectrum: bins an octave, coefficients in one, and standard deviations that are chance.
+# Bins of the record's own spectrum: most in an octave, fewest coefficients in one, and the standard
+# deviations up to which its difference from the model is chance.
 _PARTS, _LEAST, _CHANCE = 32, 64, 3.0
-# Steps of the conjugate gradients; what of d'C⁻¹d does not matter; samples that are solved for at once.
+# Conjugate gradients: most steps, the part of d'C⁻¹d that does not matter, samples that are solved for at
+# once.
 _CONJUGATE, _EXACT, _BLOCK = 60, 1e-2, 256
 
 
 def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
-    """The view with these samples drawn anew, given all others and the record's spectrum.
+    """View in which these samples are drawn anew, given all others and the record's spectrum.
 
-    A draw of a whole record is corrected by the best prediction of what this one lacks (conditional
-    simulation); again until the spectrum, which first has straight lines in it, is that of the others.
-    Samples that were filled in before begin as they are.
+    A simulated record is corrected by the best prediction of its difference from this one (conditional
+    simulation). That is repeated until the spectrum, to which interpolated samples contribute at first, is
+    that of the other samples. Samples that were imputed before begin as they are.
     """
     rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
     fresh, known = np.flatnonzero(missing & ~view.restored), np.flatnonzero(~missing)
@@ -46,9 +48,9 @@ def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
 
 
 def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
-    """Expected squared coefficients: the model's, and in bins the record's where they differ beyond chance.
+    """Expected squared coefficients: the model's, or the record's own in bins where it differs beyond chance.
 
-    What has not been found yet, as a filter, is in these.
+    So effects that have not been found yet, such as a filter, are allowed for.
     """
     n, v = view.n, view.variance()
     octaves = np.append(2 ** np.arange(int(np.log2(n - 1)) + 1) - 1, n - 1)
@@ -68,10 +70,10 @@ def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
 def _predicted(
     d: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]
 ) -> Float[np.ndarray, " n"]:
-    """The missing samples of d, by the others and a noise of this spectrum: d_m minimizes d'C⁻¹d.
+    """Best prediction of the missing samples of d, which minimizes d'C⁻¹d, by conjugate gradients.
 
-    By conjugate gradients. Neighbouring gaps are solved at once: behind a filter they lean on each other. Of
-    a long one the covariance is nearly the inverse, but for its ends.
+    The preconditioner solves neighbouring gaps together, which depend on each other behind a filter. For a
+    long gap it is the covariance, which is nearly the inverse but for the gap's ends.
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
     long, weight = _long(missing)[gaps], 1.0 / v
@@ -113,7 +115,7 @@ def _predicted(
 
 
 def _long(missing: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Where more samples in a row are missing than are solved for at once."""
+    """Whether a sample is in a gap longer than a block of the preconditioner."""
     first, end = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
     long = np.zeros(len(missing), bool)
     for k in np.flatnonzero(end - first > _BLOCK):
@@ -124,7 +126,7 @@ def _long(missing: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 def _inverses(
     gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
 ) -> list[Float[np.ndarray, "block block"]]:
-    """Of the precision between neighbouring gaps, so many at a time: ½[r(i − k) + r(i + k + 1)]."""
+    """Inverses of the precision between missing samples, block by block: ½[r(i − k) + r(i + k + 1)]."""
     n = len(v) + 1
     r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
     found = []

@@ -1,6 +1,6 @@
-"""Sets of noise terms weighed against each other, for any record that a hypothesis leaves.
+"""Evidence of every subset of the basic noise terms, for the record that a hypothesis leaves.
 
-Each hypothesis is left with another record, and each record is explained best by other terms.
+Each hypothesis leaves another record, and each record is explained best by other terms.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from allanjax.critic.noise import EXPONENTS, FIXED, GRID, MARKOV, POWER_LAW, RAM
 from allanjax.estimate.evidence import BLOCK, ROUGH, Evidence
 from allanjax.spectrum.cosine import SpectralStatistics
 
-#: Sets of noise terms of which one may be the right one, and how much less likely they may be [nats].
+#: Most subsets that estimates are averaged over, and how much less likely than the best one they may be
+#: [nats]: judgements.
 SETS, _LESS = 4, 3.0
-# Those that are less likely by more [nats] do not count in sums.
+# Subsets that are less likely than the best one by more [nats] do not count in sums: a judgement.
 _FAR_LESS = 8.0
 
 
 class _Evidences(NamedTuple):
-    """Evidence and powers of all sets, and those that were looked at closely."""
+    """Evidence and powers of all subsets, and which of them were maximized."""
 
     log_evidence: Float[np.ndarray, " jobs"]
     power: Float[np.ndarray, "jobs terms"]
@@ -32,10 +33,10 @@ class _Evidences(NamedTuple):
 
 
 class Sets(NamedTuple):
-    """Sets of noise terms, one a correlation time or exponent, of which one is right.
+    """Plausible subsets of the noise terms, one for each correlation time or exponent.
 
     Attributes:
-        log_evidence: of the record under each, less what the others share of the odds beforehand [nats].
+        log_evidence: log evidence of each plus its log prior probability [nats].
         level: expected squared coefficients in the bins.
         ramp: whether each has a ramp.
     """
@@ -46,13 +47,13 @@ class Sets(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Evidence of the record whichever of them is right [nats]."""
+        """Log evidence of the record, summed over the subsets [nats]."""
         return float(np.logaddexp.reduce(self.log_evidence))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SpectralMask:
-    """What weighing records needs that does not depend on them: a factor of the spectrum, a fold."""
+    """Spectral factor and fold of coefficients that the evidence of a record is conditional on."""
 
     family: NoiseFamily
     weight: Float[np.ndarray, " n-1"] | None
@@ -68,7 +69,7 @@ class SpectralMask:
         factor: Float[np.ndarray, " n-1"] | None = None,
         fold: Bool[np.ndarray, " n-1"] | None = None,
     ) -> SpectralMask:
-        """Of records whose spectrum is the family's times `factor`; only of coefficients in a `fold`."""
+        """Mask for records whose spectrum is the family's times `factor`, in the coefficients of a `fold`."""
         weight, constant, size = None if fold is None else fold.astype(float), 0.0, family.size
         if weight is not None:
             size = family.bins.sums(weight)[family.keep]
@@ -81,7 +82,7 @@ class SpectralMask:
         return cls(family, weight, ramp, gram, size, constant)
 
     def evidence(self, c: Float[np.ndarray, " n-1"]) -> ModelEvidence:
-        """The statistics of the record with these coefficients."""
+        """Evidence of all subsets, given a record's cosine coefficients."""
         squares = c * c
         if self.weight is not None:
             squares *= self.weight
@@ -92,7 +93,7 @@ class SpectralMask:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ModelEvidence:
-    """The statistics of one hypothetical record, from which sets of noise terms are weighed."""
+    """Evidence of all subsets of the basic noise terms, given the statistics of one hypothetical record."""
 
     family: NoiseFamily
     levels: SpectralStatistics
@@ -108,7 +109,7 @@ class ModelEvidence:
         return self._screen(POWER_LAW)
 
     def _screen(self, grid: str) -> Evidence:
-        """Of all sets: with every other shape, and between these what is between."""
+        """Coarse evidence of all subsets: every second shape is evaluated, the others are interpolated."""
         jobs = self.family.jobs
         between = jobs.terms[:, -1] & (jobs.column % 2 == 1)
         rows, k = np.flatnonzero(~between), np.flatnonzero(between)
@@ -124,19 +125,18 @@ class ModelEvidence:
         allowed: Collection[str] = (*FIXED, MARKOV, RAMP),
         required: Sequence[str] = (),
     ) -> Noise:
-        """The most probable set of `allowed` terms that has the `required` ones."""
+        """Most probable subset of the `allowed` terms that has the `required` ones."""
         return self.likely(allowed, required, 1)[0]
 
     def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
-        """The most probable sets of `allowed` terms that have the `required` ones, the best one first."""
+        """Most probable subsets of the `allowed` terms that have the `required` ones, the best one first."""
         values, powers, _ = self._evidence_of(allowed, required)
         return self._ranked(values, powers, _grid(allowed), most)
 
     def sets(self, allowed: Collection[str], required: Sequence[str] = ()) -> Sets:
-        """The sets of `allowed` terms that may be right, those with all `required` ones.
+        """Plausible subsets of the `allowed` terms, those with all `required` ones.
 
-        Of the terms that are not required each is as likely to be there as not; of the values of a free
-        shape all are equally likely.
+        Each term that is not required has the prior probability ½; all values of a free shape have the same.
         """
         values, powers, near = self._evidence_of(allowed, required)
         near = near[values[near] > values[near].max() - _FAR_LESS]
@@ -149,9 +149,9 @@ class ModelEvidence:
         return Sets(weighed + self.constant, level, jobs.ramp[near])
 
     def _evidence_of(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
-        """Of all sets, −∞ if they are not possible; only those that may be best are at their maximum.
+        """Evidence of all subsets, −∞ if they are not possible; only those that may be best are maximized.
 
-        The best set, the likely ones and all of them are asked for in turn.
+        It is kept: the best subset, the likely ones and all of them are asked for in turn.
         """
         asked = frozenset(allowed), frozenset(required)
         if asked not in self._known:
@@ -163,6 +163,7 @@ class ModelEvidence:
         return {}
 
     def _refine(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
+        """Coarse evidence, with that of the most probable subsets maximized."""
         grid = _grid(allowed)
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
@@ -172,9 +173,9 @@ class ModelEvidence:
         return _Evidences(values, powers, near)
 
     def approximate_map(self, allowed: Collection[str], like: ModelEvidence) -> Noise:
-        """About the most probable set, to go on from.
+        """Approximately the most probable subset.
 
-        Looked at are those without a free shape and those that were best for a record like this.
+        Candidates are the subsets without a free shape and those that were best for a similar record.
         """
         grid = _grid(allowed)
         possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
@@ -194,7 +195,7 @@ class ModelEvidence:
         return self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
 
     def _possible(self, allowed: Collection[str], required: Sequence[str] = ()) -> Bool[np.ndarray, " jobs"]:
-        """Sets of `allowed` terms that have the `required` ones."""
+        """Whether each subset is one of the `allowed` terms and has the `required` ones."""
         possible = np.ones(len(self.family.jobs.ramp), bool)
         for name, has in self._members(_grid(allowed)):
             if name not in allowed:
@@ -210,7 +211,7 @@ class ModelEvidence:
         grid: str,
         most: int,
     ) -> list[Noise]:
-        """The sets of largest evidence: that of one with a free shape is the mean over its grid."""
+        """Subsets of largest evidence; that of a subset with a free shape is the mean over its grid."""
         jobs, possible = self.family.jobs, values > -np.inf
         in_grid, total = jobs.terms[:, -1], values.copy()
         keys = np.column_stack([jobs.terms[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
@@ -222,7 +223,7 @@ class ModelEvidence:
         return [self._noise(int(k), powers[k], float(total[k]), grid) for k in order]
 
     def _noise(self, k: int, powers: Float[np.ndarray, " terms"], log_evidence: float, grid: str) -> Noise:
-        """The set of that job."""
+        """Noise with the terms and powers of subset k."""
         jobs, names = self.family.jobs, [*FIXED, grid]
         power = {names[i]: float(powers[i]) for i in np.flatnonzero(jobs.terms[k]) if powers[i] > 0.0}
         shape = float("nan")
@@ -233,18 +234,19 @@ class ModelEvidence:
         return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
 
     def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
+        """Terms, and whether each subset has them."""
         jobs = self.family.jobs
         members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
 
 
 def _grid(allowed: Collection[str]) -> str:
-    """The term with a free shape: a power law is in the Markov process's place."""
+    """Name of the term with a free shape: a power law takes the place of the Markov process."""
     return POWER_LAW if POWER_LAW in allowed else MARKOV
 
 
 def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:
-    """Probability of each of these sets of terms, the best one first; 0 if it is far less likely."""
+    """Posterior probability of each subset, the best one first; 0 if it is far less likely."""
     less = np.array([sets[0].log_evidence - noise.log_evidence for noise in sets])
     likely = np.where(less < _LESS, np.exp(-less), 0.0)
     return likely / likely.sum()

@@ -1,8 +1,8 @@
-"""The noise of one axis, for whitening: the basic terms and their powers, chosen anew for every hypothesis.
+"""Noise of one axis, for whitening: the basic terms and their powers, estimated anew for every hypothesis.
 
 An effect that is not in the model is taken for noise: a step for a random walk, a temperature's influence for
 a Markov process. So no cause can be judged against noise estimated with the effect still in it. Each
-hypothesis gets the noise that suits it best (`ModelEvidence.best`), and what is compared is their evidence.
+hypothesis gets the noise that fits it best (`ModelEvidence.best`), and hypotheses are compared by evidence.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from allanjax.spectrum.cosine import CosineBins, SpectralStatistics, cosine_tran
 
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
-#: White noise that is so much of all noise is not told from it.
+#: Share of white noise in all noise above which the two are not told apart: a judgement.
 NEARLY_ALL = 0.9
-# Lengths of spectra are rounded up to multiples of this.
+# Lengths of spectra are rounded up to multiples of this, so that few programs are compiled.
 _PADDED = 4096
-#: Values of the free shape (a correlation time or an exponent) that are compared.
+#: Number of values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
-# Slopes that no basic term has; the grid keeps its distance from those that have one.
+# Exponents that no basic term has; the grid keeps its distance from those of basic terms.
 EXPONENTS = np.array(
     [-0.6, -0.4, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 1.25, 1.35, 1.5, 1.65, 1.75, 2.3, 2.5, 2.8]
 )
@@ -40,14 +40,14 @@ EXPONENTS = np.array(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Noise:
-    """A set of noise terms with their coefficients.
+    """Subset of the noise terms with their coefficients.
 
     Attributes:
         power: squared coefficient of each term, by name.
         shape: correlation time [s] or exponent of the term that has one, nan if there is none.
         ramp: whether a ramp was projected out.
-        log_evidence: of the record under this set [nats], up to a constant common to all sets.
-        family: of which it is a set.
+        log_evidence: log evidence of this subset [nats], up to a constant common to all subsets.
+        family: family that the subset is of.
         index: place of the shape in its grid.
     """
 
@@ -64,7 +64,7 @@ class Noise:
         return self.family.expected(self.power, self.index)
 
     def lowest(self, count: int) -> Float[np.ndarray, " count"]:
-        """Of the lowest coefficients; the others are not computed for these."""
+        """Expected squares of the lowest coefficients, without computing the others."""
         if "variance" in vars(self):
             return self.variance[:count]
         return self.family.expected(self.power, self.index, count)
@@ -75,7 +75,7 @@ class Noise:
         return (*self.power, RAMP) if self.ramp else tuple(self.power)
 
     def model(self) -> Model:
-        """The random terms with their values."""
+        """Model of the random terms with their values."""
         terms: list[NoiseTerm] = []
         for name, power in self.power.items():
             value = float(np.sqrt(power))
@@ -89,9 +89,9 @@ class Noise:
 
 
 class NoiseFamily:
-    """All sets of basic terms for records of n samples at a rate.
+    """All subsets of the basic terms for records of n samples at a rate.
 
-    A set with a power law has it in the Markov process's place.
+    In a subset with a power law it takes the place of the Markov process.
     """
 
     def __init__(self, n: int, rate: float) -> None:
@@ -109,7 +109,7 @@ class NoiseFamily:
         self.ramp = ramp_column(n, rate)
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
-        """Expected squared coefficients [rate²] of a term of any amplitude, from its density."""
+        """Expected squared coefficients of a term [rate²], from its density."""
         return self.rate * _evaluated(term, self._padded, self.rate)[: self.n - 1]
 
     @functools.cached_property
@@ -123,7 +123,7 @@ class NoiseFamily:
         variance: Float[np.ndarray, " n-1"],
         fold: Bool[np.ndarray, " n-1"] | None = None,
     ) -> tuple[float, float]:
-        """Ramp [rate/s] of the record with these coefficients, or with those in a fold; and its deviation."""
+        """Slope of a record's ramp [rate/s], by all coefficients or those in a fold, and its deviation."""
         weight = self.ramp / variance if fold is None else fold * self.ramp / variance
         gram = float(weight @ self.ramp)
         return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
@@ -137,7 +137,7 @@ class NoiseFamily:
         first: Float[np.ndarray, "jobs terms"] | None = None,
         steps: int = FURTHER,
     ) -> Evidence:
-        """Evidence and powers of these jobs after so many steps, from powers to start with."""
+        """Evidence and powers of some subsets after so many steps of scoring from the `first` powers."""
         jobs, share = TermSubset(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
         known = self.columns[: len(FIXED)]
         first = None if first is None else first[None]
@@ -161,7 +161,10 @@ class NoiseFamily:
     def expected(
         self, power: dict[str, float], index: int, count: int | None = None
     ) -> Float[np.ndarray, " count"]:
-        """Expected squared coefficients of a set (all, or the lowest): from the density but for the first."""
+        """Expected squared coefficients of a subset, all or the lowest.
+
+        They are those of the density, but exact where a bin has a single coefficient.
+        """
         count = self.n - 1 if count is None else count
         variance, term = np.zeros(count), np.empty(count)
         low = np.zeros(len(self.columns[0]))
@@ -175,7 +178,7 @@ class NoiseFamily:
 
 
 def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
-    """`sampled_psd`, compiled once for all values of the parameters and lengths that are nearly the same."""
+    """Sampled PSD of a term, compiled once for all values of its parameters and all similar lengths."""
     return _evaluated(term, _padded(frequency), rate)[: len(frequency)]
 
 
@@ -196,7 +199,7 @@ def _density(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) ->
 
 @functools.lru_cache(maxsize=2)
 def family_of(n: int, rate: float) -> NoiseFamily:
-    """The family for such records; the axes of a recording share it."""
+    """Noise family of records of n samples; the axes of a recording share it."""
     return NoiseFamily(n, rate)
 
 
@@ -207,12 +210,12 @@ def _levels(
     shaped: Callable[[float, Any], NoiseTerm],
     shapes: Float[ArrayLike, " grid"],
 ) -> Float[Array, "rows m"]:
-    """Levels in the bins of these terms, and of one with each of its shapes, amplitude 1."""
+    """Levels in the bins of these terms, and of one term with each of its shapes at unit amplitude."""
     rows = [bins.expected(term) for term in terms]
     rows += list(jax.lax.map(lambda shape: bins.expected(shaped(1.0, shape)), jnp.asarray(shapes)))
     return jnp.stack(rows)
 
 
 def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
-    """Coefficients c_1 … c_{n−1} of a record."""
+    """Cosine coefficients c_1 … c_{n−1} of a record without its mean."""
     return cosine_transform(x - x.mean())

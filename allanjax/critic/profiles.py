@@ -31,13 +31,15 @@ from allanjax.record.units import unit_scale
 
 #: Smallest p-value that is reported: smaller ones are beyond floating point.
 TINY = 1e-300
+# Most lags of the autocorrelation, most windows, fewest samples in one: judgements.
 _LAGS = 200
 _WINDOWS = 64
 _SHORTEST = 16
+# Draws from which the law of a largest score is extrapolated.
 _DRAWS = 2000
-# Normal scores beyond this are taken from the deviance: probabilities end there.
+# Normal scores beyond this are computed from the deviance: their probabilities underflow.
 _FAR = 35.0
-#: What a rate adds up to, and its unit.
+#: Unit of the integrated rate of each sensor.
 ANGLE = {"gyro": "deg", "accel": "m/s"}
 
 Places = Float[np.ndarray, " places"]
@@ -45,7 +47,7 @@ Places = Float[np.ndarray, " places"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Profile:
-    """A statistic at all of its places.
+    """A statistic at all places where it is compared with simulations.
 
     Attributes:
         statistic: what is compared.
@@ -67,7 +69,7 @@ class Profile:
     channels: tuple[str, ...] = ()
 
     def at(self, place: int) -> Discrepancy:
-        """There; its p-value counts that all places were looked at."""
+        """Discrepancy at one place; its p-value is corrected for having searched all places."""
         return Discrepancy(
             self.statistic,
             float(self.where[place]),
@@ -80,17 +82,17 @@ class Profile:
         )
 
     def worst(self) -> Discrepancy:
-        """Where the two are farthest apart."""
+        """Discrepancy where measurement and simulation are farthest apart."""
         return self.at(int(np.argmax(abs(self.score))))
 
 
 def _independent(count: int) -> Callable[[float], float]:
-    """p-value of the largest of so many independent standard normal magnitudes."""
+    """Law of the largest of `count` independent standard normal magnitudes: its p-value by its size."""
     return lambda score: any_of(float(2.0 * norm.sf(score)), count)
 
 
 def _chi2_score(value: Places, dof: Places) -> Places:
-    """The standard normal variate as improbable as this χ² one."""
+    """Standard normal variates as improbable as these χ² ones."""
     below, above = chi2.cdf(value, dof), chi2.sf(value, dof)
     z = np.where(below < 0.5, norm.ppf(np.maximum(below, TINY)), norm.isf(np.maximum(above, TINY)))
     ratio = np.maximum(value / dof, 1e-300)
@@ -99,7 +101,7 @@ def _chi2_score(value: Places, dof: Places) -> Places:
 
 
 def _one(statistic: str, measured: float, simulated: float, unit: str, p: float) -> Profile:
-    """A statistic without places."""
+    """Profile of a statistic without places."""
     score = float(norm.isf(0.5 * max(p, TINY)))
     first, second = np.array([measured]), np.array([simulated])
     return Profile(statistic, np.zeros(1), "", first, second, unit, np.array([score]), lambda _: p)
@@ -109,10 +111,10 @@ def _one(statistic: str, measured: float, simulated: float, unit: str, p: float)
 
 
 def cluster_times(record: StageResiduals) -> list[Profile]:
-    """Allan deviation at octaves; and the drift of the integrated rate.
+    """Profiles of the Allan deviation at octaves, and of the drift of the integrated rate.
 
-    That one, less the drift at the mean rate of a stretch of equal length before, is √2·T times the Allan
-    deviation at T: the times are others, those at which people ask for it.
+    The drift over T, less that at the mean rate of the stretch of equal length before, is √2·T times the
+    Allan deviation at T; it is given at round times.
     """
     octaves = octave_sizes(record.n)
     horizons = 2.0 ** np.arange(np.floor(np.log2(max(record.n / record.rate / 4.0, 1.0))) + 1)
@@ -126,10 +128,12 @@ def cluster_times(record: StageResiduals) -> list[Profile]:
 
 
 def allan_deviation(record: StageResiduals, law: AllanLaw) -> Profile:
+    """Profile of the Allan deviation at the cluster times of a law."""
     return _of_law("allan_deviation", law, np.full(len(law.time), 1.0 / record.scale), record.axis.unit)
 
 
 def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile:
+    """Profile of a statistic that is the Allan deviation times a factor."""
     dof = degrees_of_freedom(law.fitted)
     z = _chi2_score(dof * law.measured / law.mean, dof)
     spread = np.sqrt(np.diag(law.fitted))
@@ -146,7 +150,7 @@ def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile
 
 
 def psd(record: StageResiduals) -> Profile:
-    """Power in logarithmic bins, one-sided."""
+    """Profile of the one-sided PSD in logarithmic bins."""
     edges = octave_bins(record.n)
     first, count = edges[:-1] - 1, np.diff(edges)
     squares = np.add.reduceat(record.whitened_coefficients**2, first)
@@ -159,7 +163,7 @@ def psd(record: StageResiduals) -> Profile:
 
 
 def line(record: StageResiduals) -> Profile:
-    """Amplitude at single frequencies: those of whole periods, where white noise is independent."""
+    """Profile of the amplitude at the Fourier frequencies, where white noise is independent."""
     n = record.n
     spectrum = rfft(record.whitened, workers=-1)[1 : (n + 1) // 2]
     power = (spectrum.real**2 + spectrum.imag**2) / n
@@ -181,9 +185,9 @@ def line(record: StageResiduals) -> Profile:
 
 
 def autocorrelation(record: StageResiduals) -> Profile:
-    """Of the whitened residuals: that of the record continued by its mirror image, at all lags at once.
+    """Profile of the autocorrelation of the whitened residuals.
 
-    (1/n) Σ z_j² cos(a_j k), of variance 1/n.
+    It is that of the record continued by its mirror image: (1/n) Σ z_j² cos(a_j k), of variance 1/n.
     """
     n = record.n
     squares = np.concatenate([[1.0], record.whitened_coefficients**2 - 1.0, [0.0]])
@@ -198,7 +202,7 @@ def autocorrelation(record: StageResiduals) -> Profile:
 
 
 def tails(record: StageResiduals) -> Profile:
-    """Excess kurtosis of the whitened residuals (Anscombe & Glynn 1983)."""
+    """Profile of the excess kurtosis of the whitened residuals (Anscombe & Glynn 1983)."""
     squares = record.whitened**2
     excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
     p = max(float(kurtosistest(record.whitened).pvalue), TINY)
@@ -206,7 +210,7 @@ def tails(record: StageResiduals) -> Profile:
 
 
 def largest_residual(record: StageResiduals) -> Profile:
-    """Magnitudes of the whitened residuals."""
+    """Profile of the magnitudes of the whitened residuals."""
     n = record.n
     typical = float(norm.isf(-0.5 * np.expm1(np.log(0.5) / n)))
     return Profile(
@@ -225,7 +229,7 @@ def largest_residual(record: StageResiduals) -> Profile:
 
 
 def windows(record: StageResiduals) -> list[Profile]:
-    """Mean and mean square of the whitened residuals in 2, 4, … 64 windows."""
+    """Profiles of the mean and the mean square of the whitened residuals in 2, 4, … 64 windows."""
     n, e = record.n, record.whitened
     finest = 2 ** int(np.log2(np.clip(n / _SHORTEST, 2, _WINDOWS)))
     edges = np.rint(np.linspace(0.0, n, finest + 1)).astype(int)
@@ -251,7 +255,7 @@ def windows(record: StageResiduals) -> list[Profile]:
 
 
 def _steps(finest: int) -> list[int]:
-    """So many of the finest windows make one: 1, 2, 4, … half of them."""
+    """Numbers of the finest windows that make a window: 1, 2, 4, … half of them."""
     return [2**k for k in range(int(np.log2(finest)))]
 
 
@@ -262,7 +266,7 @@ def _merged(x: Float[np.ndarray, "windows ..."]) -> Float[np.ndarray, "all ..."]
 
 @functools.lru_cache(maxsize=8)
 def _window_null(finest: int, without_mean: bool) -> Float[np.ndarray, " draws"]:
-    """Largest magnitude among the normal scores of all windows, in draws."""
+    """Draws of the largest magnitude among the normal scores of all windows."""
     z = np.random.default_rng(0).standard_normal((finest, _DRAWS))
     if without_mean:
         z -= z.mean(axis=0)
@@ -275,7 +279,7 @@ def _window_null(finest: int, without_mean: bool) -> Float[np.ndarray, " draws"]
 
 
 def cross_correlation(record: StageResiduals, others: Mapping[str, StageResiduals]) -> Profile:
-    """With the whitened residuals of other axes."""
+    """Profile of the correlations with the whitened residuals of other axes."""
     score = np.array(
         [_matched(record.whitened_coefficients, other.whitened_coefficients)[0] for other in others.values()]
     )
@@ -288,10 +292,10 @@ def cross_correlation(record: StageResiduals, others: Mapping[str, StageResidual
 def auxiliary_correlation(
     record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]
 ) -> Profile:
-    """With other channels, given as cosine coefficients: the output of the filter matched to each.
+    """Profile of the outputs of filters matched to other channels, given as cosine coefficients.
 
-    It is an rms in the axis's unit. A slow channel has few independent samples; the noise at its frequencies
-    says how few.
+    An output is an rms in the axis's unit. A slow channel has few independent samples; the noise at its
+    frequencies says how few.
     """
     root = np.sqrt(record.variance)
     found = [
@@ -315,6 +319,6 @@ def auxiliary_correlation(
 
 
 def _matched(z: Float[np.ndarray, " n-1"], h: Float[np.ndarray, " n-1"]) -> tuple[float, float]:
-    """Output of a matched filter, standard normal without the effect; and the filter's norm."""
+    """Output of a matched filter, standard normal without the effect, and the filter's norm."""
     length = float(np.linalg.norm(h))
     return float(z @ h) / max(length, 1e-300), max(length, 1e-300)

@@ -1,7 +1,8 @@
-"""What was found is fitted again when later findings have changed what it was fitted beside.
+"""Findings are refitted when later ones have changed what they were conditional on.
 
 A filter that was fitted with a bump still in the spectrum, a warm-up with a step still in the record: each is
-looked for again in the record without all the others, whose amplitudes are free if they have a shape.
+looked for again in the record without all other findings, whose amplitudes are nuisances if they have a
+waveform.
 """
 
 from __future__ import annotations
@@ -17,27 +18,28 @@ from allanjax.critic.noise import centred
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, View
 
-# Times around, for those that lean on each other.
+# Most rounds, for findings that depend on each other.
 _ROUNDS = 3
-# Frequencies at which the noise is looked at; what the logarithm of its level may change by, and any
-# parameter of the others in its standard deviations.
+# Frequencies at which noise is compared; changes of its log level, and of a parameter of other findings in
+# its standard deviations, that do not call for a refit: judgements.
 _PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
-# Log-evidence [nats] of what is not dropped, and what fitting again may lose: greed explains noise, too.
+# Loss of log evidence [nats] from which on a finding is not dropped, and the largest loss that refitting may
+# bring, since a greedy search explains some noise, too: judgements.
 _SURE, _LOST = 20.0, 2.5
 
 
 def refitted(
     steps: Sequence[Step], view: View, causes: Sequence[Cause], last: bool = False
 ) -> tuple[list[Step], View]:
-    """The steps, each fitted beside the others if these have changed what it was fitted beside, and the end.
+    """Steps, refitted where later ones changed what they were conditional on, and the view at the end.
 
-    What gains nothing beside the others is dropped, unless the record is not to be explained without it.
+    A finding that gains nothing given the others is dropped, unless much evidence would be lost without it.
 
     Args:
         steps: all findings.
-        view: without them.
-        causes: those that are `refit` are fitted again.
-        last: whether nothing else is to be found; else nothing is done until one is to be fitted `at once`.
+        view: view without them.
+        causes: all causes; findings of those with `refit` are fitted again.
+        last: whether the search is over; before, nothing is done unless one is to be refitted "at once".
     """
     again = {cause.name: cause for cause in causes if cause.refit}
     found = [s if s.beside is not None else dataclasses.replace(s, beside=_levels(s, view)) for s in steps]
@@ -55,7 +57,7 @@ def refitted(
                 lost.add(k)
                 continue
             lost.discard(k)
-            # What overlaps in time shares what it gains; what is in the spectrum has been measured once.
+            # Waveforms that overlap share what they gain; in the spectrum the gain was measured once for all.
             gain = candidate.held_out() if candidate.has_waveform else found[k].gain
             end = candidate.after.with_findings(*without.found, cause)
             candidate = dataclasses.replace(candidate, after=end)
@@ -63,7 +65,7 @@ def refitted(
             found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
     if end.noise.log_evidence < view.noise.log_evidence - _LOST:
         return list(steps), view
-    # One at a time: what is left when it is gone may explain the others.
+    # Only the weakest one: what is left when it is gone may explain the others.
     for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
         without = _without(found[k], end)
         if end.noise.log_evidence - without.noise.log_evidence < _SURE:
@@ -73,20 +75,20 @@ def refitted(
 
 
 def _without(step: Step, end: View) -> View:
-    """The view as it would be had this step not been made."""
+    """View as it would be had this step not been made."""
     names = list(end.found)
     names.remove(step.candidate.cause)
     return step.change.put_back(end).with_findings(*names)
 
 
 def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
-    """Whether the noise or the others are not what the step was fitted beside."""
+    """Whether the noise or the other findings have changed since the step was fitted."""
     old, new = steps[k].beside, _beside(k, steps, end)
     return old is None or len(old) != len(new) or bool(np.max(abs(new - old)) > 1.0)
 
 
 def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]:
-    """What a step is fitted beside, in units of what matters: the noise, and others with a shape."""
+    """Noise and other waveforms that a step is conditional on, in units of changes that matter."""
     values = [
         float(q.value) / (_DEVIATION * q.std)
         for other in _others(k, steps)
@@ -97,7 +99,7 @@ def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]
 
 
 def _levels(step: Step, view: View) -> Float[np.ndarray, " places"]:
-    """Logarithms of the spectrum over the model's where the finding is; of low noise, if it has a shape."""
+    """Log levels of the noise that matters to a step: low frequencies for a waveform, else around it."""
     if step.candidate.has_waveform:
         places = np.geomspace(1.0, min(SLOW, view.n - 1.0), _PLACES)
         return np.log(view.variance()[np.unique(np.rint(places).astype(int)) - 1]) / _LEVEL
@@ -111,12 +113,12 @@ def _levels(step: Step, view: View) -> Float[np.ndarray, " places"]:
 
 
 def _others(k: int, steps: Sequence[Step]) -> list[Step]:
-    """Others with a shape, if this step has one."""
+    """Other steps with a waveform, if this step has one."""
     mine = steps[k].candidate.has_waveform
     return [s for i, s in enumerate(steps) if mine and i != k and s.candidate.has_waveform]
 
 
 def _shapes(steps: Sequence[Step], k: int) -> tuple[Float[np.ndarray, " slow"], ...]:
-    """The lowest coefficients of what the others take out."""
+    """Lowest coefficients of the waveforms of the other steps."""
     paths = [other.change.path for other in _others(k, steps)]
     return tuple(centred(path)[:FINEST] for path in paths if path is not None)

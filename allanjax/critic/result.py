@@ -1,4 +1,4 @@
-"""What the critic found: discrepancies, findings, and the extended model of every axis."""
+"""Results of the critic: discrepancies, findings, and the extended model of every axis."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Discrepancy(ByValue):
-    """One respect in which the measurement was compared with its simulation.
+    """Comparison of the measurement with its simulations in one statistic.
 
     Attributes:
-        statistic: what was compared, e.g. "allan_deviation".
+        statistic: name of the statistic, e.g. "allan_deviation".
         where: place of the largest difference, e.g. 0.7.
         where_unit: its unit, "s" or "Hz", or "" where there is no place.
         measured, simulated: the statistic there, in `unit`; simulated is the ensemble's median.
@@ -59,8 +59,8 @@ class Rival:
     """Another cause that explains nearly as much.
 
     Attributes:
-        cause: its name.
-        odds: of the finding's cause against it.
+        cause: name of the cause.
+        odds: odds of the finding's cause against it.
     """
 
     cause: str
@@ -69,7 +69,7 @@ class Rival:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CoefficientChange(ByValue):
-    """A basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
+    """Basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
 
     label: str
     before: float
@@ -79,7 +79,7 @@ class CoefficientChange(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DriftChange(ByValue):
-    """Drift over a time: its root mean square on held-out stretches, and as predicted before and after.
+    """Drift over a time: root mean square on held-out stretches, and predicted before and after a finding.
 
     The drift is the integrated rate less that of the mean rate of the stretch before, of equal length.
     """
@@ -93,20 +93,20 @@ class DriftChange(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Finding(ByValue):
-    """A cause that was found, and what is gained by taking it into the model.
+    """A cause that was found, and the gain of taking it into the model.
 
     Attributes:
-        cause: its name, from the vocabulary of `causes`.
-        axes: whose it is.
-        parameters: in the recording's own units, times from its start [s].
-        p_value: of its statistic on data without it, the search included.
-        evidence: log-evidence gained, all prices of the search paid [nats].
-        gain: log-likelihood gained on data that were used neither to find nor to fit it [nats].
-        rivals: causes whose odds against it are shorter than 1000.
-        span, domain: where it is, in s ("time") or Hz ("frequency").
-        coefficients: what became of the basic coefficients.
-        drift: what became of the predicted drift.
-        discrepancies: statistics before this finding and after it, each where it improved it most: pairs.
+        cause: name of the cause, see `causes`.
+        axes: axes that it concerns.
+        parameters: values in the recording's own units, times from its start [s].
+        p_value: p-value of its statistic, corrected for the search.
+        evidence: log Bayes factor for it, trials and Occam factors included [nats].
+        gain: gain in log-likelihood on data that were used neither to find nor to fit it [nats].
+        rivals: causes against which its odds are shorter than 1000.
+        span, domain: start and end, in s ("time") or Hz ("frequency").
+        coefficients: changes of the basic coefficients.
+        drift: change of the predicted drift.
+        discrepancies: pairs of a statistic before and after this finding, at the place that it improved most.
     """
 
     cause: str
@@ -133,13 +133,14 @@ class Finding(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Snapshot(ByValue):
-    """An axis at one stage of the critique: for pictures, and to simulate from.
+    """One axis at one stage of the critique, for pictures and simulations.
 
     Attributes:
-        x: the samples without what was found up to here [SI].
+        x: samples from which earlier findings are subtracted [SI].
         variance: expected squared cosine coefficients of x [rate²].
         terms: names of the basic terms in the noise.
         powers: their squared coefficients (a ramp has none).
+        shape: correlation time [s] or exponent of the term that has one, else nan.
         ramp: slope of a drift ramp [rate/s].
     """
 
@@ -156,17 +157,17 @@ class Snapshot(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AxisCritique(ByValue):
-    """The critique of one axis.
+    """Critique of one axis.
 
     Attributes:
-        axis: which.
+        axis: the axis.
         findings: in the order in which they were made.
         before, after: discrepancies of the baseline's and of the extended model's simulations.
         tests: p-value of every cause's best candidate on the record as it came.
         stages: the axis before the first finding and after each.
-        baseline: the model that this started from, and `misfit` how far its curve is off, if it does not
-            suffice.
-        model: the extended model: noise terms and deterministic ones, with their values.
+        baseline: model that the critique started from.
+        model: extended model: noise terms and deterministic ones, with their values.
+        misfit: how far the baseline's curve is off, if it does not suffice.
     """
 
     axis: Axis
@@ -191,17 +192,17 @@ class AxisCritique(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Critique(ByValue, PerAxis[AxisCritique]):
-    """What the simulation of a recording gets wrong, why, and what mending it gains.
+    """Critique of a recording: what its simulation gets wrong, why, and what correcting it gains.
 
     Attributes:
         name: the recording's name.
         rate: its sample rate [Hz].
         fit: the baseline.
-        results: one critique an axis.
-        shared_findings: causes that concern several axes.
-        notes: what the user should know.
+        results: critiques of the axes.
+        shared_findings: findings that concern several axes.
+        notes: remarks for the user.
         dead: axes of the recording that have no noise to compare, and why.
-        warnings: what was seen in the recording before anything else; see `Fit.warnings`.
+        warnings: warnings about the recording as a whole; see `Fit.warnings`.
     """
 
     CALLED: ClassVar[str] = "the critique"
@@ -232,11 +233,11 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @presented
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; see `critique.schema.json`."""
+        """The critique as plain data for JSON; see `critique.schema.json`."""
         raise NotImplementedError
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a finding and parameter, in its `unit`; `gain` is in nats, on held-out data.
+        """Table with a row for each finding and parameter; `gain` is in nats, on held-out data.
 
         An unexplained finding has no parameters: one row, without name and numbers.
         """
@@ -261,7 +262,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
 
 def _table(findings: Sequence[Finding]) -> pd.DataFrame:
-    """One row a finding and parameter."""
+    """Table with a row for each finding and parameter."""
     import pandas as pd
 
     none = {"": Quantity(float("nan"), float("nan"), "")}

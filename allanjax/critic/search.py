@@ -1,4 +1,4 @@
-"""Look for causes one after the other, the most telling first, until nothing is left."""
+"""Greedy search for causes: the one with the largest evidence first, until none is significant."""
 
 from __future__ import annotations
 
@@ -19,26 +19,29 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.recording import Axis
 
-# Rivals with longer odds against them than this are not worth a word.
+# Rivals with longer odds against them than this are not reported: a judgement.
 _ODDS = 1000.0
+# Most findings in an axis: a judgement.
 _MOST = 8
+# p-value below which a rejected candidate is reported as undecided: a judgement.
 _CERTAIN = 1e-6
-# What gains so much [nats], and so many times what a cause offered before the last finding in the spectrum,
-# is before it whatever has become of that.
+# No further cause is asked once a candidate has gained so much [nats], and so many times the gain that any of
+# them offered in the round before: judgements.
 _EARLY_STOP_NATS, _EARLY_STOP_RATIO = 30.0, 4.0
+# Share of imputed samples from which on no other cause is looked for: a judgement.
 _TOO_MANY = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Search:
-    """All that was found in one axis.
+    """Result of the search in one axis.
 
     Attributes:
-        start: the axis as it came.
-        steps: the findings in their order.
-        end: the axis with all findings taken out.
-        tests: `Cause.p_value` of those causes that have one, in the axis as it came.
-        notes: for people: causes that explain about as much as noise does; that the search ended early.
+        start: view of the axis without findings.
+        steps: findings in their order.
+        end: view with all findings subtracted.
+        tests: `Cause.p_value` at the start, of those causes that have one.
+        notes: notes for the user: causes as probable as noise, or that the search ended early.
         restored: whether a finding says that the samples are not what the sensor gave.
     """
 
@@ -51,11 +54,11 @@ class Search:
 
 
 class AcceptanceRule(NamedTuple):
-    """False findings that are accepted in one axis.
+    """Rule by which candidates in one axis are accepted.
 
     Attributes:
-        share: probability of one, for each kind of cause.
-        ratio: of all of them to those that margins and levels are for.
+        share: probability of a false finding for each kind of cause.
+        ratio: probability of a false finding in the axis over `FALSE_ALARMS`.
     """
 
     share: float
@@ -63,12 +66,12 @@ class AcceptanceRule(NamedTuple):
 
     @classmethod
     def of(cls, false_alarms: float, causes: Sequence[Cause]) -> AcceptanceRule:
-        """One share for each kind of cause, and one for what axes have in common."""
+        """Rule with one share for each kind of cause, and one for noise that axes have in common."""
         kinds = len({type(cause) for cause in causes}) + 1
         return cls(false_alarms / kinds, false_alarms / FALSE_ALARMS)
 
     def accepts(self, candidate: Candidate, cause: Cause) -> bool:
-        """Whether that is significant: with fewer accepted, the odds for it must be so much longer."""
+        """Whether a candidate is significant; both thresholds scale with the accepted false alarms."""
         level = self.share if cause.max_p is None else cause.max_p * self.ratio
         return bool(candidate.gain >= cause.min_log_odds - np.log(self.ratio) and candidate.p_value < level)
 
@@ -80,9 +83,9 @@ def search(
 
     Args:
         view: the axis.
-        causes: what to look for.
+        causes: causes to look for.
         false_alarms: probability of a false finding.
-        progress: is told what is being done.
+        progress: called with a text that says what is being done.
     """
     accepted = AcceptanceRule.of(false_alarms, causes)
     start, steps = view, []
@@ -96,13 +99,13 @@ def search(
             steps.append(Step.of(candidate, gain, (), view))
             view = candidate.after
     restored = bool(steps)
-    # Of a record that was mostly filled in nothing else is said.
+    # In a record that is mostly imputed nothing else is looked for.
     others = [c for c in causes if not c.is_preprocessing and np.mean(view.restored) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
     notes: tuple[str, ...] = ()
-    # What those that may not have to be asked again offered last.
+    # Gains that causes offered last, if they may not have to be asked again.
     offered: dict[Cause, float] = {}
-    # Those count too that are dropped again beside later ones.
+    # Findings that are dropped again count too.
     rounds, anew = 0, False
     while len(steps) < _MOST and rounds < 2 * _MOST:
         rounds += 1
@@ -119,12 +122,12 @@ def search(
         for part in step.candidate.parts or (step.candidate,):
             gain = part.held_out() if step.candidate.parts else step.gain
             steps.append(Step.of(part, gain, step.rivals, view))
-            # Of two at once the second one does not know of the first.
+            # Candidates accepted together were built independently: the list of findings is extended here.
             view = part.after.with_findings(*view.found, part.cause)
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]
-        # What is in time may have hidden anything; what is in the spectrum hardly hides what is in time.
+        # A waveform may have hidden anything; an effect in the spectrum hardly hides a waveform.
         if len(steps) < len(known) or step.candidate.domain == "time":
             offered = {}
         else:
@@ -146,7 +149,7 @@ def search(
 def _candidates(
     view: View, causes: Sequence[Cause], offered: Mapping[Cause, float], progress: Callable[[str], None]
 ) -> tuple[list[tuple[Cause, Candidate]], list[Cause]]:
-    """What the causes offer in this view; and those left that had offered far less than the best one does."""
+    """Candidates of the causes in this view, and the causes not asked since they had offered far less."""
     left = sorted(causes, key=lambda cause: -offered.get(cause, np.inf))
     candidates: list[tuple[Cause, Candidate]] = []
     most = 0.0
@@ -160,7 +163,7 @@ def _candidates(
 
 
 def _undecided(candidate: Candidate, view: View) -> str:
-    """What could as well be there, if it is something that noise alone does not do."""
+    """Note on a candidate that is about as probable as basic terms, if it is unlikely by chance."""
     instead = [t.replace("_", " ") for t in view.noise.terms if t not in candidate.after.noise.terms]
     if candidate.p_value > _CERTAIN or not instead:
         return ""
@@ -171,7 +174,7 @@ def _undecided(candidate: Candidate, view: View) -> str:
 def _chosen(
     candidates: Sequence[tuple[Cause, Candidate]], view: View, accepted: AcceptanceRule
 ) -> Step | None:
-    """The candidate that explains most, if it is significant and holds on data that it has not seen."""
+    """Candidate with the largest gain that is significant and has a gain on held-out data."""
     by_gain = sorted(candidates, key=lambda pair: -pair[1].gain)
     ranked = [candidate for _, candidate in by_gain]
     for cause, candidate in by_gain:
@@ -191,7 +194,7 @@ def _chosen(
 
 
 def _grouped(steps: Sequence[Step]) -> list[Step]:
-    """Harmonics of one fundamental together, and outliers that came to light one after the other."""
+    """Steps in which harmonics of one fundamental are one finding, and so are all outliers."""
     left, grouped = list(steps), []
     while left:
         first, others = left[0], []
@@ -214,7 +217,7 @@ def _number(q: Quantity) -> float:
 
 
 def _harmonic(one: Step, other: Step) -> bool:
-    """Whether these are lines, and the higher frequency is a small multiple of the lower one."""
+    """Whether two steps are lines, the higher frequency being a small multiple of the lower one."""
     if one is other or {one.candidate.cause, other.candidate.cause} != {"sinusoid"}:
         return False
     low, high = sorted((s.candidate.parameters["frequency"] for s in (one, other)), key=_number)
@@ -224,6 +227,7 @@ def _harmonic(one: Step, other: Step) -> bool:
 
 
 def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
+    """Fundamental and harmonics as one finding."""
     f = _number(step.candidate.parameters["frequency"])
     orders = tuple(float(np.rint(_number(s.candidate.parameters["frequency"]) / f)) for s in others)
     amplitudes = tuple(_number(s.candidate.parameters["amplitude"]) for s in others)
@@ -239,6 +243,7 @@ def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
 
 
 def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
+    """Outliers that were found one after the other as one finding."""
     own = step.candidate.parameters
     found = [np.atleast_1d(s.candidate.parameters["times"].value) for s in (step, *others)]
     times = tuple(np.sort(np.concatenate(found).astype(float)).tolist())
@@ -247,7 +252,7 @@ def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
 
 
 def _together(step: Step, others: Sequence[Step], parameters: Mapping[str, Quantity]) -> Step:
-    """Several findings as one, with these parameters changed or added."""
+    """Several steps as one, with these parameters changed or added."""
 
     def add_to_model(model: Model) -> Model:
         for s in (step, *others):
@@ -271,9 +276,9 @@ def view_of(
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     baseline: tuple[Model, Model] | None,
 ) -> View:
-    """The first view of an axis: the baseline's basic terms, and what else it has taken out.
+    """First view of an axis, in which the baseline's other than basic terms are subtracted or in the factor.
 
-    The baseline is a fitted model and what terms it might have had; None: all basic terms may be there.
+    The baseline is a fitted model and the template of its terms; None: all basic terms are allowed.
     """
     n = len(x)
     family = family_of(n, rate)
@@ -303,7 +308,7 @@ def view_of(
 
 
 def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Float[np.ndarray, " n"]:
-    """The record without a baseline's lines and transients, by least squares."""
+    """Record from which a baseline's lines and transients are subtracted, by least squares."""
     lines, wanted = lines_of(model)
     y = x - x.mean()
     t = (np.arange(len(x)) + 0.5) / rate
@@ -327,13 +332,13 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
 
 
 def basic_model(view: View) -> Model:
-    """The basic terms of a view, with their values."""
+    """Model of the basic terms of a view, with their values."""
     model = view.noise.model()
     return model + DriftRamp(abs(view.slope)) if view.noise.ramp else model
 
 
 def extended(search: Search) -> Model:
-    """The model of an axis with all findings in it."""
+    """Model of an axis with all findings in it."""
     model = basic_model(search.end)
     for step in search.steps:
         model = step.candidate.add_to_model(model)

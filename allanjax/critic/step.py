@@ -1,4 +1,4 @@
-"""A finding as the search made it, and what it changes in a view: taken out, put back, replay together."""
+"""Steps of the search: a finding, and the change that it makes in a view."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from allanjax.critic.view import Candidate, View
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Step:
-    """One finding.
+    """One finding, as the search made it.
 
     Attributes:
-        candidate: what was found.
-        gain: log-likelihood gained on held-out data [nats].
+        candidate: candidate that was accepted.
+        gain: gain in log-likelihood on held-out data [nats].
         rivals: other causes and the odds against them.
-        before: the view that it was found in.
-        beside: what it was fitted beside, see `critic.refit`.
+        before: view that it was found in.
+        beside: quantities that its fit was conditional on, see `critic.refit`.
     """
 
     candidate: Candidate
@@ -31,7 +31,7 @@ class Step:
 
     @classmethod
     def of(cls, candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
-        """A step that keeps no more than is needed of it."""
+        """Step that keeps no more of its views than is needed."""
         candidate = dataclasses.replace(
             candidate, after=candidate.after.without_caches(), held_out=lambda: gain
         )
@@ -39,20 +39,20 @@ class Step:
 
     @property
     def change(self) -> Change:
-        """What it changes."""
+        """Change that it makes in a view."""
         return Change.of(self.before, self.candidate.after)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Change:
-    """What a finding changes in a view.
+    """Change that a finding makes in a view.
 
     Attributes:
-        path: what it takes out of the samples.
-        factor: of the spectrum.
-        passes: the factor, if it is a filter's.
+        path: samples that are subtracted.
+        factor: factor of the spectrum.
+        passes: power response, if the factor is a filter's.
         added, removed: basic terms of the noise.
-        restored: samples that tell nothing since.
+        restored: samples that are imputed since.
     """
 
     path: Float[np.ndarray, " n"] | None
@@ -64,7 +64,7 @@ class Change:
 
     @classmethod
     def of(cls, before: View, after: View) -> Change:
-        """From one view to the other."""
+        """Change from one view to another."""
         factor = None
         if after.factor is not None and after.factor is not before.factor:
             factor = after.factor if before.factor is None else after.factor / before.factor
@@ -78,7 +78,7 @@ class Change:
         )
 
     def taken_out(self, view: View) -> View:
-        """The view without the finding."""
+        """View without the finding, of one that has it."""
         after = view if self.path is None else view.with_samples(view.samples - self.path)
         after = after if self.factor is None else after.with_factor(self.factor)
         after = after if self.passes is None else dataclasses.replace(after, passes=self.passes)
@@ -88,7 +88,7 @@ class Change:
         return dataclasses.replace(after, restored=after.restored | self.restored)
 
     def put_back(self, view: View) -> View:
-        """The view as it would be had the finding not been made."""
+        """View as it would be had the finding not been made."""
         before = view if self.path is None else view.with_samples(view.samples + self.path)
         before = before if self.factor is None else before.with_factor(1.0 / self.factor)
         before = before if self.passes is None else dataclasses.replace(before, passes=None)
@@ -99,11 +99,12 @@ class Change:
 
 
 def _with_terms(view: View, more: Collection[str], less: Collection[str]) -> View:
+    """View with more of the basic terms, or with less."""
     return view.allowing([*(t for t in view.allowed if t not in less), *more]) if more or less else view
 
 
 def replay(start: View, steps: Iterable[Step]) -> list[Step]:
-    """The steps one after the other, each in the view that the one before has left."""
+    """Steps made again one after the other, each in the view that the one before has left."""
     view, found = start, []
     for step in steps:
         after = step.change.taken_out(view).with_findings(*view.found, step.candidate.cause)

@@ -1,4 +1,4 @@
-"""What a cause sees, and what it may answer: one axis of a recording, whitened, and candidates."""
+"""Interface of the causes: the view of one axis that they get, and the candidates that they return."""
 
 from __future__ import annotations
 
@@ -19,27 +19,29 @@ from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centr
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 
-# Noise that drifts may be an effect in disguise: these sets are looked through too.
+# Steadier subsets of the terms, which are searched too: noise that drifts may be an effect in disguise.
 _STEADY: tuple[tuple[str, ...], ...] = (
     ("quantization", "angle_random_walk"),
     ("quantization", "angle_random_walk", "bias_instability"),
     ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", RAMP),
 )
-#: Log-evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one.
+#: Log evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one.
 MARGIN = 3.0
-#: Probability of a false finding in a record of one axis, for which margins and levels are.
+#: Probability of a false finding in a record of one axis that `Cause.min_log_odds` and `Cause.max_p` are made
+#: for.
 FALSE_ALARMS = 0.01
-#: The normal law's point of one-sided 95 % limits.
+#: Standard deviations to a one-sided 95 % limit of the normal law.
 ONE_SIDED = 1.645
+#: Names of all basic terms.
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Quantity(ByValue):
-    """A parameter of a finding: value (a number, or several), standard deviation, unit.
+    """Parameter of a finding: value (a number, or several), standard deviation, unit.
 
-    Where the search ended at a bound of what it looks through, or the record ends where something may go on,
-    the value is a `limit`: the parameter is "above" or "below" it (with 95 %), and has no standard deviation.
+    Where the search ended at a bound of its range, or the record ends where the effect may go on, the value
+    is a 95 % `limit`: the parameter is "above" or "below" it, and has no standard deviation.
     """
 
     value: float | tuple[float, ...] | tuple[str, ...]
@@ -49,28 +51,27 @@ class Quantity(ByValue):
 
     @classmethod
     def beyond(cls, value: float, limit: Literal["above", "below"], unit: str) -> Quantity:
-        """A limit."""
+        """Quantity of which only a 95 % limit is known."""
         return cls(value, float("nan"), unit, limit)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """One axis as the critic sees it: what was found before has been taken out.
+    """One axis as the critic sees it, with earlier findings subtracted.
 
     Attributes:
-        axis, scale: whose it is; factor from its own unit to SI.
+        axis, scale: the axis; factor from its own unit to SI.
         rate: sample rate [Hz].
-        raw: the samples as recorded [SI].
-        samples: the samples without what was found before.
-        factor: ratio of the spectrum to that of the basic terms, 1 if there is nothing else.
-        noise: the best set of basic terms for x.
+        raw: samples as recorded [SI].
+        samples: samples from which earlier findings are subtracted [SI].
+        factor: ratio of the spectrum to that of the basic terms; None for 1.
         auxiliary: other channels.
         allowed: basic terms that the noise may have.
-        family: to weigh other sets and other records with.
-        restored: samples that were filled in, which tell nothing.
+        family: noise family for records of this length and rate.
+        restored: samples that were imputed, which carry no information.
         found: causes found so far.
-        passes: power response of a filter that was found before, which the factor has in it.
-        beside: coefficients of shapes that were taken out, of which the amplitudes are free.
+        passes: power response of a filter that was found before, which the factor includes.
+        beside: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
     """
 
     axis: Axis
@@ -94,34 +95,34 @@ class View:
 
     @property
     def duration(self) -> float:
-        """Length [s]."""
+        """Length of the record [s]."""
         return self.n / self.rate
 
     @functools.cached_property
     def coefficients(self) -> Float[np.ndarray, " n-1"]:
-        """Cosine coefficients of x."""
+        """Cosine coefficients of the samples."""
         return centred(self.samples)
 
     @functools.cached_property
     def model_evidence(self) -> ModelEvidence:
-        """Of the sets of basic terms, for x."""
+        """Evidence of every subset of the basic noise terms, given this view's samples."""
         return self._mask.evidence(self.coefficients)
 
     def model_evidence_of(
         self, fold: Bool[np.ndarray, " n-1"] | None, factor: Float[np.ndarray, " n-1"] | None = None
     ) -> ModelEvidence:
-        """The same of the coefficients in a fold, behind a further factor of the spectrum."""
+        """Evidence of every subset, given the coefficients in a fold and a further factor of the spectrum."""
         factor = self.factor if factor is None else self.combined(factor)
         return SpectralMask.of(self.family, factor, fold).evidence(self.coefficients)
 
     @functools.cached_property
     def log_evidence(self) -> float:
-        """Log-evidence of x whichever allowed basic terms there are."""
+        """Log evidence of the samples, averaged over the subsets of the allowed basic terms [nats]."""
         return self.model_evidence.sets(self.allowed).total
 
     @functools.cached_property
     def log_evidence_all_terms(self) -> float:
-        """The same whichever basic terms there are, also those that the model lacks."""
+        """Log evidence averaged over the subsets of all basic terms, those that the model lacks too [nats]."""
         return self.model_evidence.sets({*EVERYTHING, *self.allowed}).total
 
     @functools.cached_property
@@ -130,30 +131,30 @@ class View:
 
     @functools.cached_property
     def noise(self) -> Noise:
-        """The best set of basic terms."""
+        """Most probable subset of the allowed basic terms."""
         return self.model_evidence.best(self.allowed)
 
     @functools.cached_property
     def squares(self) -> Float[np.ndarray, " n-1"]:
-        """Squared coefficients, as if all that was found before were not there."""
+        """Squared coefficients divided by the factor, as of a record without earlier findings."""
         return self.coefficients**2 if self.factor is None else self.coefficients**2 / self.factor
 
     @property
     def slope(self) -> float:
-        """Of the ramp in the noise [rate/s], 0 if there is none."""
+        """Slope of the ramp in the noise [rate/s], 0 if there is none."""
         return self.family.slope(self.coefficients, self.variance())[0] if self.noise.ramp else 0.0
 
     @functools.cached_property
     def basic(self) -> Noise:
-        """The best set of any basic terms, also of those that the model lacks."""
+        """Most probable subset of all basic terms, also of those that the model lacks."""
         return self.model_evidence.best([*EVERYTHING, *self.allowed])
 
     def combined(self, spectrum: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
-        """A spectrum, or a factor of it, with the factor of what was found before."""
+        """Product of a spectrum, or of a factor of it, and the factor of earlier findings."""
         return spectrum if self.factor is None else spectrum * self.factor
 
     def variance(self, noise: Noise | None = None) -> Float[np.ndarray, " n-1"]:
-        """Expected squared coefficients [rate²], all that was found before included."""
+        """Expected squared coefficients [rate²], earlier findings included."""
         return self._variance if noise is None else self.combined(noise.variance)
 
     @functools.cached_property
@@ -161,13 +162,13 @@ class View:
         return self.combined(self.noise.variance)
 
     def lowest(self, noise: Noise, count: int) -> Float[np.ndarray, " count"]:
-        """The same of the lowest coefficients."""
+        """Expected squares of the lowest coefficients [rate²]."""
         v = noise.lowest(count)
         return v if self.factor is None else v * self.factor[:count]
 
     @functools.cached_property
     def noises(self) -> tuple[Noise, ...]:
-        """The best set, and the best among steadier ones: an effect may have been taken for drift."""
+        """Most probable subset, and the best steadier ones: an effect may have been taken for drift."""
         found = [self.noise]
         for allowed in _STEADY:
             if not set(allowed) & set(self.allowed) - {"quantization"}:
@@ -179,11 +180,11 @@ class View:
 
     @functools.cached_property
     def cv_log_likelihood(self) -> float:
-        """Log-likelihood of half of the coefficients under the best basic noise of the others, both ways."""
+        """Log-likelihood of each half of the coefficients under the best noise of the other half."""
         return self.cv_log_likelihood_with(self.allowed)
 
     def cv_log_likelihood_with(self, allowed: Collection[str]) -> float:
-        """The same with these basic terms to choose from."""
+        """Cross-validated log-likelihood under noise of some of these basic terms."""
         total = 0.0
         for fold in coefficient_folds(self.n):
             noise = self.model_evidence_of(fold).approximate_map(allowed, self.model_evidence)
@@ -196,10 +197,10 @@ class View:
         some: Bool[np.ndarray, " n-1"] | None = None,
         factor: Float[np.ndarray, " n-1"] | None = None,
     ) -> float:
-        """Of some of the coefficients, under noise behind a further factor.
+        """Log-likelihood of some of the coefficients under noise, with a further factor of the spectrum.
 
-        A ramp of the noise is projected out: nearly all of it is in one coefficient, and the others do not
-        foretell that one.
+        A ramp of the noise is projected out: nearly all of it is in one coefficient, which the others do not
+        predict.
         """
         v = self.variance(noise) if factor is None else self.variance(noise) * factor
         c = (
@@ -212,26 +213,26 @@ class View:
 
     @property
     def expected_likelihood(self) -> float:
-        """Of another such record under this noise: this one's, less a nat a parameter (Akaike 1973)."""
+        """Expected log-likelihood of another such record: this one's less a nat a parameter (Akaike 1973)."""
         shaped = bool(np.isfinite(self.noise.shape))
         return self.log_likelihood(self.noise) - len(self.noise.terms) - shaped
 
     def held_out_gain(self, after: View, in_sample: float, cross_validated: float) -> float:
-        """Log-likelihood that data gain which an effect was not estimated from [nats].
+        """Gain in log-likelihood [nats] on data that were not used to estimate the effect.
 
-        What is explained by the noise with the effect in it and by the noise without it differs by the effect
-        and by the noise's own parameters: the effect counts by what it is worth on held-out data.
+        It is the expected gain of the noise without the effect over the noise with it, in which the effect's
+        gain in sample is replaced by the cross-validated one.
 
         Args:
-            after: the view without the effect.
-            in_sample: log-likelihood that the effect gains on the data it was fitted to, in `after`'s noise.
-            cross_validated: the same on parts of the record, by the effect that the other parts show.
+            after: view without the effect.
+            in_sample: gain of the effect on the data that it was fitted to, in the noise of `after`.
+            cross_validated: gain on parts of the record by the effect that the other parts show.
         """
         return after.expected_likelihood - self.expected_likelihood - (in_sample - cross_validated)
 
     @property
     def residual(self) -> Float[np.ndarray, " n-1"]:
-        """Cosine coefficients of x without the ramp that the noise has."""
+        """Cosine coefficients without the ramp that the noise has."""
         return self.coefficients - self.slope * self.family.ramp if self.noise.ramp else self.coefficients
 
     @functools.cached_property
@@ -241,53 +242,53 @@ class View:
 
     @functools.cached_property
     def loo_residuals(self) -> tuple[Float[np.ndarray, " n"], float]:
-        """What each sample is above its best prediction from all others [SI], and that one's error."""
+        """Leave-one-out residuals: samples less their predictions by all others, and their deviation [SI]."""
         v = self.variance()
         precision = float(np.mean(1.0 / v))
         return in_time(self.residual / v) / precision, float(1.0 / np.sqrt(precision))
 
     def with_samples(self, samples: Float[np.ndarray, " n"]) -> View:
-        """The view of other samples."""
+        """View of other samples."""
         view = dataclasses.replace(self, samples=samples)
         vars(view)["_mask"] = self._mask
         return view
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
-        """About the best set of basic terms without something that has these lowest coefficients."""
+        """Approximately most probable noise without an effect that has these lowest coefficients."""
         c = self.coefficients.copy()
         c[: len(lowest)] -= lowest
         return self._mask.evidence(c).approximate_map(self.allowed, self.model_evidence)
 
     def with_factor(self, factor: Float[np.ndarray, " n-1"]) -> View:
-        """The view of a spectrum with a further factor."""
+        """View with a further factor of the spectrum."""
         view = dataclasses.replace(self, factor=self.combined(factor))
         # The coefficients are what they were: a transform saved.
         vars(view)["coefficients"] = self.coefficients
         return view
 
     def with_findings(self, *found: str, beside: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
-        """The same view and all that is computed of it, for which these causes have been found.
+        """View, with all that has been computed of it, for which these causes have been found.
 
         Args:
             found: causes.
-            beside: coefficients of shapes that were taken out, of which the amplitudes are free.
+            beside: coefficients of subtracted waveforms whose amplitudes are nuisances.
         """
         view = copy.copy(self)
         vars(view).update(found=found, beside=beside)
         return view
 
     def without_caches(self) -> View:
-        """The same view without what it has at hand but could compute anew; the noise stays."""
+        """View without what can be computed anew, but for its noise."""
         view = dataclasses.replace(self)
         vars(view)["noise"] = dataclasses.replace(self.noise)
         return view
 
     def allowing(self, terms: Collection[str]) -> View:
-        """The view with these basic terms in the noise."""
+        """View in which the noise may have these basic terms."""
         return dataclasses.replace(self, allowed=tuple(terms))
 
     def recoloured(self, whitened: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The samples whose whitened residuals are e, with the ramp that x has."""
+        """Samples that have these whitened residuals, with the ramp of this view's samples."""
         c = dct(whitened, norm="ortho", workers=-1)
         c[1:] *= np.sqrt(self.variance())
         c[1:] += self.coefficients - self.residual
@@ -295,7 +296,7 @@ class View:
         return idct(c, norm="ortho", workers=-1)
 
     def time(self, sample: float, std: float) -> Quantity:
-        """A place in time [samples]; at an end of the record, it may as well be beyond that."""
+        """Time of a sample; within its deviation of an end of the record, a limit."""
         if sample <= std:
             return Quantity.beyond((sample and sample + ONE_SIDED * std) / self.rate, "below", "s")
         if sample >= self.n - std:
@@ -304,21 +305,21 @@ class View:
         return Quantity(sample / self.rate, std / self.rate, "s")
 
     def own(self, value: float, std: float, per: str = "") -> Quantity:
-        """An amplitude in the recording's own unit."""
+        """Amplitude in the recording's own unit."""
         return Quantity(value / self.scale, std / self.scale, self.axis.unit + per)
 
 
 def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Every other pair of coefficients, and the others: independent, and both see the whole spectrum.
+    """Every other pair of coefficients, and the rest: independent halves that both cover the whole spectrum.
 
-    Pairs, since a shape that is odd about the record's middle has odd coefficients only.
+    They are pairs since a shape that is odd about the record's middle has odd coefficients only.
     """
     some = np.arange(n - 1) // 2 % 2 == 0
     return some, ~some
 
 
 def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
-    """The samples with these cosine coefficients c_1 … c_{n−1}, without mean."""
+    """Samples with these cosine coefficients c_1 … c_{n−1}, without mean."""
     return idct(np.concatenate([[0.0], coefficients]), norm="ortho", workers=-1)
 
 
@@ -327,16 +328,17 @@ class Candidate:
     """An explanation for something in a view.
 
     Attributes:
-        cause: its name.
-        parameters: with standard deviations, in the recording's units.
-        gain: by how much the log-evidence grows [nats], the price of the search paid.
-        p_value: of its statistic where there is no such effect, the search included.
-        after: the view without it.
-        held_out: log-likelihood gained on data that it was not estimated from [nats].
-        support: where it is: start and end in time [s], or low and high frequency [Hz]; `domain` says which.
+        cause: name of the cause.
+        parameters: values with standard deviations, in the recording's units.
+        gain: log Bayes factor for it [nats], trials and Occam factors included.
+        p_value: p-value of its statistic, corrected for the search.
+        after: view without the effect.
+        held_out: computes the gain in log-likelihood on data that it was not estimated from [nats].
+        support: start and end in time [s], or low and high frequency [Hz], as `domain` says.
+        domain: "time" or "frequency".
         add_to_model: adds it to a model of noise terms.
-        has_waveform: whether it takes a known shape out of the lowest coefficients.
-        parts: where only several together explain anything: each of them, in order, as a finding of its own.
+        has_waveform: whether it subtracts a known waveform from the lowest coefficients.
+        parts: the single effects, in order, where only several together explain anything.
     """
 
     cause: str
@@ -353,21 +355,21 @@ class Candidate:
 
 
 class Cause(ABC):
-    """Something that a sensor's model may lack.
+    """An effect that a sensor's model may lack.
 
-    A subclass has a `name` and looks for itself in a view: the best candidate, or None where there is nothing
-    worth testing.
+    A subclass has a `name`, and a method `detect` that returns the best candidate in a view, or None where
+    there is nothing worth testing.
     """
 
     name: str
-    #: Whether it is read off the samples themselves and must be undone before anything else is looked at.
+    #: Whether it is seen in the samples themselves and must be undone before anything else is looked for.
     is_preprocessing: ClassVar[bool] = False
-    #: Log-evidence that it must gain beyond the basic terms [nats], all prices paid, at `FALSE_ALARMS`.
+    #: Log Bayes factor from which on it is accepted [nats], at `FALSE_ALARMS`.
     min_log_odds: ClassVar[float] = MARGIN
-    #: Its own probability of a false finding at these; None for a share of what the critique may have.
+    #: p-value below which it is accepted, at `FALSE_ALARMS`; None for a share of the critique's false alarms.
     max_p: ClassVar[float | None] = None
-    #: Whether it is fitted again when later findings change what it was fitted beside: at once, since others
-    #: would be taken for what it lacks, or at last.
+    #: Whether it is refitted when later findings change what it was conditional on: at once, since its misfit
+    #: would be taken for other effects, or at last.
     refit: ClassVar[Literal["", "at once", "at last"]] = ""
 
     def __repr__(self) -> str:
@@ -375,15 +377,15 @@ class Cause(ABC):
 
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:
-        """The best candidate of this cause."""
+        """Best candidate of this cause in a view, or None."""
 
     def again(self, view: View, found: Candidate) -> Candidate | None:
-        """What was found, fitted again in a view where others are that were not there; None if it is lost."""
+        """Finding refitted in a view with other findings than before; None if nothing is left of it."""
         return self.detect(view)
 
     def p_value(self, view: View) -> float | None:
-        """Probability of a statistic as large as the view's, if its noise is all there is.
+        """p-value of this cause's statistic if the view has noise only, corrected for the search over places.
 
-        Uniform then; the search over places is part of it. None where the cause has no such statistic.
+        None where the cause has no such statistic.
         """
         return None
