@@ -129,7 +129,7 @@ def analyse(hours: float, seed: int) -> Iterator[tuple[list[Row], str]]:
                     rows.append(Row(preset.name, axis.name, label, truth, found, in_unit))
             extra = [
                 f"{c.axis.name} {c.label}"
-                for c in (c for axis in result if axis.converged for c in axis.coefficients.values())
+                for c in (c for axis in result.results if axis.converged for c in axis.coefficients.values())
                 if c.detected and c.label not in {t.name() for t in preset[c.axis.name].coefficients}
             ]
             yield (
