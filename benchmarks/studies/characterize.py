@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import paths
 from common.machine import describe
-from common.report import publish
+from common.report import publish, table
 
 PEERS = """
 import sys, time
@@ -52,7 +52,7 @@ def seconds(command: list[str], **environment: str) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", nargs="?", type=Path)
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "characterize.md")
     arguments = parser.parse_args()
@@ -64,10 +64,7 @@ def main() -> None:
         peers = [sys.executable, "-c", PEERS, str(path)]
         cache = str(folder / "cache")
         rows = [
-            (
-                "allanjax characterize, cold (table, intervals, JSON, CSV, picture)",
-                seconds(ours, ALLANJAX_CACHE=cache),
-            ),
+            ("allanjax characterize, cold", seconds(ours, ALLANJAX_CACHE=cache)),
             ("allanjax characterize, warm", min(seconds(ours, ALLANJAX_CACHE=cache) for _ in range(3))),
             ("allantools oadev + allan-variance: values only", min(seconds(peers) for _ in range(3))),
         ]
@@ -77,17 +74,14 @@ def main() -> None:
         f"Six axes × 10⁶ samples ({path.name}), each run a process of its own, wall-clock time. allanjax",
         "writes a table with intervals, JSON, CSV and a picture; the peers' processes end with the numbers.",
         "",
-        "| what | seconds |",
-        "|---|---|",
-        *(f"| {what} | {value:.1f} |" for what, value in rows),
+        table(["what", "seconds"], [[what, f"{value:.1f}"] for what, value in rows]),
         "",
         "## Machine",
         "",
         describe(),
+        "",
     ]
-    text = "\n".join(lines)
-    print(text)
-    publish(text + "\n", arguments.results)
+    publish("\n".join(lines), arguments.results)
 
 
 if __name__ == "__main__":

@@ -179,7 +179,7 @@ def grades(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--fleets", type=int, default=400)
     parser.add_argument("--powers", type=int, default=12)

@@ -63,9 +63,7 @@ def write(path: Path, n: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--lengths", default=LENGTHS)
     parser.add_argument("--folder", type=Path, help="for the files, 8 bytes a sample")
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "streaming.md")

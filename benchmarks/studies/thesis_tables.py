@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import paths
 from common.machine import describe
-from common.report import publish
+from common.report import publish, table
 from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
@@ -141,13 +141,18 @@ def analyse(hours: float, seed: int) -> Iterator[tuple[list[Row], str]]:
             )
 
 
-def table(rows: list[Row]) -> str:
+def comparison(rows: list[Row]) -> str:
     """The comparison in Markdown."""
-    lines = [
-        "| unit | axis | coefficient | truth (thesis ± its error) | fit ± 1σ | 95 % interval | covers "
-        "| slope reading ± (4.66) | covers |",
-        "|---|---|---|---|---|---|---|---|---|",
+    head = [
+        "unit",
+        "axis",
+        "coefficient",
+        "truth (thesis ± its error)",
+        "fit ± 1σ",
+        "95 % interval",
+        "covers",
     ]
+    lines = []
     for row in rows:
         found, reading, unit = row.found, row.reading, row.truth.unit
         digits = 2 - math.floor(math.log10(row.truth.value)) + 1
@@ -157,13 +162,19 @@ def table(rows: list[Row]) -> str:
             estimate = format_with_error(found.value, found.std) if found.detected else "not detected"
             interval = " … ".join(f"{end:.5g}" for end in found.interval)
         lines.append(
-            f"| {row.sensor} | {row.axis} | {row.label.replace('_', ' ')} "
-            f"| {row.truth.value:g} ± {row.truth.error:g} {unit} | {estimate} | {interval} "
-            f"| {'yes' if row.fit_covers else '**no**'} "
-            f"| {reading.value:.{digits}f} ± {reading.error:.{digits}f} "
-            f"| {'yes' if row.reading_covers else '**no**'} |"
+            [
+                row.sensor,
+                row.axis,
+                row.label.replace("_", " "),
+                f"{row.truth.value:g} ± {row.truth.error:g} {unit}",
+                estimate,
+                interval,
+                "yes" if row.fit_covers else "**no**",
+                f"{reading.value:.{digits}f} ± {reading.error:.{digits}f}",
+                "yes" if row.reading_covers else "**no**",
+            ]
         )
-    return "\n".join(lines)
+    return table([*head, "slope reading ± (4.66)", "covers"], lines)
 
 
 def summary(rows: list[Row]) -> str:
@@ -199,7 +210,7 @@ def main() -> None:
     text = (
         f"# The thesis's tables, recovered\n\n{options.hours:g} h simulated for each unit, "
         f"seed {options.seed}; the fit chooses among the five basic terms itself.\n\n"
-        f"{table(rows)}\n\n{summary(rows)}\n\n{chr(10).join(timings)}\n\n## Machine\n\n{describe()}\n"
+        f"{comparison(rows)}\n\n{summary(rows)}\n\n{chr(10).join(timings)}\n\n## Machine\n\n{describe()}\n"
     )
     publish(text, options.results)
 
