@@ -25,7 +25,7 @@ FREQUENCIES = RATE * np.array(
 
 
 class FlickerAngle(aj.NoiseTerm):
-    """That of the README."""
+    """That of the docstring of NoiseTerm."""
 
     coefficient: float | None = aj.parameter("F", time_exponent=1.0)
 
@@ -133,7 +133,7 @@ CLOSED = {
 }
 # Terms without a closed form, for which the default is all there is.
 NUMERICAL = {
-    "the README's flicker angle": (
+    "the flicker angle of a docstring": (
         FlickerAngle(F),
         lambda f: alias_sum(flicker_angle, f, aliases=30_000),
     ),
