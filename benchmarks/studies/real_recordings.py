@@ -35,7 +35,7 @@ def averaged(recording: aj.Recording, size: int) -> aj.Recording:
 
 def rows(recording: aj.Recording, shown: str) -> list[list[str]]:
     """One row an axis and coefficient: both estimates, and their difference in standard deviations."""
-    fits = {objective: aj.fit(recording, MODEL, objective) for objective in ("allan", "whittle")}
+    fits = {objective: aj.fit(recording, MODEL, objective, as_is=True) for objective in ("allan", "whittle")}
     found = []
     for axis in recording.axes:
         allan, whittle = fits["allan"][axis.name], fits["whittle"][axis.name]
