@@ -45,7 +45,7 @@ def gyro() -> aj.Model:
     return (
         aj.LowPass(aj.convert(2.3, "deg/√h", "rad/√s"), 28.0)
         + aj.BiasInstability(aj.convert(30.0, "deg/h", "rad/s"))
-        + aj.RateRandomWalk(aj.convert(115.0, "deg/h/√h", "rad/s/√s"))
+        + aj.RateRandomWalk(aj.convert(200.0, "deg/h/√h", "rad/s/√s"))
     )
 
 
