@@ -150,7 +150,7 @@ class Pyramid:
         held = min(_block_count(self.start, self.n, k), _HELD)
         return self.head[k, :, :held], self.tail[k, :, _HELD - held :]
 
-    def _hold(self, k: int, first: _Blocks, last: _Blocks) -> None:
+    def _hold(self, k: int, first: _Blocks, last: Float[np.ndarray, "axes others"]) -> None:
         """Store the outermost of these blocks of a level; only while the pyramid is being built."""
         held = min(_block_count(self.start, self.n, k), _HELD)
         self.head[k, :, :held] = first[:, :held]
@@ -207,7 +207,7 @@ def _hold_ends(pyramid: Pyramid, k: int, rows: Any, first: int) -> None:
         tail, tail_first = _next_level(tail, tail_first)
 
 
-def _next_level(blocks: _Blocks, first: int) -> tuple[_Blocks, int]:
+def _next_level(blocks: _Blocks, first: int) -> tuple[Float[np.ndarray, "axes halves"], int]:
     """Whole blocks of the next level, and the index of the first of them."""
     odd = first % 2
     pairs = (blocks.shape[1] - odd) // 2

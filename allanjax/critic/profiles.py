@@ -13,7 +13,7 @@ import functools
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 from scipy.fft import dct, rfft
 from scipy.stats import chi2, kurtosistest, norm
 
@@ -91,7 +91,7 @@ def _independent(count: int) -> Callable[[float], float]:
     return lambda score: any_of(float(2.0 * norm.sf(score)), count)
 
 
-def _chi2_score(value: Places, dof: Places) -> Places:
+def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
     """Standard normal variates as improbable as these χ² ones."""
     below, above = chi2.cdf(value, dof), chi2.sf(value, dof)
     z = np.where(below < 0.5, norm.ppf(np.maximum(below, TINY)), norm.isf(np.maximum(above, TINY)))

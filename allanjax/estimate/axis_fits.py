@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Num
+from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
@@ -154,7 +154,7 @@ def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
 def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
     """New solution for these axes, old one for the others."""
 
-    def of(new: ArrayLike, old: ArrayLike) -> Num[np.ndarray, "axes ..."]:
+    def of(new: ArrayLike, old: ArrayLike) -> Shaped[np.ndarray, "axes ..."]:
         return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
 
     return jax.tree.map(of, new, old)

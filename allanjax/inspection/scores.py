@@ -49,7 +49,7 @@ class Row:
 
     score: Scores
     width: int
-    square: Float[np.ndarray, "axes places"]
+    square: Float[np.ndarray, "axes windows"]
     cluster: int
     step: Float[np.ndarray, "axes places"] | None = None
     scatter: Float[np.ndarray, " axes"] | None = None

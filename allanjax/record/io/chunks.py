@@ -194,7 +194,7 @@ class _Piece:
     """Successive rows of a stretch: axes in the file's units, times [s], and their place in the file."""
 
     axes: tuple[Shaped[np.ndarray, " samples"], ...]
-    times: Float[np.ndarray, " samples"]
+    times: Float[np.ndarray, " stamps"]
     source: Source
 
 
@@ -271,7 +271,7 @@ class _Stretch:
 
     def _piece(
         self,
-        columns: tuple[Shaped[np.ndarray, " samples"], ...],
+        columns: tuple[Shaped[np.ndarray, " chunk"], ...],
         rows: slice,
         times: Float[np.ndarray, " samples"],
         row: int,
