@@ -187,6 +187,7 @@ def test_refuses_what_is_not_finite(row):
             Pyramid.of(x, 3)
 
 
+@pytest.mark.usefixtures("unchecked_shapes")
 def test_refuses_other_shapes_and_starts():
     with pytest.raises(AllanjaxError, match="shape"):
         Pyramid.of(np.ones(10))

@@ -178,7 +178,9 @@ def test_of_several_starts_the_best_solution_is_taken(monkeypatch) -> None:
     monkeypatch.setattr(module, "infer", lambda *_: None)
     starts = Starts(np.tile(np.arange(4.0)[:, None], (3, 1, 1)), np.zeros((3, 4, 1)))
     design = types.SimpleNamespace(movable=np.array([True]))
-    solution, *_ = module.solve_and_infer(design, np.ones((3, 5)), None, None, starts)
+    solution, *_ = module.solve_and_infer(
+        design, np.ones((3, 5)), np.ones(1, bool), np.ones((3, 1), bool), starts
+    )
     np.testing.assert_array_equal(solution.power[:, 0], [1.0, 0.0, 2.0])
 
 

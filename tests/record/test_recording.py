@@ -120,6 +120,7 @@ def _bad(noise, value):
         *((lambda x, rate=rate: {"rate": rate}, ["positive", "rate="]) for rate in (0, -1.0, np.nan, np.inf)),
     ],
 )
+@pytest.mark.usefixtures("unchecked_shapes")
 def test_bad_arrays(noise, change, said):
     arguments = {"values": noise, "rate": 50.0, "gyro_unit": "deg/s", "accel_unit": "g", "name": "unit 7"}
     with pytest.raises(RecordingError) as caught:

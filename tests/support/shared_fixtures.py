@@ -1,9 +1,10 @@
-"""Small recordings and their fits, made once; an empty folder for commands; figures that are closed again."""
+"""Small recordings and their fits, made once; an empty folder for commands; figures that are closed."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 from gamma_levels import with_likelihood
@@ -57,6 +58,12 @@ def small_critique() -> aj.Critique:
 def two_terms(small_fit: aj.Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., aj.Fit]:
     """What makes a fit of angle and rate random walk with a likelihood of one's own."""
     return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
+
+
+@pytest.fixture
+def unchecked_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing but the package itself says what is wrong with the shape of an array, as for a user."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 @pytest.fixture

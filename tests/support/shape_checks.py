@@ -1,0 +1,49 @@
+"""What `jaxtyping` checks while the tests run: arrays have the shapes that annotations say.
+
+Of the annotations with a shape only, and whether an array is NumPy's or JAX's makes no difference: what takes
+one takes the other. A length such as `n-1` is compared with other lengths `n-1`, not with `n`, which need not
+be among the arguments.
+"""
+
+import functools
+import operator
+import re
+import types
+from collections.abc import Callable
+from typing import Any, TypeVar, Union, get_args, get_origin
+
+import jax
+import numpy as np
+from beartype import beartype
+from jaxtyping import AbstractArray
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def check_shapes(function: _F) -> _F:
+    """The function, which raises if an argument or a result has not the shape that it is annotated with."""
+    hints = {name: _shape(hint) for name, hint in function.__annotations__.items()}
+    function.__annotations__ = hints
+    return beartype(function) if any(hint is not Any for hint in hints.values()) else function
+
+
+def _shape(hint: Any) -> Any:
+    """What of an annotation is checked; Any if it has no shape."""
+    if isinstance(hint, type) and issubclass(hint, AbstractArray):
+        lengths = " ".join(map(_length, hint.dim_str.split()))
+        return hint.dtype[jax.Array | np.ndarray, lengths] if hint.array_type in _LIBRARIES else hint
+    of, parts = get_origin(hint), get_args(hint)
+    shapes = tuple(map(_shape, parts))
+    if all(shape is Any for shape in shapes):
+        return Any
+    kept = [part if shape is Any else shape for part, shape in zip(parts, shapes, strict=True)]
+    return functools.reduce(operator.or_, kept) if of in (Union, types.UnionType) else of[tuple(kept)]
+
+
+def _length(text: str) -> str:
+    """A length that is computed becomes one with a name of its own."""
+    return f"computed_{text.translate(_SIGNS)}" if re.search(r"\w[-+*/]", text) else text
+
+
+_SIGNS = str.maketrans({"-": "_minus_", "+": "_plus_", "*": "_times_", "/": "_over_"})
+_LIBRARIES = (jax.Array, np.ndarray)
