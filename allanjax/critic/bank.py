@@ -63,7 +63,7 @@ class Scan:
         return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
 
 
-def log_occam_factor(snr: Float[ArrayLike, " k"]) -> Float[np.ndarray, " k"]:
+def log_occam_factor(snr: Float[ArrayLike, "*k"]) -> Float[np.ndarray, "*k"]:
     """Log Occam factor of an amplitude of either sign [nats], under the prior of `evidence`."""
     return np.log((np.abs(snr) + 1.0) * 2.0 * LOG_PRIOR_RANGE / np.sqrt(2.0 * np.pi))
 

@@ -265,13 +265,13 @@ def test_shared_noise_is_found_as_often_as_said_where_there_is_none():
     names, alpha = ("x", "y", "z"), 0.1
     white = [np.linspace(0.2, 1.0, 1023)] * 3
     alarms = [
-        bool(common_mode(names, rng.standard_normal((3, 1023)), white, RATE, alpha)) for _ in range(400)
+        bool(common_mode(names, list(rng.standard_normal((3, 1023))), white, RATE, alpha)) for _ in range(400)
     ]
     # Nested bands are not independent, and what is found must hold on held-out data too.
     assert np.mean(alarms) < alpha + 3.0 * np.sqrt(alpha / 400)
     shared = rng.standard_normal(1023)
     z = 0.5 * rng.standard_normal((3, 1023)) + [[1.0], [0.0], [-1.0]] * shared
-    (finding,) = common_mode(names, z, [None] * 3, RATE, 1e-3)
+    (finding,) = common_mode(names, list(z), [None] * 3, RATE, 1e-3)
     assert finding.axes == ("x", "z")
     assert finding.parameters["correlation"].value == pytest.approx(0.8, abs=0.05)
 
@@ -299,7 +299,9 @@ def test_shared_white_noise_beside_noise_that_is_not_shared(r, signs):
         common = rng.standard_normal(k) * np.array(signs)[:, None]
         own = rng.standard_normal((2, len(signs), k))
         z = np.sqrt(white) * (np.sqrt(r) * common + np.sqrt(1.0 - r) * own[0]) + np.sqrt(1.0 - white) * own[1]
-        (finding,) = common_mode([f"{i}" for i in range(len(signs))], z, [white] * len(signs), RATE, 1e-3)
+        (finding,) = common_mode(
+            [f"{i}" for i in range(len(signs))], list(z), [white] * len(signs), RATE, 1e-3
+        )
         assert finding.parameters["noise"].value == ("white",)
         found = finding.parameters["correlation"]
         errors.append((found.value - r) / found.std)
