@@ -2,7 +2,7 @@
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
 bilinear. Other free parameters ("shapes") enter by ln(value − lower bound). The estimates are Allan variances
-at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`cosine.SpectralDesign`).
+at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`SpectralDesign`).
 """
 
 from __future__ import annotations

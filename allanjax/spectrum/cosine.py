@@ -12,7 +12,7 @@ and its last reading are in all coefficients, which matters where hardly any oth
 Whittle's likelihood without what makes it approximate for drifting sensors: the periodogram of the
 differenced record, its usual form, has leakage from the record's ends that is common to all low frequencies.
 
-The expectation of c_j² follows from the phase covariance G (`terms.base`) without approximation,
+The expectation of c_j² follows from the phase covariance G (`noise.model`) without approximation,
 
     E c_j² = −(1/h²) Σ_s G(s·h) δ²r_j(s),   r_j(d) = (1 − d/n) cos(a_j d) − sin(a_j d)/(n sin a_j),
 
