@@ -184,7 +184,7 @@ def _axis_fit(
         chi2=float(solution.chi2),
         dof=dof,
         p_value=float(chi2.sf(solution.chi2, dof)),
-        discrepancy=float(solution.discrepancy) / 2.0,
+        discrepancy=float(solution.discrepancy),
         _coefficients=coefficients.values,
         _covariance=coefficients.covariance,
         _model=fitted_model(template, coefficients.values, inactive),

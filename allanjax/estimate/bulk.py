@@ -268,6 +268,6 @@ def _bulk_fit(
         chi2=np.asarray(solution.chi2),
         dof=dof,
         p_value=chi2.sf(solution.chi2, dof),
-        discrepancy=np.asarray(solution.discrepancy) / 2.0,
+        discrepancy=np.asarray(solution.discrepancy),
         measured=measured,
     )

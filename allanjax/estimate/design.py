@@ -88,10 +88,10 @@ class Design(eqx.Module):
         self,
         covariance: Array,
         mean: Float[Array, " m"],
-        discrepancy: Float[Array, ""],
+        power_error: Float[Array, ""],
         X: Float[Array, "m k"],
     ) -> CholeskyWhitened:
-        """Whitened columns X for relative residuals with a relative error `discrepancy` of the model."""
+        """Whitened columns X for relative residuals with a relative error `power_error` of the model."""
 
     @abc.abstractmethod
     def cost(
@@ -99,7 +99,7 @@ class Design(eqx.Module):
         V: Float[Array, " m"],
         mean: Float[Array, " m"],
         covariance: Array,
-        discrepancy: Float[Array, ""],
+        power_error: Float[Array, ""],
         misfit: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Minus twice the log-likelihood, to choose among solutions; `misfit` is χ² + ln det."""
@@ -177,12 +177,12 @@ class AllanDesign(Design):
         self,
         covariance: Array,
         mean: Float[Array, " m"],
-        discrepancy: Float[Array, ""],
+        power_error: Float[Array, ""],
         X: Float[Array, "m k"],
     ) -> CholeskyWhitened:
         """Whitened columns, with a model error that is correlated over about an octave."""
         relative = covariance / (mean[:, None] * mean)
-        relative += self.ridge * jnp.diag(jnp.diag(relative)) + discrepancy**2 * self.octaves
+        relative += self.ridge * jnp.diag(jnp.diag(relative)) + power_error**2 * self.octaves
         return whiten(relative, X)
 
     def cost(
@@ -190,7 +190,7 @@ class AllanDesign(Design):
         V: Float[Array, " m"],
         mean: Float[Array, " m"],
         covariance: Array,
-        discrepancy: Float[Array, ""],
+        power_error: Float[Array, ""],
         misfit: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Minus twice the log-likelihood of a normal law."""

@@ -5,7 +5,7 @@ estimates V all at the current model: unbiased whatever the shape of V's law, an
 record's likelihood. Inside, each variance is written in units of its model mean.
 
 Where a model cannot follow the curve within the scatter (χ² beyond all doubt, p < 1e-6), the covariance
-gains a discrepancy: a relative error s of the model curve, correlated over about an octave, such that χ²
+gains a relative error s of the model's powers, correlated over about an octave, such that χ²
 equals its degrees of freedom. Intervals then say how well the coefficients are known *given that the model is
 incomplete*, instead of being absurdly narrow.
 """
@@ -44,12 +44,11 @@ _TOLERANCE = 1e-3
 # The same after the last step: where a direction is poorly determined, as that of a long correlation time,
 # steps stay longer, and so much of a standard deviation is good enough.
 _CLOSE = 0.05
-# Phases of the iteration: first with large discrepancies, nearly a log-log fit, which converges from
-# anywhere; then without; then, if χ² is too large, with the discrepancy that makes it equal its degrees of
-# freedom.
-_WARM_UP, _PLAIN, _DISCREPANT, _DONE = range(4)
-_FIRST_DISCREPANCY = 0.1
-_WARM_UP_DISCREPANCY = np.array([0.5, 0.2, 0.05, 0.0])
+# Phases of the iteration: first with large errors of the model, nearly a log-log fit, which converges from
+# anywhere; then without; then, if χ² is too large, with the error that makes it equal its degrees of freedom.
+_WARM_UP, _PLAIN, _WITH_ERROR, _DONE = range(4)
+_FIRST_ERROR = 0.1
+_WARM_UP_ERROR = np.array([0.5, 0.2, 0.05, 0.0])
 
 
 class Solution(NamedTuple):
@@ -58,8 +57,8 @@ class Solution(NamedTuple):
     Attributes:
         power: powers (squared amplitudes) of the terms.
         shape: transformed shapes, ln(value − lower bound).
-        chi2: χ² without a discrepancy.
-        discrepancy: relative error of the model's variances that the misfit calls for; 0 if the model
+        chi2: χ² without an error of the model.
+        power_error: relative error of the model's powers that the misfit calls for; 0 if the model
             suffices.
         converged: whether the iteration converged.
         cost: minus twice the log-likelihood, to choose among solutions.
@@ -68,9 +67,14 @@ class Solution(NamedTuple):
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
     chi2: Float[Array, ""]
-    discrepancy: Float[Array, ""]
+    power_error: Float[Array, ""]
     converged: Bool[Array, ""]
     cost: Float[Array, ""]
+
+    @property
+    def discrepancy(self) -> Float[Array, ""]:
+        """Relative error of the model's deviations, which is half of that of its powers."""
+        return self.power_error / 2.0
 
 
 class _State(NamedTuple):
@@ -83,7 +87,7 @@ class _State(NamedTuple):
     robust: tuple[Array, Array, Array, Array]
     last: tuple[Array, Array]
     last_step: tuple[Array, Array]
-    discrepancy: Float[Array, ""]
+    power_error: Float[Array, ""]
     phase: Int[Array, ""]
     step: Int[Array, ""]
     chi2: Float[Array, ""]
@@ -127,10 +131,10 @@ def _solve(
     def scatter(power: Array, shape: Array) -> tuple[Array, Array]:
         return power @ means(shape), design.covariance(power, products(shape))
 
-    def misfit(mean: Array, covariance: Array, discrepancy: Array) -> tuple[Array, Array]:
+    def misfit(mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
         score = design.residual(V / mean, design.variances(covariance) / mean**2)
-        residual, log_det = design.whiten(covariance, mean, discrepancy, score[:, None])
+        residual, log_det = design.whiten(covariance, mean, power_error, score[:, None])
         return jnp.sum(residual**2), log_det
 
     def best_powers(shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
@@ -143,7 +147,7 @@ def _solve(
     def improve(state: _State) -> tuple[Array, Array, Array, tuple[Array, Array]]:
         """One generalized least squares fit, and by how many standard deviations it moved the curve."""
         reference, covariance = state.mean, state.covariance
-        W = design.whiten(covariance, reference, state.discrepancy, jnp.eye(len(V))).values
+        W = design.whiten(covariance, reference, state.power_error, jnp.eye(len(V))).values
         shape = state.shape
         if moving:
 
@@ -192,30 +196,30 @@ def _solve(
         k = state.step + 1
         at_rest = moved < jnp.where(k == _OUTER_STEPS, _CLOSE, _TOLERANCE)
         reference, covariance = scatter(power, shape)
-        (chi2, with_discrepancy), (_, log_det) = jax.vmap(lambda s: misfit(reference, covariance, s))(
-            jnp.stack([jnp.zeros(()), state.discrepancy])
+        (chi2, with_error), (_, log_det) = jax.vmap(lambda s: misfit(reference, covariance, s))(
+            jnp.stack([jnp.zeros(()), state.power_error])
         )
         # Minus twice the Gaussian log-likelihood, to choose among starts.
-        cost = design.cost(V, reference, covariance, state.discrepancy, with_discrepancy + 2.0 * log_det)
-        # Where the discrepancy dominates the covariance, χ² is proportional to its inverse square.
-        excess = with_discrepancy / dof
-        s = jnp.clip(state.discrepancy * jnp.sqrt(excess), 1e-4, 10.0)
-        warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_DISCREPANCY))
-        # A model that is far off is not iterated further without a discrepancy.
+        cost = design.cost(V, reference, covariance, state.power_error, with_error + 2.0 * log_det)
+        # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
+        excess = with_error / dof
+        s = jnp.clip(state.power_error * jnp.sqrt(excess), 1e-4, 10.0)
+        warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_ERROR))
+        # A model that is far off is not iterated further without an error.
         hopeless = (chi2 > 4.0 * limit) & (k >= 5)
         plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
         incomplete = plain_ends & ~(at_rest & (chi2 < limit))
         settled = at_rest & (jnp.abs(excess - 1.0) < 0.02)
-        last_ends = (state.phase == _DISCREPANT) & (settled | (k == _OUTER_STEPS))
+        last_ends = (state.phase == _WITH_ERROR) & (settled | (k == _OUTER_STEPS))
         phase = jnp.select(
-            [warmed, incomplete, plain_ends | last_ends], [_PLAIN, _DISCREPANT, _DONE], state.phase
+            [warmed, incomplete, plain_ends | last_ends], [_PLAIN, _WITH_ERROR, _DONE], state.phase
         )
-        discrepancy = jnp.select(
-            [phase == _WARM_UP, phase == _DISCREPANT, phase == _DONE],
+        power_error = jnp.select(
+            [phase == _WARM_UP, phase == _WITH_ERROR, phase == _DONE],
             [
-                jnp.asarray(_WARM_UP_DISCREPANCY)[k % 4],
-                jnp.where(incomplete, _FIRST_DISCREPANCY, s),
-                state.discrepancy,
+                jnp.asarray(_WARM_UP_ERROR)[k % 4],
+                jnp.where(incomplete, _FIRST_ERROR, s),
+                state.power_error,
             ],
             0.0,
         )
@@ -230,12 +234,12 @@ def _solve(
             robust=robust,
             last=(state.power, state.shape),
             last_step=last_step,
-            discrepancy=discrepancy,
+            power_error=power_error,
             phase=phase,
             step=jnp.where(phase == state.phase, k, 0),
             chi2=chi2,
             cost=cost,
-            at_rest=jnp.where(state.phase == _DISCREPANT, settled, at_rest),
+            at_rest=jnp.where(state.phase == _WITH_ERROR, settled, at_rest),
         )
 
     first = (power, shape, *scatter(power, shape))
@@ -247,7 +251,7 @@ def _solve(
         robust=first,
         last=(power, shape),
         last_step=(power, shape),
-        discrepancy=jnp.asarray(_WARM_UP_DISCREPANCY[0]),
+        power_error=jnp.asarray(_WARM_UP_ERROR[0]),
         phase=jnp.asarray(_WARM_UP),
         step=jnp.asarray(0),
         chi2=jnp.asarray(jnp.inf),
@@ -256,7 +260,7 @@ def _solve(
     )
     state = jax.lax.while_loop(lambda state: state.phase != _DONE, step, state)
     converged = state.at_rest & jnp.isfinite(state.cost)
-    return Solution(state.power, state.shape, state.chi2, state.discrepancy, converged, state.cost)
+    return Solution(state.power, state.shape, state.chi2, state.power_error, converged, state.cost)
 
 
 @eqx.filter_jit

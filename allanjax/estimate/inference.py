@@ -111,7 +111,7 @@ def _infer(
     power_at, pivot_at = jax.vmap(lambda *of_term: axis.hypotheses(active & free, *of_term))(
         jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
     )
-    highest = ceiling(design, V, axis.means, axis.products, s.discrepancy)
+    highest = ceiling(design, V, axis.means, axis.products, s.power_error)
     return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
 
 
@@ -154,7 +154,7 @@ class _Axis(NamedTuple):
         raw = jnp.concatenate([self.means.T, moved], axis=1) / mean[:, None]
         raw = raw * estimated
         columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None], jnp.eye(len(V))], axis=1)
-        columns = design.whiten(covariance, mean, self.s.discrepancy, columns).values
+        columns = design.whiten(covariance, mean, self.s.power_error, columns).values
         D, residual, W = columns[:, : len(estimated)], columns[:, len(estimated)], columns[:, -len(V) :]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
@@ -183,7 +183,7 @@ class _Axis(NamedTuple):
     def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
         """Powers of which the allowed ones are fitted to the data, weighted by the covariance at `power`."""
         mean, covariance = power @ self.means, self.design.covariance(power, self.products)
-        W = self.design.whiten(covariance, mean, self.s.discrepancy, jnp.eye(len(self.V))).values
+        W = self.design.whiten(covariance, mean, self.s.power_error, jnp.eye(len(self.V))).values
         A = W @ (self.means / mean).T
         target = W @ (self.V / mean) - A @ jnp.where(allowed, 0.0, power)
         return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
@@ -236,16 +236,16 @@ class _Axis(NamedTuple):
 
 
 def ceiling(
-    design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, discrepancy: Array
+    design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, power_error: Array
 ) -> Float[Array, " terms"]:
     """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
-    Other terms can only add to an estimate, so that V ≥ v·mean·e^(discrepancy·z)·χ²/ν, with a normal z. With
+    Other terms can only add to an estimate, so that V ≥ v·mean·e^(power_error·z)·χ²/ν, with a normal z. With
     m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those
     of the term that scatters most.
     """
     each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
     relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
     half, chance = 1.0 / jnp.maximum(relative, 1e-9), _CHANCE / (2.0 * len(V))
-    least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + discrepancy * ndtri(chance)
+    least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + power_error * ndtri(chance)
     return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)

@@ -122,7 +122,7 @@ def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
     """
     rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
     # Of powers it is twice that of deviations.
-    return solution._replace(discrepancy=np.maximum(np.asarray(solution.discrepancy), 2.0 * rms))
+    return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
 
 
 def _over_octaves(place: Float[np.ndarray, " m"], certain: Float[np.ndarray, " m"]) -> float:

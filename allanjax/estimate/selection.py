@@ -45,7 +45,7 @@ _ODDS = 20.0
 _PARSIMONY = 5.0
 # Probability below which a further term is not mentioned as an ambiguity: any might be there, unseen.
 _WORTH_SAYING = 0.1
-# Number of times that the evidence is computed anew with the discrepancy of the best set.
+# Number of times that the evidence is computed anew with the error of the best set.
 _ROUNDS = 2
 
 
@@ -260,7 +260,7 @@ def rank_terms(
 
     def off(k: int, subset: int) -> float:
         used = np.concatenate([columns[:cut], grid[subsets.column[subset]][None]])
-        return _discrepancy(
+        return _power_error(
             statistics, k, power[k, subset] @ used, bool(subsets.ramp[subset]), size, per_octave
         )
 
@@ -271,21 +271,21 @@ def rank_terms(
     # The sets without a free time come first; only these are compared where none suffices.
     plain = int((~subsets.terms[:, -1]).sum())
     log_evidence[incomplete, plain:] = -np.inf
-    discrepancy = np.zeros(len(axes))
+    power_error = np.zeros(len(axes))
     for _ in range(_ROUNDS if incomplete.any() else 0):
         for k in np.flatnonzero(incomplete):
-            discrepancy[k] = max(discrepancy[k], off(int(k), int(np.argmax(log_evidence[k]))))
-        found = run(1.0 / (1.0 + 0.5 * size * per_octave * discrepancy[:, None] ** 2), plain)
+            power_error[k] = max(power_error[k], off(int(k), int(np.argmax(log_evidence[k]))))
+        found = run(1.0 / (1.0 + 0.5 * size * per_octave * power_error[:, None] ** 2), plain)
         log_evidence[incomplete, :plain] = found.log_evidence[incomplete]
         power[incomplete, :plain] = found.power[incomplete]
     ranked = (
-        _ranked(axis, model, (fixed, shaped, ramps), subsets, log_evidence[k], float(discrepancy[k]) / 2.0)
+        _ranked(axis, model, (fixed, shaped, ramps), subsets, log_evidence[k], float(power_error[k]) / 2.0)
         for k, axis in enumerate(axes)
     )
     return TermSelection(name, tuple(ranked))
 
 
-def _discrepancy(
+def _power_error(
     statistics: SpectralStatistics,
     k: int,
     mean: Float[np.ndarray, " m"],

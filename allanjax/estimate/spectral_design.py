@@ -54,10 +54,10 @@ class SpectralDesign(Design):
         self,
         covariance: Array,
         mean: Float[Array, " m"],
-        discrepancy: Float[Array, ""],
+        power_error: Float[Array, ""],
         X: Float[Array, "m k"],
     ) -> CholeskyWhitened:
-        relative = covariance / mean**2 + discrepancy**2 * self.per_octave
+        relative = covariance / mean**2 + power_error**2 * self.per_octave
         known = jnp.asarray(self.dof) > 0.0
         scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
         return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
@@ -67,12 +67,12 @@ class SpectralDesign(Design):
         V: Float[Array, " m"],
         mean: Float[Array, " m"],
         covariance: Array,
-        discrepancy: Float[Array, ""],
+        power_error: Float[Array, ""],
         misfit: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Minus twice the exact log-likelihood of χ² laws."""
         known = jnp.asarray(self.dof) > 0.0
-        shape = 1.0 / jnp.where(known, covariance / mean**2 + discrepancy**2 * self.per_octave, 1.0)
+        shape = 1.0 / jnp.where(known, covariance / mean**2 + power_error**2 * self.per_octave, 1.0)
         log_density = shape * (jnp.log(shape * V / mean) - V / mean) - gammaln(shape) - jnp.log(V)
         return -2.0 * jnp.sum(jnp.where(known, log_density, 0.0))
 

@@ -196,17 +196,17 @@ class AllanLikelihood(Likelihood):
     layout: _ParameterLayout
     variance: Float[np.ndarray, " m"]
     products: Float[np.ndarray, "pairs terms terms"]
-    discrepancy: Float[np.ndarray, ""]
+    power_error: Float[np.ndarray, ""]
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
         power = self.layout.power(values)
         mean = power @ self.design.means(self.layout.shapes(values))
         covariance = self.design.covariance(power, jnp.asarray(self.products))
-        own = self.design.variances(covariance) / mean**2 + self.discrepancy**2
+        own = self.design.variances(covariance) / mean**2 + self.power_error**2
         ratio = self.variance / mean
         score = cube_root_score(ratio, own)
         whitened = self.design.whiten(
-            covariance, mean, jnp.asarray(self.discrepancy), (score * jnp.sqrt(own))[:, None]
+            covariance, mean, jnp.asarray(self.power_error), (score * jnp.sqrt(own))[:, None]
         )
         # The density of V is that of the scores, times their derivatives by V.
         slope = -2.0 / 3.0 * jnp.log(ratio) - 0.5 * jnp.log(own) - jnp.log(mean)
@@ -300,9 +300,9 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     mean = np.asarray(power @ design.means(layout.shapes(values)))
     covariance = design.covariance(power, products)
     V = curve.variance[chosen, k]
-    discrepancy = 2.0 * result.discrepancy
+    power_error = 2.0 * result.discrepancy
     prior_scale, ceiling = _amplitude_scales(
-        design, layout, start, mean, covariance, V, discrepancy, len(parameters)
+        design, layout, start, mean, covariance, V, power_error, len(parameters)
     )
     lower, upper = _ranges(parameters, result, fit, ceiling)
     return AllanLikelihood(
@@ -317,7 +317,7 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
         layout,
         V,
         np.asarray(products),
-        np.asarray(discrepancy),
+        np.asarray(power_error),
     )
 
 
@@ -343,7 +343,7 @@ def _amplitude_scales(
     mean: Float[np.ndarray, " m"],
     covariance: ArrayLike,
     estimates: Float[np.ndarray, " m"],
-    discrepancy: float,
+    power_error: float,
     count: int,
 ) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
     """Prior scale and upper end of the amplitudes of a design's terms; NaN for other parameters."""
@@ -351,7 +351,7 @@ def _amplitude_scales(
     means = np.asarray(design.means(layout.shapes(jnp.asarray(start))))
     relative = jnp.asarray((means / mean).T)
     whitened = design.whiten(
-        jnp.asarray(covariance), jnp.asarray(mean), jnp.asarray(discrepancy), relative
+        jnp.asarray(covariance), jnp.asarray(mean), jnp.asarray(power_error), relative
     ).values
     own = np.sum(np.asarray(whitened) ** 2, axis=0) ** -0.25
     # The largest amplitude of a term whose curve fits under the data everywhere.

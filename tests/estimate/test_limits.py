@@ -71,8 +71,8 @@ def test_a_model_that_is_far_off_has_a_limit_where_nothing_is_refused() -> None:
     active = np.ones((1, len(FIVE)), bool)
     starts = find_starts(design, curve.variance.T, active, [None], N, RATE)
     solution, *_ = solve_and_infer(design, curve.variance.T, active[0], active, starts)
-    assert solution.discrepancy[0] > 0.6
-    for wild in (solution, solution._replace(discrepancy=np.array([10.0]))):
+    assert solution.power_error[0] > 0.6
+    for wild in (solution, solution._replace(power_error=np.array([10.0]))):
         inference = infer(design, curve.variance.T, active[0], active, wild)
         estimates = estimates_of(FIVE, active, wild, inference)
         assert np.isfinite(estimates.upper_limit).all()
