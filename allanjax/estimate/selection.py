@@ -258,23 +258,23 @@ def rank_terms(
             TermSubset(*(x[:last] for x in subsets)), statistics, columns[:cut], grid, size, share
         )
 
-    def off(k: int, subset: int) -> float:
-        used = np.concatenate([columns[:cut], grid[subsets.column[subset]][None]])
-        return _power_error(
-            statistics, k, power[k, subset] @ used, bool(subsets.ramp[subset]), size, per_octave
-        )
+    def error_of(k: int) -> float:
+        """Error of powers that the best subset of an axis calls for."""
+        best = int(np.argmax(log_evidence[k]))
+        mean = power[k, best] @ np.concatenate([columns[:cut], grid[subsets.column[best]][None]])
+        own = SpectralStatistics(*(x[k] for x in statistics))
+        return _power_error(own, mean, bool(subsets.ramp[best]), size, per_octave)
 
-    every = range(len(axes))
     per_octave = bins_per_octave(bins)[keep]
     log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(subsets.ramp)))
-    incomplete = np.array([off(k, int(np.argmax(log_evidence[k]))) > 0.0 for k in every])
+    incomplete = np.array([error_of(k) > 0.0 for k in range(len(axes))])
     # The sets without a free time come first; only these are compared where none suffices.
     plain = int((~subsets.terms[:, -1]).sum())
     log_evidence[incomplete, plain:] = -np.inf
     power_error = np.zeros(len(axes))
     for _ in range(_ROUNDS if incomplete.any() else 0):
-        for k in np.flatnonzero(incomplete):
-            power_error[k] = max(power_error[k], off(int(k), int(np.argmax(log_evidence[k]))))
+        for k in map(int, np.flatnonzero(incomplete)):
+            power_error[k] = max(power_error[k], error_of(k))
         found = run(1.0 / (1.0 + 0.5 * size * per_octave * power_error[:, None] ** 2), plain)
         log_evidence[incomplete, :plain] = found.log_evidence[incomplete]
         power[incomplete, :plain] = found.power[incomplete]
@@ -287,7 +287,6 @@ def rank_terms(
 
 def _power_error(
     statistics: SpectralStatistics,
-    k: int,
     mean: Float[np.ndarray, " m"],
     ramp: bool,
     size: Float[np.ndarray, " m"],
@@ -296,9 +295,7 @@ def _power_error(
     """Relative error of an axis's spectrum with which χ² equals its degrees of freedom; 0 if it fits."""
     from scipy.optimize import brentq
 
-    rss, dof = (
-        np.asarray(x) for x in without_ramp(SpectralStatistics(*(x[k] for x in statistics)), size, mean, ramp)
-    )
+    rss, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, ramp))
     known = dof > 0.05
     dof = np.maximum(dof, 1e-3)
     z = np.asarray(exact_cube_root_score(rss / dof / mean, dof))[known]
