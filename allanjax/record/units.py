@@ -1,6 +1,6 @@
 """Units of samples and of noise coefficients, on pint.
 
-The registry is our own: an angle is a base dimension, so that a gyro's unit can not be taken for an
+The registry is our own: an angle is a base dimension, so that a gyro's unit cannot be taken for an
 accelerometer's, and `g` is the standard acceleration of gravity, not the gram.
 """
 

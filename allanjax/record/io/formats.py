@@ -16,7 +16,7 @@ def format_of(path: Path, label: str) -> Format:
     """Format of a file; messages name it `label`.
 
     Raises:
-        RecordingError: there is no such file, or it can not be opened, or is empty.
+        RecordingError: there is no such file, or it cannot be opened, or is empty.
     """
     source = Source(label)
     if path.is_dir():

@@ -50,7 +50,7 @@ def seconds_from_first(
     """Times in s from the first sample, from one column or from seconds and nanoseconds.
 
     Raises:
-        RecordingError: a stamp is missing or not a number, or the unit can not be told.
+        RecordingError: a stamp is missing or not a number, or the unit cannot be told.
         UnitError: the unit is not one of time, or stated twice and differently.
     """
     if len(stamps) == 2:
