@@ -30,12 +30,12 @@ def simulated_unit(unit: int, n: int = 1_000_000) -> aj.Recording:
     noise = aj.simulate_recording(models, n, RATE, key=10 * unit).values
     noise[:, 3:] += shared(unit, n)[:, None] * [1.0, 0.5, 0.8]
     noise[:, 5] -= aj.convert(1.0, "g", "m/s²")
-    steps = np.repeat([COUNT[sensor] * SI[sensor] for sensor in ("gyro", "accel")], 3)
+    counts, units = (np.repeat([of["gyro"], of["accel"]], 3) for of in (COUNT, SI))
     return aj.Recording.from_array(
-        steps * np.round(noise / steps),
+        counts * np.round(noise / (counts * units)),
         RATE,
-        gyro_unit="rad/s",
-        accel_unit="m/s²",
+        gyro_unit="deg/s",
+        accel_unit="g",
         names=[*GYROS, *ACCELS],
         name=f"simulated_unit{unit}",
     )
@@ -58,7 +58,8 @@ def accelerometer() -> aj.Model:
 
 
 def shared(unit: int, n: int) -> np.ndarray:
-    """What all accelerometers [m/s²] of a unit feel: a wandering line, its harmonic, a drift."""
-    parts = [aj.RateRandomWalk(aj.convert(30.0, "m/s/h/√h", "m/s²/√s"))]
+    """What all accelerometers [m/s²] of a unit feel: a drift, motion, a wandering line, its harmonic."""
+    parts = [aj.RateRandomWalk(aj.convert(120.0, "m/s/h/√h", "m/s²/√s"))]
+    parts += [aj.AngleRandomWalk(aj.convert(0.06, "m/s/√h", "m/s/√s"))]
     parts += [aj.Resonance(aj.convert(size, "mg", "m/s²"), f, 300.0) for f, size in LINE]
     return sum(np.asarray(aj.simulate(part, n, RATE, 100 * unit + k)) for k, part in enumerate(parts))
