@@ -121,7 +121,7 @@ def _roomiest(
     panel: Axes,
     line: Float[np.ndarray, "points 2"],
     text: str,
-    others: Sequence[Float[np.ndarray, "points 2"]],
+    others: Sequence[Float[np.ndarray, "_ 2"]],
     taken: Sequence[Float[np.ndarray, "2 2"]],
 ) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "4 2"]] | None:
     """Middle, angle and corners of the place beside the line that is farthest from everything else.

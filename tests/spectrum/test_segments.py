@@ -231,7 +231,7 @@ CANDIDATES = aj.AngleRandomWalk() + aj.RateRandomWalk() + aj.DriftRamp()
 
 
 def test_selection_finds_the_terms_of_a_stream(drifting):
-    plain, ramped = select_stream_terms(drifting, AXES, CANDIDATES, name="stream")
+    plain, ramped = select_stream_terms(drifting, AXES, CANDIDATES, name="stream").values()
     assert plain.chosen.terms == ("angle_random_walk", "rate_random_walk")
     assert ramped.chosen.terms == ("angle_random_walk", "rate_random_walk", "drift_ramp")
     assert plain.discrepancy == ramped.discrepancy == 0.0
@@ -239,7 +239,7 @@ def test_selection_finds_the_terms_of_a_stream(drifting):
 
 def test_fit_of_a_stream_finds_the_truth(drifting):
     active = np.array([[True, True, False], [True, True, True]])
-    plain, ramped = drifting.fit(CANDIDATES, AXES, active)
+    plain, ramped = fit_stream(drifting, CANDIDATES, AXES, active)
     for result in (plain, ramped):
         for label, truth in (("angle_random_walk", 0.1), ("rate_random_walk", K_DRIFT)):
             assert abs(result[label].value - truth) < K_SIGMA * result[label].std
@@ -275,6 +275,7 @@ def test_pieces_that_do_not_belong_together():
         left.merge(SegmentSpectra.of(x[:, :1], RATE, 1000))
 
 
+@pytest.mark.usefixtures("unchecked_shapes")
 def test_values_that_are_none():
     x = white(9, 1000)
     x[30, 1] = np.nan

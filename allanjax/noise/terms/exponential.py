@@ -40,7 +40,7 @@ def exponential_covariance(
 
 
 def exponential_density(
-    pole: Num[Array, ""],
+    pole: Num[ArrayLike, ""],
     weight: Num[ArrayLike, ""],
     frequency: Float[ArrayLike, ...],
     rate: float,
