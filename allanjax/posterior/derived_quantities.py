@@ -63,7 +63,10 @@ class BiasMinimum(ByValue):
 
 
 def with_draw(
-    template: Model, labels: tuple[str, ...], absent: tuple[str, ...], values: Float[Array, " sampled"]
+    template: Model,
+    labels: tuple[str, ...],
+    absent: tuple[str, ...],
+    values: Float[Array, " sampled"] | list[float],
 ) -> Model:
     """The model with these values of the labelled parameters, without the absent terms."""
     return template.with_values(**dict(zip(labels, values, strict=True))).without(absent)
