@@ -170,7 +170,7 @@ def _block_count(start: int, n: int, k: int) -> int:
 
 
 def _square_sum(blocks: _Blocks, window: int) -> Float[np.ndarray, " axes"]:
-    """Sum of squared differences between the means of adjacent windows of so many blocks."""
+    """Sum of squared differences between the means of adjacent windows of `window` blocks."""
     return (differences(window_sums(blocks, window), window) ** 2).sum(axis=1) / window**2
 
 

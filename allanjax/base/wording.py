@@ -35,7 +35,7 @@ def format_interval(lower: float, upper: float, value: float, std: float) -> str
 
 
 def significant(x: float, digits: int = 3) -> str:
-    """Number with so many significant digits, zeros included, e.g. "3,470", "0.500" or "1.20e-06"."""
+    """Number with `digits` significant digits, zeros included, e.g. "3,470", "0.500" or "1.20e-06"."""
     if not math.isfinite(x) or x == 0.0:
         return f"{x:g}"
     place = 10.0 ** (_exponent(x, digits) - digits + 2)
@@ -45,7 +45,7 @@ def significant(x: float, digits: int = 3) -> str:
 
 
 def plain(x: float, digits: int = 6) -> str:
-    """Number with so many digits at most and no trailing zeros, e.g. "0.5" or "1,234.5"."""
+    """Number with at most `digits` digits and no trailing zeros, e.g. "0.5" or "1,234.5"."""
     text, _, power = significant(x, digits).partition("e")
     text = text.rstrip("0").rstrip(".") if "." in text else text
     return f"{text}e{power}" if power else text
@@ -69,7 +69,7 @@ def _known(value: float, std: float) -> bool:
 
 
 def _exponent(x: float, digits: int) -> int:
-    """Power of ten of x once rounded to so many significant digits."""
+    """Power of ten of x once rounded to `digits` significant digits."""
     return int(f"{x:.{digits - 1}e}".partition("e")[2])
 
 

@@ -35,7 +35,7 @@ class Inspection:
         mean, rms: mean and rms about it of each axis, over the stretch [rad/s or m/s²].
         stretch: start and end [s from the first sample] of the part to estimate from; None for all of it.
         refusal: why coefficients cannot be given; "" if they can.
-        warnings: sentences for people, the most important first.
+        warnings: sentences for the user, the most important first.
         notes: sentences of less weight.
         moving: indices of the axes that are not at rest; one alone may be broken, two are a moving platform,
             and then all of its axes are.

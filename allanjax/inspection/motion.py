@@ -81,7 +81,7 @@ def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Moti
 
 
 def _averaged(mean: Float[np.ndarray, "w axes"], over: int) -> Float[np.ndarray, "v axes"]:
-    """Means over so many successive windows; those of the windows if there are fewer."""
+    """Means over `over` successive windows; those of the windows if there are fewer."""
     whole = len(mean) // over * over
     return mean[:whole].reshape(-1, over, mean.shape[1]).mean(axis=1) if whole else mean
 

@@ -159,6 +159,6 @@ def _scored(roots: Scores, least: Float[np.ndarray, " groups"]) -> Scores:
 
 
 def _running(x: Float[np.ndarray, "w axes"], length: int) -> Float[np.ndarray, "places axes"]:
-    """Running means over so many windows."""
+    """Running means over `length` windows."""
     total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
     return (total[length:] - total[:-length]) / length

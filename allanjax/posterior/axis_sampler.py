@@ -113,7 +113,7 @@ class AxisSampler:
         return sampled
 
     def _walkers(self, count: int) -> int:
-        """Number of walkers for so many parameters."""
+        """Number of walkers for `count` parameters."""
         if self.walkers is None:
             return max(_WALKERS, 4 * count)
         if self.walkers % 2 or self.walkers < 2 * max(count, 2):

@@ -1,1 +1,1 @@
-"""Spectra: the power spectral density for people, and the cosine spectrum for the likelihood."""
+"""Spectra: the power spectral density for display, and the cosine spectrum for the likelihood."""

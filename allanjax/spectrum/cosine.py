@@ -253,7 +253,7 @@ def _expected(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"
 
 
 def _from_density(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
-    """Mean expected square [rate²] from the density of the samples, for a record long beside its memory."""
+    """Mean expected square [rate²] from the density of the samples, but for the record's finite length."""
     density = term.sampled_psd(of.nodes, of.rate)
     density += term.end_effect(of.nodes, of.rate) / (of.n * of.rate)
     return jnp.sum(of.node_weights * density, axis=1)

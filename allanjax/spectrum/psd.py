@@ -2,7 +2,7 @@
 
 The periodogram is eq. (3.39), one-sided, but of the record without its straight line and under a Hann window.
 Without them a drift would leak: the periodogram of a random walk is twice its density at every frequency, and
-a ramp or a strong line can bury the floor. The window's price is that neighbouring ordinates are correlated
+a ramp or a strong line can bury the floor. The cost of the window: neighbouring ordinates are correlated
 (by 4/9 in power, and 1/36 two apart), so that a mean of many has 1/1.94 of the degrees of freedom.
 """
 
@@ -56,7 +56,7 @@ def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
     """Index of the first ordinate of each group of Hou (2004) table 3.4, of m ordinates.
 
     The first 32 stay single; of 33-64 two are averaged each, of 65-128 four, and so on: 16 groups an octave.
-    What is left at the end of a broken octave is a group of its own, or joins the last if less than half one.
+    The rest of a broken octave is a group of its own, or joins the last one if it is less than half a group.
     """
     octaves = max(int(np.ceil(np.log2(max(m, 1) / _SINGLE))), 0)
     width = 2 ** np.arange(1, octaves + 1)

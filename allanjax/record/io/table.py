@@ -39,8 +39,7 @@ class ChunkedTable:
     """Columns that are read some rows at a time.
 
     Attributes:
-        rows: function from a number of rows to an iterator over the columns of successive stretches of at
-            most so many.
+        rows: function of a number of rows: iterator over the columns of successive stretches, none longer.
         n: number of rows in all, if the file states it.
         labels, source, rate, notes: as in `Table`.
     """
