@@ -122,7 +122,7 @@ class View:
 
     @functools.cached_property
     def log_evidence_all_terms(self) -> float:
-        """Log evidence averaged over the subsets of all basic terms, also of those that the model lacks."""
+        """Log evidence averaged over the subsets of all basic terms, those that the model lacks too."""
         return self.model_evidence.sets({*EVERYTHING, *self.allowed}).total
 
     @functools.cached_property

@@ -1,4 +1,4 @@
-"""What causes with a known shape have in common: a matched filter, the noise chosen anew without them."""
+"""Matched filters for causes with a known shape, with the noise estimated anew without the effect."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from allanjax.critic.view import Candidate, Quantity, View
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
-# Below this signal-to-noise ratio nothing is looked at more closely.
+# Smallest signal-to-noise ratio that is looked at more closely: a judgement.
 _WORTH = 3.5
+# Most rounds in which the shape and the noise are estimated in turn.
 _ROUNDS = 3
-# An end of a bank as likely as that, compared with the best shape, is within two standard deviations; the
-# probability that is left beyond a limit.
+# Likelihood, over that of the best shape, from which on an end of the bank is within two standard deviations;
+# and the probability that is left beyond a limit.
 _LIKELY, _BEYOND = float(np.exp(-2.0)), 0.05
 
 
@@ -35,17 +36,18 @@ def additive(
     more: float = 0.0,
     term: Callable[[int, float], NoiseTerm] | None = None,
 ) -> Candidate | None:
-    """The best candidate of a bank, whatever the noise without it may be.
+    """Best candidate of a bank, with the noise marginalized.
 
     Args:
-        view: what is looked at.
-        cause: the candidate's name.
-        bank: of shapes.
-        shape: the shape of that index in full, for n samples.
-        parameters: from index, amplitude, its standard deviation and the likelihood of each shape, sum 1.
-        span: from index.
-        more: further price of the search [nats].
-        term: the noise term of that index and amplitude [SI], if there is one.
+        view: view of the axis.
+        cause: name of the cause.
+        bank: bank of shapes.
+        shape: gives the shape of an index in full, for n samples.
+        parameters: gives the parameters by index, amplitude, its standard deviation and the probability of
+            each shape.
+        span: gives start and end in time [s] by index.
+        more: further log trials factor of the search [nats].
+        term: gives the noise term by index and amplitude [SI], if there is one.
     """
     best: Candidate | None = None
     tried: set[int] = set()
@@ -94,9 +96,10 @@ def additive(
 def known(
     view: View, after: View, bank: Bank, k: int, amplitude: float
 ) -> tuple[float, Float[np.ndarray, " shapes"]]:
-    """Deviation of the amplitude and likelihood of the shapes, whatever the noise may be.
+    """Standard deviation of the amplitude and probability of each shape, averaged over plausible noise.
 
-    In noise that drifts a step is known by the samples next to it, in white noise by all: where the record
+    In noise that drifts a step is determined by the samples next to it, in white noise by all: where the
+        record
     does not tell which noise it is, both count.
     """
     sets = after.model_evidence.likely(after.allowed, most=SETS)
@@ -114,7 +117,7 @@ def known(
 
 
 def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:
-    """What puts a term, if there is one, into a model."""
+    """Function that adds a term, if there is one, to a model."""
     return lambda model: model if term is None else model + term
 
 
@@ -123,15 +126,15 @@ def shape_parameter(
     likelihood: Float[np.ndarray, " shapes"],
     spacing: float | Float[np.ndarray, " shapes"] = 1.0,
 ) -> tuple[float, float, Literal["", "above", "below"]]:
-    """Mean and deviation of a shape's parameter; where an end of the bank is likely, a limit instead.
+    """Mean and standard deviation of a shape's parameter, or a limit where an end of the bank is likely.
 
     Args:
-        values: of the parameter, increasing.
-        likelihood: of each.
-        spacing: of the values, where a flat prior is to count them by it.
+        values: values of the parameter, increasing.
+        likelihood: likelihood of each.
+        spacing: spacing of the values, by which a flat prior weighs them.
 
     Returns:
-        The mean, the standard deviation and ""; or the 95 % limit, nan, and on which side of it it is.
+        The mean, the standard deviation and ""; or the 95 % limit, nan, and its side.
     """
     weight = likelihood * spacing / np.sum(likelihood * spacing)
     ends = likelihood[[0, -1]] / likelihood.max()
@@ -148,7 +151,7 @@ def shape_parameter(
 def mean_and_std(
     values: Float[np.ndarray, " shapes"], likelihood: Float[np.ndarray, " shapes"]
 ) -> tuple[float, float]:
-    """Of a shape's parameter, under a flat prior over the bank."""
+    """Mean and standard deviation of a shape's parameter, under a flat prior over the bank."""
     weight = likelihood / likelihood.sum()
     mean = float(weight @ values)
     return mean, float(np.sqrt(weight @ (values - mean) ** 2))

@@ -1,4 +1,4 @@
-"""The bias jumps, once or several times."""
+"""Jumps of the bias, one or several."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from allanjax.critic.template_pairs import best_pair
 from allanjax.critic.view import Candidate, Cause, Quantity, View
 from allanjax.noise import terms
 
-# A step that gains so much [nats] is there, whether there is another one or not.
+# Gain of a step [nats] from which on no pair of steps is tried in its place: a judgement.
 _SURE = 20.0
-# Places looked at around the best one; rounds in which two are moved and the noise chosen anew.
+# Places of the finer bank around the best one; most rounds in which two steps and the noise are estimated in
+# turn.
 _FINER, _ROUNDS = 64, 3
 
 
@@ -24,7 +25,8 @@ class BiasStep(Cause):
     """A jump of the bias; several are found one after the other, or two that hide each other at once."""
 
     name = "bias_step"
-    # The evidence is the test: of 900 records of sensors without an effect five have a step of such odds.
+    # The evidence is the test. Measured: of 900 records of sensors without an effect five have a step of such
+    # odds.
     min_log_odds, max_p = 1.0, 0.01
     refit = "at once"
 
@@ -39,7 +41,7 @@ class BiasStep(Cause):
         return found
 
     def again(self, view: View, found: Candidate | None = None) -> Candidate | None:
-        """One step, as finely located as it is strong."""
+        """Best single step, located on a finer bank if it is strong."""
         bank, places = step_bank(view.n)
         found = self._one(view, bank, places, 0.0)
         if found is None:
@@ -60,6 +62,7 @@ class BiasStep(Cause):
         return step_bank(view.n)[0].p_value(view, view.noise)
 
     def _one(self, view: View, bank: Bank, places: np.ndarray, more: float) -> Candidate | None:
+        """Best single step of a bank."""
         return additive(
             view,
             self.name,
@@ -72,7 +75,7 @@ class BiasStep(Cause):
         )
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
-        """Two steps that are nothing without each other: there and back, or one on top of the other.
+        """Best pair of steps that hide each other: there and back, or one on top of the other.
 
         None if they gain no more than the `least`.
         """
@@ -111,7 +114,7 @@ class BiasStep(Cause):
     def _beside(
         self, view: View, bank: Bank, places: np.ndarray, k: int, steps: list[np.ndarray], without: View
     ) -> Candidate:
-        """The first of two steps as a finding in the record without the other; its gain: what it adds."""
+        """First of two steps as a finding in the record without the other, with the gain that it adds."""
         alone = view.with_samples(view.samples - steps[1])
         scan = bank.scan(alone, without.noise)
         a = float(scan.amplitude[k])

@@ -1,4 +1,4 @@
-"""A bump of the spectrum, fitted in fine bins, and the noise that is weighed behind it in these."""
+"""Fit of a bump of the spectrum in fine bins, and of the powers of the noise conditional on it."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ from allanjax.critic.noise import Noise, density
 from allanjax.critic.view import View
 from allanjax.noise import terms
 
-# A bump may have a lower quality factor on the fit's way.
+# Smallest quality factor during the fit; it may be lower than that of a bump that is accepted.
 _LEAST_Q = 0.6
 #: Coefficients below this one have drift in them; a bump narrower than this many is a line.
 LOWEST, LINE = 16, 4.0
-# Of the scoring: steps, a change of likelihood [nats] that ends it, a damping that gets nowhere.
+# Scoring of a bump: most steps, the change of likelihood [nats] that ends it, the damping that gives it up.
 _STEPS, _CONVERGED, _STUCK = 60, 1e-3, 1e6
+# Numbers of bins are rounded up to multiples of this, so that few programs are compiled.
 _PADDED = 512
-# Of the powers beside a bump.
+# Steps of scoring for the powers of the noise.
 _SCORINGS = 4
 
 
 class Spectrum:
-    """The spectrum of a view in bins, finer ones about a place.
+    """Spectrum of a view in bins that are finer about a bump.
 
-    A bump and the noise behind it are found in turn, many times: here without any work on all coefficients.
+    A bump and the noise are estimated in turn, many times: here without any work on all coefficients.
 
     Args:
-        view: what is looked at.
-        start: logarithms of the frequency [Hz] and quality factor that the bump has about.
-        width: of the window in which there is something [coefficients].
+        view: view of the axis.
+        start: logarithms of the approximate frequency [Hz] and quality factor of the bump.
+        width: width of the window that shows it [coefficients].
         fold: coefficients that count; all of them by default.
     """
 
@@ -69,19 +70,19 @@ class Spectrum:
         self._units: dict[tuple[str, int], Float[np.ndarray, " bins"]] = {}
 
     def _mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
-        """Over each bin; 1 where nothing counts."""
+        """Mean of values over each bin; 1 where nothing counts."""
         total = sums(self._used * values, self._first)
         return np.where(self._size > 0.0, total / np.maximum(self._size, 1.0), 1.0)
 
     def _level(self, noise: Noise) -> Float[np.ndarray, " bins"]:
-        """Expected squares of the basic terms."""
+        """Expected squares of the basic terms in the bins."""
         for name in noise.power:
             if (name, noise.index) not in self._units:
                 self._units[name, noise.index] = self._mean(noise.family.unit(name, noise.index)[1])
         return np.sum([p * self._units[name, noise.index] for name, p in noise.power.items()], axis=0)
 
     def noise_behind(self, theta: Float[np.ndarray, " 3"], noise: Noise) -> Noise:
-        """The same terms with the powers that they have beside this bump of a size relative to `noise`."""
+        """Noise with its powers estimated conditional on a bump, whose size is relative to `noise`."""
         view, f0, Q, amplitude = self._view, *(float(x) for x in np.exp(theta))
         bump = density(terms.Resonance(amplitude, f0, Q).sampled(view.rate), self._frequency, view.rate)
         factor = 1.0 + view.rate * bump * self._passes / (self._level(noise) * self._factor)
@@ -100,7 +101,7 @@ class Spectrum:
     def fitted(
         self, noise: Noise, start: Float[np.ndarray, " 2"]
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Logarithms of frequency, quality factor, amplitude by maximum likelihood, and their covariance."""
+        """Maximum-likelihood logarithms of frequency, quality factor and amplitude, and their covariance."""
         level, f0 = self._level(noise), float(np.exp(start[0]))
         # Compiled once for all bumps of records about as long.
         pad = -len(level) % _PADDED
@@ -121,7 +122,7 @@ class Spectrum:
 
 
 class _Bins(NamedTuple):
-    """Whitened squares in fine bins: where, how many, their sum, and the level they were whitened by."""
+    """Whitened squares in fine bins: frequency, number, sum, and the level that whitened them."""
 
     frequency: Any
     size: Any
@@ -129,7 +130,7 @@ class _Bins(NamedTuple):
     level: Any
 
 
-# Steps done, θ, its loss, the damping, and what a further step promises.
+# State of the scoring: steps done, θ, its loss, the damping, and the expected gain of a further step.
 _Scoring = tuple[Array, Array, Array, Array, Array]
 
 
@@ -141,9 +142,10 @@ def _maximum(
     limits: Float[ArrayLike, " 3"],
     rate: float,
 ) -> tuple[Float[Array, " 3"], Float[Array, "3 3"]]:
-    """The most likely logarithms of frequency, quality factor and amplitude, and their observed information.
+    """Most likely logarithms of frequency, quality factor and amplitude, and their observed information.
 
-    Fisher's scoring, damped (Levenberg & Marquardt). The amplitude starts where the excess is that `near`.
+    By Fisher's scoring, damped (Levenberg & Marquardt). The first amplitude explains the excess in bins
+    `near`.
     """
     bins = _Bins(*map(jnp.asarray, bins))
     limits = jnp.asarray(limits)

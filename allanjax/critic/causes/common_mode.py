@@ -1,4 +1,4 @@
-"""Noise that several axes share: a supply, a clock, the floor."""
+"""Noise that several axes share, as from a supply, a clock or the floor."""
 
 from __future__ import annotations
 
@@ -19,21 +19,24 @@ from allanjax.critic.view import Quantity
 NAME = "common_mode"
 # Correlations are looked for in all coefficients, in the lowest quarter, its lowest quarter, and so on.
 _SPLIT = 4
+# Fewest independent coefficients of a correlation: a judgement.
 _LEAST = 64
+# Neighbouring coefficients that are held out together.
 _FOLD_BLOCK = 32
+# Correlations below this share of the strongest one belong to another group: a judgement.
 _WEAKEST = 0.2
-# No two axes are quite the same.
+# Largest correlation that is estimated: no two axes are quite the same.
 _STRONGEST = 0.999
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Link:
-    """What two axes share: a part of all their noise, or of the white noise only.
+    """Correlation between two axes, of all their noise or of the white noise only.
 
     Attributes:
         noise: "all" or "white".
-        a, b: the lowest whitened coefficients of both.
-        share: of this noise in the expected products of the two, were it one and the same in both.
+        a, b: lowest whitened coefficients of both axes.
+        share: expected products of the two, were this noise one and the same in both.
     """
 
     noise: str
@@ -43,6 +46,7 @@ class _Link:
 
     @classmethod
     def of(cls, axes: _Axes, one: int, other: int, noise: str, top: int) -> _Link:
+        """Link between two axes in the `top` lowest coefficients."""
         a, b = axes.z[one][:top], axes.z[other][:top]
         first, second = axes.white[one], axes.white[other]
         if noise == "all" or first is None or second is None:
@@ -51,20 +55,21 @@ class _Link:
 
     @property
     def top(self) -> int:
+        """Number of coefficients."""
         return len(self.a)
 
     @functools.cached_property
     def size(self) -> float:
-        """The correlation's variance is 1/size where nothing is shared."""
+        """Effective number of coefficients: without shared noise the correlation's variance is 1/size."""
         return float(self.share @ self.share)
 
     @functools.cached_property
     def correlation(self) -> float:
-        """Of this noise in the two axes."""
+        """Correlation of this noise in the two axes."""
         return self.among(slice(None))
 
     def among(self, some: Bool[np.ndarray, " k"] | slice) -> float:
-        """The same by some of the coefficients: Σ share·ab / Σ share²."""
+        """Correlation by some of the coefficients: Σ share·ab / Σ share²."""
         share = self.share[some]
         r = float(share @ (self.a[some] * self.b[some]) / (share @ share)) / np.prod(self.levels)
         return float(np.clip(r, -_STRONGEST, _STRONGEST))
@@ -77,20 +82,20 @@ class _Link:
 
     @property
     def p_value(self) -> float:
-        """P(|correlation| of independent axes is larger).
+        """Probability that the |correlation| of independent axes is larger.
 
-        That of k pairs of zero mean has r² ~ Beta(½, (k−1)/2).
+        For k pairs of zero mean r² ~ Beta(½, (k−1)/2).
         """
         return float(betainc((self.size - 1.0) / 2.0, 0.5, 1.0 - self.correlation**2))
 
     @property
     def evidence(self) -> float:
-        """Log-likelihood that the correlation gains [nats]."""
+        """Gain in log-likelihood by the correlation [nats]."""
         return -0.5 * float(np.sum(np.log1p(-((self.correlation * self.share) ** 2))))
 
     @property
     def held_out(self) -> float:
-        """Log-likelihood of one axis's coefficients given the other's, by a correlation from elsewhere."""
+        """Gain in log-likelihood of an axis given the other, by the correlation in the other folds."""
         gain = 0.0
         for part in folds(self.top, min(_FOLD_BLOCK, max(self.top // 64, 1))):
             a, b = (x[part] / level for x, level in zip((self.a, self.b), self.levels, strict=True))
@@ -108,7 +113,7 @@ class _Axes:
     white: Sequence[Float[np.ndarray, " n-1"] | None]
 
 
-#: Pairs of axes: what they share, and its p-value.
+#: Pairs of axes, their links and p-values.
 Links: TypeAlias = dict[tuple[int, int], tuple[_Link, float]]
 
 
@@ -122,8 +127,8 @@ def common_mode(
     """Groups of axes whose whitened cosine coefficients are correlated.
 
     Args:
-        names: of the axes.
-        z: their whitened coefficients.
+        names: names of the axes.
+        z: whitened coefficients of each.
         white: share of the white noise in each axis's noise, None where there is none.
         rate: sample rate [Hz].
         alpha: probability of a false finding.
@@ -146,6 +151,7 @@ def common_mode(
 
 
 def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Finding:
+    """Finding of the noise that a group of axes shares."""
     members = {pair: link for pair, (link, _) in linked.items() if set(pair) <= group}
     strong = _strong(list(members.values()))
     pairs = sorted(pair for pair, link in members.items() if link in strong)
@@ -186,13 +192,13 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
 
 
 def _strong(links: Sequence[_Link]) -> list[_Link]:
-    """Those of which the correlation is not much less than the largest one."""
+    """Links whose correlation is not much less than the largest one."""
     least = _WEAKEST * max(abs(link.correlation) for link in links)
     return [link for link in links if abs(link.correlation) >= least]
 
 
 def _error(r: float, links: Sequence[_Link]) -> float:
-    """Deviation of the mean of correlations that are all about r, of pairs that have an axis in common.
+    """Standard deviation of the mean of correlations that are all about r, of pairs that share an axis.
 
     By the moments of normal variates of correlations r·share, divided by estimates of their mean squares;
     with equal shares of 1 it is what Olkin & Siotani (1976) give.
@@ -208,9 +214,9 @@ def _error(r: float, links: Sequence[_Link]) -> float:
 
 
 def _groups(linked: Links) -> list[set[int]]:
-    """Axes that are linked, directly or through others.
+    """Groups of axes that are linked, directly or through others.
 
-    From the strongest link on; what is shared much less than that is another matter, if it is shared at all.
+    They are built from the strongest link on; much weaker links belong to other groups.
     """
     groups: list[set[int]] = []
     left = {pair: link.correlation for pair, (link, _) in linked.items()}

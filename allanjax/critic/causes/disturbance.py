@@ -1,4 +1,4 @@
-"""The unit was bumped or handled: for a while it did not stand still."""
+"""Disturbances: the unit was bumped or handled, and did not stand still for a while."""
 
 from __future__ import annotations
 
@@ -11,16 +11,21 @@ from allanjax.critic.bank import folds
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, View, in_time
 
-_SHORTEST = 0.1  # s
-_LONGEST = 0.25  # of the record
+# Shortest disturbance [s], and longest one as a share of the record: judgements.
+_SHORTEST = 0.1
+_LONGEST = 0.25
+# Smallest gain [nats]: a judgement.
 _WORTH = 12.0
+# Bands of the spectrum, each twice as wide as the one below.
 _BANDS = 6
-# Motion is smooth: this share of the excess is in the lowest quarter of the frequencies. And it is no whim of
-# the noise: in one band at least there is so much more power.
+# Least share of the excess power in the lowest quarter of the frequencies, since motion is smooth; and least
+# ratio of the power in some band to that of the noise: judgements.
 _SMOOTH, _LOUD = 0.75, 2.0
+# Standard deviations of its mean square from which on a block is loud: a judgement.
 _QUIET = 3.0
-# Blocks that its beginning and end are looked for in; share of it that is below the noise at either.
+# Blocks in which a fading beginning or end is looked for; share of a disturbance that noise hides at either.
 _FADING, _UNSEEN = 10, 0.1
+# Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
 
 
@@ -79,7 +84,7 @@ class Disturbance(Cause):
 
 
 def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, float] | None:
-    """The window of any length with the largest likelihood of being louder, and how many were looked at."""
+    """Window with the largest likelihood of being louder, and the number of windows that were searched."""
     total = np.concatenate([[0.0], np.cumsum(squares)])
     best, windows, width = (0.0, 0, 0), 0.0, block
     while width <= _LONGEST * len(squares):
@@ -95,7 +100,7 @@ def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, fl
 
 
 def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
-    """The window moved out while it is loud there, and in while it is not."""
+    """Window whose ends are moved out while it is loud there, and in while it is not."""
     limit = 1.0 + _QUIET * np.sqrt(2.0 / block)
 
     def loud(at: int) -> bool:
@@ -113,7 +118,7 @@ def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -
 
 
 def _faded(e: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
-    """The stretch moved out as far as it is loud at low frequencies: motion is slow, and fades out."""
+    """Stretch extended as far as it is loud at low frequencies: motion is slow, and fades out."""
     count = len(e) // block
     means = e[: count * block].reshape(count, block).mean(axis=1) * np.sqrt(block)
     first, last = _grown(means**2, start // block, -(-end // block), _FADING)
@@ -130,7 +135,7 @@ def _bands(e: Float[np.ndarray, " m"]) -> Float[np.ndarray, "bands 2"]:
 
 
 def _held_out(squares: Float[np.ndarray, " n"], start: int, end: int) -> float:
-    """Gain on parts of the stretch by the level that the others show."""
+    """Gain in log-likelihood [nats] on parts of the stretch by the level that the others show."""
     gain, inside = 0.0, squares[start:end]
     for part in folds(len(inside), max(min(_FOLD_BLOCK, len(inside) // 16), 1)):
         level, rest = inside[~part].mean(), inside[part]

@@ -1,7 +1,7 @@
-"""Samples as they were before rounding or clipping, drawn given what was recorded.
+"""Draws of the samples before rounding or clipping, given what was recorded.
 
 Between the limits that an output of finite resolution or range leaves, a sample is Gaussian around the slow
-part of the record. Draws of it restore the law that everything else here relies on.
+part of the record. Draws of it restore the normal law that everything else relies on.
 """
 
 from __future__ import annotations
@@ -11,16 +11,18 @@ from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr, ndtri
 
-# Sweeps, and a relative change of the deviation that is chance, in its standard errors.
+# Most and fewest sweeps, and the change of the deviation, in its standard errors, that ends them.
 _SWEEPS, _LEAST, _CHANCE = 12, 6, 1.0
+# Samples that the local mean is taken over.
 _WINDOW = 200
+# Smallest tail probability that is drawn from.
 _DEEP = 1e-12
 
 
 def imputed(
     x: Float[np.ndarray, " n"], lower: Float[np.ndarray, " n"], upper: Float[np.ndarray, " n"], seed: int
 ) -> tuple[Float[np.ndarray, " n"], float]:
-    """Samples between `lower` and `upper` (equal where a sample is exact), and their local deviation."""
+    """Draw of samples between `lower` and `upper`, equal where one is exact, and their local deviation."""
     rng = np.random.default_rng(seed)
     open_ = upper > lower
     y = x.astype(float).copy()

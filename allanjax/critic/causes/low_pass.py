@@ -17,33 +17,35 @@ from allanjax.critic.view import EVERYTHING, Candidate, Cause, Quantity, View, c
 from allanjax.noise import terms
 from allanjax.noise.model import Model
 
+# Smallest gain in log-likelihood [nats]: a judgement.
 _WORTH = 6.0
+# Bandwidths that are compared.
 _GRID = 40
-# Kinds of filters that are so much less likely [nats] are out of the question.
+# Kinds of filters that are so much less likely [nats] than the best one are left out: a judgement.
 _RIVALS = 10.0
-# What quantization costs [nats]: the mean price of a term in `evidence`.
+# Log Occam factor of quantization [nats], about the mean of that of a term in `evidence`: a judgement.
 _PRICE = 4.0
-# Of the response: points, and up to which share of the Nyquist frequency.
+# Points of the response, and the share of the Nyquist frequency up to which half power is looked for.
 _RESPONSE, _REACHED = 4097, 0.8
-# A Markov process this short [samples] without white noise is white noise behind a filter.
+# Correlation time [samples] below which a Markov process without white noise is filtered white noise.
 _SHORT = 20.0
-# Below this response the record's ends are reckoned with; coefficients that a local mean is taken over.
+# Response below which the record's ends are modelled; coefficients that a local mean is taken over.
 _DEEP, _LOCAL = 0.01, 401
-# Coefficients of a bin that says how little noise there is anywhere.
+# Fewest coefficients of a bin that shows how low the spectrum falls.
 _COUNTED = 100
-# So many times what the ends leave a level must be to tell anything.
+# Least ratio of a level to the power that the ends add to it, for the level to say anything: a judgement.
 _ABOVE = 10.0
-# Share of the record at each end that these make loud.
+# Share of the record at each end that is drawn anew.
 _ENDS = 0.02
-# Order, and whether the filter is a digital one made by the bilinear transformation.
+# Kinds of filters: order, and whether it is a digital one made by the bilinear transformation.
 _FILTERS = ((1, False), (2, False), (1, True), (2, True), (3, True), (4, True))
 
 
 class LowPass(Cause):
-    """All noise behind a Butterworth filter.
+    """A Butterworth filter that all noise passes.
 
-    The bandwidth found is where the samples' spectrum has fallen by half, or, where aliases keep it from
-    falling so far, the −3 dB frequency of the analog filter.
+    Its bandwidth is the frequency at which the samples' spectrum has fallen by half, or, where aliases keep
+    it from falling so far, the −3 dB frequency of the analog filter.
     """
 
     name = "low_pass"
@@ -53,7 +55,7 @@ class LowPass(Cause):
         if self.name in view.found:
             return None
         noise = view.noise
-        # A basic term that the model lacks and that explains as much is the better word.
+        # A basic term that the model lacks is preferred if it explains as much.
         basic, instead = view.basic, view.allowed
         if "angle_random_walk" not in basic.terms and basic.shape * view.rate < _SHORT:
             # The same spectrum by another name: as white noise that is filtered it says where it ends.
@@ -67,7 +69,7 @@ class LowPass(Cause):
         response = screen.response(view, filter_, bandwidth)
         visible = _visible(view, response)
         after = view.with_factor(visible)
-        # Of the samples as they are: with its ends replaced a record is another one.
+        # The evidence is that of the samples as they are, before their ends are replaced.
         filtered = after.noise.log_evidence
         deep = visible < _DEEP
         if deep.any():
@@ -104,7 +106,7 @@ class LowPass(Cause):
 def _passed(
     frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool]
 ) -> Float[np.ndarray, " k"]:
-    """The filter's power response, aliases of an analog one included."""
+    """Power response of a filter, with the aliases of an analog one."""
     order, digital = filter_
     if digital:
         ratio = np.tan(np.pi * frequency / rate) / np.tan(np.pi * bandwidth / rate)
@@ -115,11 +117,11 @@ def _passed(
 
 @functools.lru_cache(maxsize=4 * _GRID * len(_FILTERS))
 def _ends(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> Float[np.ndarray, " fine"]:
-    """Power that a record's two ends add to the response, times the number of samples (`_fine`).
+    """Power that a record's two ends add to the response, times the number of samples.
 
-    Cosines see the record continued by its mirror image, which has kinks there. With the autocovariance r the
-    squares of coefficients are expected to be Σ (2 − 2k/n)·r_k cos(ak) − r_0 − 2/(n sin a)·Σ r_k sin(ak); the
-    ends' part is −(2/n)·[Σ k·r_k cos(ak) + Σ r_k sin(ak)/sin a].
+    Cosines see the record continued by its mirror image, which has kinks at its ends. With the autocovariance
+    r the squares of coefficients are expected to be Σ (2 − 2k/n)·r_k cos(ak) − r_0 − 2/(n sin a)·Σ r_k
+    sin(ak); the ends' part is −(2/n)·[Σ k·r_k cos(ak) + Σ r_k sin(ak)/sin a].
     """
     m = _RESPONSE - 1
     response = _passed(_fine(rate), rate, bandwidth, filter_)
@@ -131,14 +133,14 @@ def _ends(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> Float[np.
 
 
 def _fine(rate: float) -> Float[np.ndarray, " fine"]:
-    """Frequencies between zero and Nyquist's."""
+    """Frequencies between zero and the Nyquist frequency."""
     return np.arange(1, _RESPONSE - 1) * rate / (2.0 * (_RESPONSE - 1))
 
 
 def _at(
     frequency: Float[np.ndarray, " k"], rate: float, bandwidth: float, filter_: tuple[int, bool]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """The filter's power response, and what the ends add to it times the number of samples."""
+    """Power response of a filter, and the power that the ends add to it times the number of samples."""
     ends = np.interp(frequency, _fine(rate), _ends(rate, bandwidth, filter_))
     return _passed(frequency, rate, bandwidth, filter_), ends
 
@@ -147,20 +149,20 @@ def _at(
 def _response(
     within: bytes, rate: float, bandwidth: float, filter_: tuple[int, bool]
 ) -> tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]]:
-    """Means in bins of the response and its ends, kept: all axes are looked through for the same filters."""
+    """Means in bins of the response and of the ends' power; cached, since all axes share the filters."""
     found = _at(np.frombuffer(within), rate, bandwidth, filter_)
     passed, ends = (x.reshape(-1, len(SHARES)) @ SHARES for x in found)
     return passed, ends
 
 
 class _Response(NamedTuple):
-    """What a record shows behind a filter, coefficient by coefficient.
+    """Visible response of a filter, coefficient by coefficient.
 
     Attributes:
         passed: power response.
-        ends: what the record's two ends add to it.
-        floor: power of what is added behind the filter and hides its deepest response.
-        told: highest frequency at which the filter decides what is seen [Hz].
+        ends: power that the record's two ends add to it.
+        floor: power of noise that is added after the filter and hides its deepest response.
+        told: highest frequency at which the filter determines the spectrum [Hz].
     """
 
     passed: Float[np.ndarray, " n-1"]
@@ -170,10 +172,10 @@ class _Response(NamedTuple):
 
 
 def _visible(view: View, response: _Response, fold: np.ndarray | None = None) -> Float[np.ndarray, " n-1"]:
-    """Ratio of the filtered to the unfiltered spectrum, where it can be seen.
+    """Ratio of the filtered to the unfiltered spectrum.
 
-    Where the record's ends or what is added behind the filter count more than what it passes, the level is
-    the record's own, and nothing is said.
+    Where the record's ends or the noise added after the filter exceed what it passes, the ratio is the
+    record's own, so that these coefficients carry no information.
     """
     passed, ends, floor, limit = response
     deep, used = passed < _DEEP, np.ones(view.n - 1) if fold is None else fold.astype(float)
@@ -191,14 +193,14 @@ def _visible(view: View, response: _Response, fold: np.ndarray | None = None) ->
 
 
 def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.ndarray, " n-1"]) -> View:
-    """The view with noise of its own kind at the ends of what the filter stopped; the ends count as restored.
+    """View whose ends are drawn anew in the filter's stop band; the ends count as restored.
 
-    What was stopped is amplified by whitening, and so are the kinks of the mirrored record.
+    Whitening amplifies the stop band, and with it the kinks of the mirrored record.
 
     Args:
-        view: behind the filter.
-        deep: what the filter stopped.
-        share: of the expected squares, without the kinks.
+        view: view with the filter.
+        deep: whether a coefficient is in the stop band.
+        share: share of the expected squares that is not due to the kinks.
     """
     k = np.arange(view.n)
     # Gradually: an edge would be a sample that stands out.
@@ -211,7 +213,7 @@ def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.nd
 
 
 def _filtered(model: Model, bandwidth: float, order: int) -> Model:
-    """The model with its white noise behind the filter; slower noise passes."""
+    """Model whose white noise is filtered; slower noise passes the filter."""
     white = "angle_random_walk"
     if white not in model.term_labels:
         return model
@@ -220,7 +222,7 @@ def _filtered(model: Model, bandwidth: float, order: int) -> Model:
 
 
 class _Screen(FineLevels):
-    """Likelihoods of many filters."""
+    """Likelihoods of a grid of filters, all powers being fitted to each."""
 
     def __init__(self, view: View, fold: np.ndarray | None = None) -> None:
         super().__init__(view, fold)
@@ -238,24 +240,24 @@ class _Screen(FineLevels):
                 break
 
     def response(self, view: View, filter_: tuple[int, bool], bandwidth: float) -> _Response:
-        """What the view shows behind a filter; the power of what is added there is the fitted one.
+        """Visible response of a filter, with the fitted power of the noise that is added after it.
 
-        That may be outliers too small to be seen, the digits of the samples.
+        That noise may be outliers too small to be seen, or the digits of the samples.
         """
         passed, ends = _at(view.family.frequency, self.rate, bandwidth, filter_)
         floor = self._fitted(filter_, bandwidth)[1]
         return _Response(passed, ends / view.n, floor, float(self.frequency[-1]))
 
     def gain(self, filter_: tuple[int, bool], bandwidth: float) -> float:
-        """Of a filter."""
+        """Gain in log-likelihood by a filter [nats]."""
         return self._fitted(filter_, bandwidth)[0] - self.plain
 
     def _hidden(self, bandwidth: float) -> bool:
-        """Whether the spectrum falls so far that something else may be seen there."""
+        """Whether the spectrum falls so far that noise added after the filter may be seen."""
         return bool(self.least < _DEEP * np.interp(bandwidth, self.frequency, self.smooth))
 
     def _fitted(self, filter_: tuple[int, bool], bandwidth: float) -> tuple[float, float]:
-        """Log-likelihood of the best powers, and that of what is added behind the filter."""
+        """Log-likelihood under a filter with the best powers, and the power of the noise added after it."""
         passed, ends = _response(self.within.tobytes(), self.rate, bandwidth, filter_)
         deep = passed < _DEEP
         passed = np.where(deep, passed + ends / self.n, passed)
@@ -265,9 +267,9 @@ class _Screen(FineLevels):
         return value, float(powers[-1])
 
     def best(self) -> tuple[tuple[int, bool], float, Quantity]:
-        """The best filter, its bandwidth [Hz], and its half-power frequency as it is known.
+        """Best filter, its bandwidth [Hz], and its half-power frequency, averaged over plausible filters.
 
-        Other filters being possible, and quantization, which rises where a filter falls.
+        The average is also over noise with and without quantization, which rises where a filter falls.
         """
         self._leave_ends_out()
         likely = np.flatnonzero(self.gains.max(axis=1) > self.gains.max() - _RIVALS)
@@ -288,9 +290,9 @@ class _Screen(FineLevels):
         return best.filter_, best.bandwidth, Quantity(best.half_power, std, "Hz")
 
     def _leave_ends_out(self) -> None:
-        """Leave out the highest frequencies, where the ends are all that is left.
+        """Leave out the highest frequencies, where only the ends are left.
 
-        They are two draws there, not one of every coefficient, which would outvote all others.
+        They are two random values that all coefficients there share, and would outvote all others.
         """
         i, k = np.unravel_index(np.argmax(self.gains), self.gains.shape)
         passed, ends = _response(self.within.tobytes(), self.rate, float(self.grid[k]), _FILTERS[i])
@@ -301,7 +303,7 @@ class _Screen(FineLevels):
             self.plain = self.log_likelihood()
 
     def _maximum(self, i: int, price: float) -> _Maximum:
-        """Of one kind of filter."""
+        """Best bandwidth of one kind of filter."""
         k, filter_ = int(np.argmax(self.gains[i])), _FILTERS[i]
         bounds = (np.log(self.grid[max(k - 1, 0)]), np.log(self.grid[min(k + 1, _GRID - 1)]))
         u, std, gain = self.shape_of(lambda u: self.gain(filter_, float(np.exp(u))), bounds)
@@ -317,7 +319,7 @@ class _Screen(FineLevels):
 
 
 class _Maximum(NamedTuple):
-    """Best bandwidth of one kind of filter [Hz], its half-power frequency or a limit of that, the noise."""
+    """Best bandwidth of one kind of filter [Hz], its half-power frequency or a limit, the noise terms."""
 
     filter_: tuple[int, bool]
     bandwidth: float
@@ -329,10 +331,10 @@ class _Maximum(NamedTuple):
 
 
 def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> float | None:
-    """Where the samples' spectrum has fallen by half, which aliases put above an analog filter's −3 dB.
+    """Frequency [Hz] at which the samples' spectrum has fallen by half.
 
-    None where they keep it from falling so far before the Nyquist frequency is near: then the bandwidth of
-    the analog filter is what can be said.
+    Aliases put it above an analog filter's −3 dB; None where they keep the spectrum from falling so far below
+    the Nyquist frequency.
     """
     frequency = np.linspace(0.0, _REACHED * rate / 2.0, _RESPONSE)[1:]
     passed = _passed(frequency, rate, bandwidth, filter_)
@@ -345,7 +347,7 @@ def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> flo
 
 
 def _held_out(view: View) -> float:
-    """Log-likelihood of half of the coefficients under the filter and the noise of the others, both ways."""
+    """Log-likelihood of each half of the coefficients under the filter and noise of the other half."""
     gain = 0.0
     for fold in coefficient_folds(view.n):
         screen = _Screen(view, fold)

@@ -1,4 +1,4 @@
-"""Single samples far from where all others put them."""
+"""Outliers: single samples far from their prediction by all others."""
 
 from __future__ import annotations
 
@@ -16,26 +16,30 @@ from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
 
+# Scales of outliers, in deviations of the noise, and shares of the samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
 _SHARES = np.geomspace(1e-7, 0.1, 40)
-# Below this no outlier could be told from noise.
+# Scores below this could be noise as well.
 _NOTICED = 3.0
-# Louder scores are looked at one by one, others in bins of this width.
+# Score from which on samples count one by one; below they count in bins of this width.
 _LOUD, _FINE = 8.0, 0.02
+# Smallest gain in log-likelihood [nats]: a judgement.
 _WORTH = 8.0
-# Log-odds from which on a sample counts as an outlier: seven to one.
+# Log odds from which on a sample counts as an outlier, seven to one: a judgement.
 _ODDS = 2.0
-# Prediction errors so near [samples] to each other may have one cause; longer trains are no outliers.
+# Distance [samples] below which prediction errors may have one cause; and longest train that is an outlier:
+# judgements.
 _APART, _LONGEST = 8, 48
-# Samples at each end of the record whose scatter is looked at; rounds in which neighbours come to light.
+# Samples at each end of the record whose scatter is computed; most rounds in which neighbours are found.
 _END, _ROUNDS = 16, 5
+# Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
-# Scales that are weighed.
+# Scales over which the posterior of the scale is computed.
 _WEIGHED = 201
 
 
 class Outliers(Cause):
-    """A share of the samples has an error of its own, of much larger scale than the noise."""
+    """Errors of a share of the samples, of much larger scale than the noise."""
 
     name = "outliers"
     refit = "at last"
@@ -44,7 +48,7 @@ class Outliers(Cause):
         return _p_value(float(np.max(abs(_scores(view, view.loo_residuals[1])))), view.n)
 
     def detect(self, view: View) -> Candidate | None:
-        # The scale of the bulk: that of the fit has the outliers in it.
+        # A robust scale: that of the fit includes the outliers.
         bulk = 1.4826 * float(np.median(abs(view.loo_residuals[0])))
         if bulk == 0.0:
             return None
@@ -91,7 +95,7 @@ class Outliers(Cause):
         )
 
     def again(self, view: View, found: Candidate) -> Candidate:
-        """The same samples, filled in with the noise as it is known now."""
+        """Finding of the same samples, imputed with the noise as it is estimated now."""
         missing = np.zeros(view.n, bool)
         times = np.asarray(found.parameters["times"].value, float)
         missing[np.rint(times * view.rate).astype(int)] = True
@@ -104,9 +108,9 @@ def _p_value(largest: float, n: int) -> float:
 
 
 def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
-    """The largest of each group of neighbours, to which one outlier's prediction errors spread.
+    """Largest score of each group of neighbours, to which one outlier's prediction errors spread.
 
-    None if a group is longer than that.
+    None if a group is longer than an outlier's.
     """
     groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
     if max(g[-1] - g[0] for g in groups) > _LONGEST:
@@ -115,21 +119,21 @@ def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
 
 
 def _log_trials_factor(n: int) -> float:
-    """What not knowing share and scale costs [nats]: each anywhere in its grid."""
+    """Log trials factor of share and scale [nats]: each may be anywhere in its grid."""
     return float(np.log(len(_SCALES)) + np.log(np.log(n)))
 
 
 def _log_ratio(
     z: Float[np.ndarray, " k"], share: float, scale: Float[np.ndarray, " scales"] | float
 ) -> Float[np.ndarray, "k scales"]:
-    """ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)] at z."""
+    """Log-likelihood ratio of the mixture to noise at z: ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)]."""
     s2 = np.asarray(scale) ** 2
     exponent = 0.5 * z[:, None] ** 2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
     return np.logaddexp(np.log1p(-share), np.log(share) + exponent)
 
 
 def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
-    """Log-likelihood ratio of the best mixture to noise alone, its share and scale."""
+    """Log-likelihood ratio of the best mixture to noise alone [nats], its share and scale."""
     size = abs(z)
     if not np.any(size > _NOTICED):
         return 0.0, 0.0, 1.0
@@ -165,9 +169,9 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
 def _known(
     found: Float[np.ndarray, " k"], threshold: float
 ) -> tuple[float, float, Literal["", "above", "below"]]:
-    """The scale of those that scores above a threshold belong to, and its relative deviation; or a limit.
+    """Scale of the outliers with scores above a threshold, and its relative deviation; or a limit.
 
-    Of normal errors only those are found that are larger: the normal law is cut off there.
+    Only errors above the threshold are found: their law is a normal one truncated there.
     """
     log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
     width = np.sqrt(1.0 + np.exp(2.0 * log))
@@ -178,17 +182,17 @@ def _known(
 
 
 def _threshold(share: float, scale: float) -> float:
-    """Score from which on a sample has been drawn from the wider of the two laws."""
+    """Score from which on a sample counts as drawn from the wider of the two laws."""
     s2 = scale**2
     least = _ODDS - np.log(share / (1.0 - share)) + 0.5 * np.log1p(s2)
     return float(np.sqrt(2.0 * max(least, 0.0) * (1.0 + s2) / s2))
 
 
 def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
-    """The spikes over their scale, zero where samples were filled in.
+    """Leave-one-out residuals over their scale, zero where samples were imputed.
 
-    At the record's ends quantization noise is not the one that the mirrored record has, and spikes scatter
-    more: those that stand out there are compared with their own scatter.
+    At the record's ends quantization noise is not that of the mirrored record, and residuals scatter more:
+    those that stand out there are compared with their own scatter.
     """
     z = np.where(view.restored, 0.0, view.loo_residuals[0] / scale)
     v, n = view.variance(), view.n
@@ -204,10 +208,9 @@ def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
 
 
 def _held_out(z: Float[np.ndarray, " n"]) -> float:
-    """Gain on parts of the samples by the mixture of the others.
+    """Gain in log-likelihood [nats] on parts of the samples by the mixture that the others show.
 
-    Of outliers that the others do not have nothing is known but that they are rare, and of any scale: so is
-    a single one foretold.
+    Where the others show none, outliers are taken to be rare and of any scale; so a single one is predicted.
     """
     gain = 0.0
     for part in folds(len(z), _FOLD_BLOCK):

@@ -1,4 +1,4 @@
-"""A slope of the spectrum that no basic term has."""
+"""Noise with a power-law spectrum whose exponent no basic term has."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
 from allanjax.critic.view import MARGIN, Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
-# The exponent lies this near to the best one of the grid.
+# Distance from the best exponent of the grid within which the maximum is looked for.
 _REACH = 0.6
-# Exponents that a term may have, less a little; rounds in which the best one is looked for.
+# Range of the exponent, slightly less than that of the term; most rounds in which the maximum is looked for.
 _EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
 
 
 class PowerLaw(Cause):
-    """Noise with a power law of any exponent, in the Markov process's place."""
+    """Noise with a power law of any exponent, in the place of the Markov process."""
 
     name = "power_law"
-    # The evidence is the test: of 600 records of sensors without it none gains more than two nats.
+    # The evidence is the test. Measured: of 600 records of sensors without it none gains more than two nats.
     max_p = 0.01
     refit = "at once"
 
@@ -28,7 +28,7 @@ class PowerLaw(Cause):
             return None
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
         noise = view.model_evidence.best(allowed, required=(POWER_LAW,))
-        # Any basic term that explains as much is the better word for it.
+        # A basic term is preferred if it explains as much.
         gain = view.model_evidence.sets(allowed, required=(POWER_LAW,)).total - view.log_evidence_all_terms
         if POWER_LAW not in noise.power or gain < MARGIN:
             return None
@@ -62,7 +62,7 @@ class PowerLaw(Cause):
 
 
 def _exponent(view: View, noise: Noise) -> tuple[float, float]:
-    """By maximum likelihood, with its deviation; all powers are adjusted to it."""
+    """Exponent by maximum likelihood, all powers being fitted to it, and its standard deviation."""
     levels = FineLevels(view)
 
     def likelihood(exponent: float) -> float:
@@ -71,7 +71,7 @@ def _exponent(view: View, noise: Noise) -> tuple[float, float]:
 
     low, high = _EXPONENTS
     middle = noise.shape
-    # What ends at the end of what is near is looked for farther on.
+    # A maximum at the end of the range is looked for farther on.
     for _ in range(_ROUNDS):
         bounds = (max(middle - _REACH, low), min(middle + _REACH, high))
         exponent, std, _ = levels.shape_of(likelihood, bounds)

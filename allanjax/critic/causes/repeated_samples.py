@@ -1,4 +1,4 @@
-"""Samples that are copies of the one before: a value held, a dropped one filled in."""
+"""Repeated samples: values that were held, or dropped ones replaced by the one before."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, Quantity, View
 
-# Fewer are no matter.
+# Fewest repeats that are reported: a judgement.
 _LEAST = 3
+# Least excess of repeats over those by rounding, in its standard deviations: a judgement.
 _DOUBTLESS = 8.0
-# Where rounding makes repeats, their share is predicted no better than this.
+# Error of the predicted share of repeats by rounding: a judgement.
 _PREDICTED = 0.03
-# Samples so far apart have been held together rarely.
+# Distance [samples] at which equal samples are by rounding, since values are rarely held so long: a
+# judgement.
 _APART = 12
 
 
 class RepeatedSamples(Cause):
-    """More samples equal to their predecessor than rounding explains."""
+    """An excess of samples that equal the one before, over those that rounding explains."""
 
     name = "repeated_samples"
     is_preprocessing = True
@@ -53,13 +55,13 @@ class RepeatedSamples(Cause):
 
 
 def repeats(raw: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which samples equal the one before; a clipped output does so at its limits, which do not count."""
+    """Whether a sample equals the one before, other than at the limits of a clipped output."""
     same = np.concatenate([[False], raw[1:] == raw[:-1]])
     return same & (raw < raw.max()) & (raw > raw.min())
 
 
 def _by_chance(raw: Float[np.ndarray, " n"]) -> float:
-    """The share of repeats that rounding alone makes."""
+    """Share of repeats by rounding alone."""
     q = lattice(raw)
     if q is None:
         return 0.0
@@ -74,13 +76,13 @@ def _by_chance(raw: Float[np.ndarray, " n"]) -> float:
 
 
 def _gain(count: float, n: float, chance: float) -> float:
-    """Log-likelihood of so many repeats under their own share over that under chance."""
+    """Log-likelihood ratio [nats] of a number of repeats under their own share to that by chance."""
     share, floor = count / n, max(chance, 1e-12)
     return float(count * np.log(share / floor) + (n - count) * np.log((1.0 - share) / (1.0 - floor)))
 
 
 def _held_out(same: Bool[np.ndarray, " n"], chance: float) -> float:
-    """Gain on each half of the record by the share in the other."""
+    """Gain in log-likelihood [nats] on each half of the record by the share in the other."""
     gain, half, floor = 0.0, len(same) // 2, max(chance, 1e-12)
     for one, other in ((same[:half], same[half:]), (same[half:], same[:half])):
         share = (one.sum() + 0.5) / (len(one) + 1.0)

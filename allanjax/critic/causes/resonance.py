@@ -1,4 +1,4 @@
-"""Narrow-band noise: a damped oscillator, a structure or a loop that rings."""
+"""Narrow-band noise, as of a damped oscillator, a structure or a loop that rings."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from allanjax.critic.noise import Noise
 from allanjax.critic.view import Candidate, Cause, Quantity, View, coefficient_folds
 from allanjax.noise import terms
 
+# Narrowest window [coefficients].
 _NARROWEST = 8
-# Independent windows a width, and how many more for each e-fold that what they show is rarer; widest windows
-# that see nothing of their own.
+# Independent windows for each width, and how many more for each e-fold of a smaller p-value; number of the
+# widest windows that show nothing new. Measured on simulated spectra.
 _INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
+# Smallest gain of a window [nats]: a judgement.
 _WORTH = 8.0
-# The noise has taken part of the bump for its own, and gives it back bit by bit.
+# Most rounds in which bump and noise are estimated in turn, and the change, in deviations, that ends them.
 _ROUNDS, _SETTLED = 8, 0.2
-# A wider one is no bump but an edge, as of a filter.
+# Smallest quality factor: a wider bump is an edge, as of a filter.
 _BUMP_Q = 1.0
 
 
 class Resonance(Cause):
-    """A bump of the spectrum, which passes a filter that was found as all noise does."""
+    """A bump of the spectrum, filtered as all noise is if a filter was found before."""
 
     name = "resonance"
     refit = "at last"
@@ -49,9 +51,9 @@ class Resonance(Cause):
     def _near(
         self, view: View, window: tuple[float, ...], start: Float[np.ndarray, " 2"], noise: Noise
     ) -> Candidate | None:
-        """The bump of about e^start in frequency and quality factor, in about this noise.
+        """Bump fitted from e^start in frequency and quality factor, and from this noise.
 
-        None if the window that shows most shows nothing.
+        None if even the most conspicuous window shows nothing.
         """
         _, width, p_value, windows, net = window
         if net < _WORTH:
@@ -74,7 +76,7 @@ class Resonance(Cause):
         if np.exp(theta[1]) < _BUMP_Q:
             return None
         gain = after.noise.log_evidence - view.noise.log_evidence
-        # Where it is, how wide and how strong: each a share of what might have been.
+        # Trials factors of frequency and width, and the Occam factor of the amplitude, 2: a judgement.
         widths = np.log(len(view.coefficients) / _NARROWEST)
         gain -= np.log(windows) + np.log(widths) + 2.0
         f0, Q, amplitude = np.exp(theta)
@@ -104,22 +106,23 @@ class Resonance(Cause):
 
 
 def _logarithmic(u: float, std: float, bounds: tuple[float, float], unit: str) -> Quantity:
-    """A quantity of which the logarithm is known, between bounds."""
+    """Quantity given by its logarithm, between bounds."""
     u, std, limit = limited(float(u), float(std), (float(np.log(bounds[0])), float(np.log(bounds[1]))))
     return Quantity(float(np.exp(u)), float(np.exp(u)) * std, unit, limit)
 
 
 def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " n-1"]:
+    """Expected squares of a bump, filtered if a filter was found before."""
     f0, Q, amplitude = (float(x) for x in np.exp(theta))
     density = view.family.spectrum(terms.Resonance(amplitude, f0, Q).sampled(view.rate))
     return density if view.passes is None else density * view.passes
 
 
 def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float, float, float]:
-    """The window with most excess: middle, width [coefficients], p-value, count of such windows, gain.
+    """Window with most excess: middle and width [coefficients], p-value, number of such windows, gain.
 
-    Of a width, windows a quarter apart are worth two to four independent ones each width, the more the rarer
-    what they show, as simulated (`_INDEPENDENT`).
+    Windows a quarter of a width apart count as two to four independent ones for each width, the more the
+    smaller the p-value (`_INDEPENDENT`).
     """
     total = np.concatenate([[0.0], np.cumsum(ratio)])
     best = (-np.inf, 0.0, 0.0, 0.0, 0.0)
@@ -149,9 +152,9 @@ def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float,
 
 
 def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: float) -> float:
-    """Gain on every other coefficient by the bump fitted to the others, both ways.
+    """Gain in log-likelihood [nats] on each half of the coefficients by the bump fitted to the other half.
 
-    It is sought from where all of them have it, and in the noise that the others show behind that one.
+    Each fit starts from that of all coefficients, in the noise of its half conditional on that bump.
     """
     gain = -view.cv_log_likelihood
     for fold in coefficient_folds(view.n):

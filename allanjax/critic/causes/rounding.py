@@ -1,4 +1,4 @@
-"""The output has a resolution, and it is coarser than the noise."""
+"""Rounding: a resolution of the output that is coarser than the noise."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from jaxtyping import Float
 from allanjax.critic.causes.imputation import imputed
 from allanjax.critic.view import Candidate, Cause, View
 
-# Samples this close to a multiple of the step, in steps, are on the lattice.
+# Distance from a multiple of the step, in steps, up to which a sample is on the lattice.
 _TOLERANCE = 1e-3
+# Least share of the gaps between values that are multiples of the step.
 _SHARE = 0.999
+# Number of different values up to which there may be a lattice although most samples differ.
 _FEW = 20000
-#: A resolution finer than this share of the noise does no harm.
+#: Resolution over the deviation of the noise below which rounding does no harm: a judgement.
 HARMLESS = 0.35
 
 
 class Rounding(Cause):
-    """All samples are multiples of one step."""
+    """A step of which all samples are multiples."""
 
     name = "rounding"
     is_preprocessing = True
@@ -47,7 +49,7 @@ class Rounding(Cause):
 
 
 def lattice(x: Float[np.ndarray, " n"]) -> float | None:
-    """The step that all samples are multiples of (from the first), or None."""
+    """Step between the samples' values, if these are on a lattice, else None."""
     values = np.unique(x)
     least = 1e-9 * float(np.max(abs(values))) + 1e-300
     gaps = np.diff(values)

@@ -1,4 +1,4 @@
-"""The output is clipped at its range."""
+"""Saturation: an output that is clipped at its range."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from allanjax.critic.causes.imputation import imputed
 from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.view import Candidate, Cause, Quantity, View
 
+# Fewest runs of samples at the largest value, or fewest such samples, that are not by chance: judgements.
 _LEAST, _MANY = 4, 100
-# With fewer levels than that there is no tail to pile up.
+# Fewest steps of a rounded output between its extremes for it to have a tail.
 _FEW_LEVELS = 4
 
 
 class Saturation(Cause):
-    """Samples pile up at the largest value, at the smallest, or at both."""
+    """An excess of samples at the largest value, at the smallest, or at both."""
 
     name = "saturation"
     is_preprocessing = True

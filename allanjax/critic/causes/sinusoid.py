@@ -1,4 +1,4 @@
-"""A line: a sinusoid that keeps its phase through the record."""
+"""Lines: sinusoids that keep their phase through the record."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
 
-# Below so many periods a record, a line is not told from drift.
+# Fewest periods in a record: fewer are not told from drift. A judgement.
 _PERIODS = 6.0
-# Between two frequencies that are looked at, half a Fourier bin apart, a line's power may be a fifth more: so
-# many of the highest peaks are looked at more closely.
+# Zero padding, with which frequencies are half a Fourier bin apart; between two of them a line's power may be
+# a fifth more, so peaks above this share of the highest one are refined, so many at most.
 _PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
+# Smallest half squared signal-to-noise ratio: a judgement.
 _WORTH = 8.0
+# Blocks of the record of which parts are made that are held out.
 _FOLD_BLOCKS = 256
 
 
@@ -74,7 +76,7 @@ class Sinusoid(Cause):
 
 
 def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
-    """What `refined` says about the strongest line."""
+    """Strongest line of the spectrum, as `refined` gives it."""
     spectrum, spacing = _spectrum(view.whitened, view.rate)
     first = int(np.ceil(_PERIODS / view.duration / spacing))
     k = np.arange(first, len(spectrum) - 1)
@@ -88,20 +90,22 @@ def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float
 
 
 def _line_p_value(z: float, view: View) -> float:
+    """p-value of the strongest line of a view, corrected for the search over frequencies."""
     return line_p_value(z, view.rate / 2.0 - _PERIODS / view.duration, view.duration)
 
 
 def line_p_value(z: float, band: float, duration: float) -> float:
-    """P(largest half squared signal-to-noise ratio of a line anywhere in a band > z) (Baluev 2008, eq. 6).
+    """Probability that the largest half squared signal-to-noise ratio in a band exceeds z.
 
-    MNRAS 385:1279: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the band's start.
+    Baluev (2008), MNRAS 385:1279, eq. 6: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the band's
+    start.
     """
     expected = band * duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
     return float(1.0 - (1.0 - np.exp(-z)) * np.exp(-expected)) if expected > 1e-9 else float(expected)
 
 
 def wave(frequency: float, beta: Float[np.ndarray, " 2"], n: int, rate: float) -> Float[np.ndarray, " n"]:
-    """β₀ cos + β₁ sin of 2πf·(k + ½)/rate."""
+    """Samples of a line: β₀ cos + β₁ sin of 2πf·(k + ½)/rate."""
     phase = 2.0 * np.pi * frequency * (np.arange(n) + 0.5) / rate
     return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
 
@@ -109,7 +113,7 @@ def wave(frequency: float, beta: Float[np.ndarray, " 2"], n: int, rate: float) -
 def refined(
     c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: float, rate: float
 ) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
-    """Frequency, its deviation, both amplitudes, their deviation and the gain of the line near `start`."""
+    """Line near a frequency: frequency, its deviation, both amplitudes, their deviation, the gain."""
     n = len(c) + 1
     spacing = rate / (2.0 * n)
     centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
@@ -146,7 +150,7 @@ def _spectrum(e: Float[np.ndarray, " n"], rate: float) -> tuple[Float[np.ndarray
 
 
 def _held_out(e: Float[np.ndarray, " n"], rate: float, lowest: float) -> float:
-    """Gain on parts of the record by the line that the others show."""
+    """Gain in log-likelihood [nats] on parts of the record by the line that the others show."""
     gain, t = 0.0, 2.0 * np.pi * (np.arange(len(e)) + 0.5) / rate
     for part in folds(len(e), max(len(e) // _FOLD_BLOCKS, 1)):
         fold = ~part

@@ -1,4 +1,4 @@
-"""What causes that change the spectrum have in common: a likelihood of the whitened levels in fine bins."""
+"""Likelihood of the spectrum in fine bins, for causes that change the spectrum."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from allanjax.critic.view import ONE_SIDED, View
 from allanjax.noise.terms import Markov, PowerLaw
 
 Limit: TypeAlias = Literal["", "above", "below"]
-# A maximum this near to a bound is at it, absolutely and in its deviations.
+# Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
 _AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
-#: The free shape among the powers of `relative_errors`.
+#: Name of the free shape in the result of `relative_errors`.
 SHAPE = "shape"
 
+# Bins in an octave, and finer ones on either side of a place.
 _PER_OCTAVE = 64
 _NEAR = 400
-#: Gauss's quadrature: a response may fall by much within a bin.
+#: Nodes and weights of Gauss-Legendre quadrature: a response may fall by much within a bin.
 NODES, SHARES = np.polynomial.legendre.leggauss(4) * np.array([[1.0], [0.5]])
-# Of the powers: rounds of scoring, nats that end it, bins that a first guess is the mean of; and a step for
-# curvatures.
+# Scoring of powers: most rounds, the gain [nats] that ends it, bins that a first guess is averaged over; and
+# the step of numerical derivatives.
 _SCORINGS, _SETTLED, _SMOOTH, _STEP = 8, 1e-4, 9, 0.02
 
 
 def fine_bins(n: int, centre: float | None = None, width: float = 1.0) -> np.ndarray:
-    """First indices (of coefficients 1 … n−1, from 0) of bins: 64 an octave, finer around a place."""
+    """First indices of bins of the coefficients 1 … n−1: 64 an octave, finer around a place."""
     log = np.unique(np.rint(2.0 ** (np.arange(0.0, np.log2(n) * _PER_OCTAVE) / _PER_OCTAVE)))
     edges = log
     if centre is not None:
@@ -41,14 +42,14 @@ def fine_bins(n: int, centre: float | None = None, width: float = 1.0) -> np.nda
 
 
 def sums(values: Float[np.ndarray, " n-1"], first: np.ndarray) -> Float[np.ndarray, " bins"]:
-    """Over bins."""
+    """Sums of values over bins."""
     return np.add.reduceat(values, first)
 
 
 def log_likelihood(
     squares: Float[np.ndarray, " bins"], size: Float[np.ndarray, " bins"], ratio: Float[np.ndarray, " bins"]
 ) -> float:
-    """Of sums of whitened squares whose expectation is `ratio` times their number."""
+    """Log-likelihood of sums of whitened squares whose expectation is `ratio` times their number."""
     return float(-0.5 * np.sum(size * np.log(ratio) + squares / ratio))
 
 
@@ -58,20 +59,20 @@ def non_negative(
     weight: Float[np.ndarray, " bins"],
 ) -> Float[np.ndarray, " terms"]:
     """Powers p ≥ 0 that minimize |weight·(p·columns − level)|."""
-    # Of a triangle as wide as there are terms the same are asked for as of all bins.
+    # A QR decomposition leaves as many equations as there are terms.
     Q, R = np.linalg.qr((columns * weight).T)
     return nnls(R, (level * weight) @ Q)[0]
 
 
 class FineLevels:
-    """The spectrum in fine bins: the likelihood of a shape, all powers being adjusted to it.
+    """Spectrum in fine bins, and the likelihood of a shape with all powers fitted to it.
 
     Attributes:
-        size, squares, frequency: coefficients in each bin, the sum of their squares without what was found
-            before, and their mean frequency [Hz].
-        within: frequencies in each bin of which the `SHARES` of a function's values are nearly its mean [Hz].
-        columns: levels of the allowed basic terms but the Markov process, unit amplitude.
-        smooth: mean squares of a few neighbouring bins together.
+        size, squares, frequency: number of coefficients in each bin, the sum of their squares divided by the
+            factor of earlier findings, and their mean frequency [Hz].
+        within: nodes in each bin [Hz] at which `SHARES` weigh a function's values to its mean.
+        columns: levels of the allowed basic terms but the Markov process, at unit amplitude.
+        smooth: mean squares over a few neighbouring bins.
     """
 
     def __init__(self, view: View, fold: Bool[np.ndarray, " n-1"] | None = None) -> None:
@@ -93,7 +94,7 @@ class FineLevels:
         self.smooth = np.maximum(level, 1e-300)
 
     def keep(self, count: int) -> None:
-        """Leave out all but so many of the lowest bins."""
+        """Keep only the `count` lowest bins."""
         self._real[np.flatnonzero(self._real)[count:]] = False
         self.size, self.squares, self.frequency, self.within = (
             x[:count] for x in (self.size, self.squares, self.frequency, self.within)
@@ -101,7 +102,7 @@ class FineLevels:
         self.columns, self.smooth = self.columns[:, :count], self.smooth[:count]
 
     def mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
-        """In each bin, of the coefficients in the fold."""
+        """Mean in each bin over the coefficients in the fold."""
         return sums(self._used * values, self._first)[self._real] / self.size
 
     def log_likelihood(
@@ -109,7 +110,7 @@ class FineLevels:
         factor: Float[np.ndarray, " bins"] | float = 1.0,
         extra: Float[np.ndarray, " bins"] | None = None,
     ) -> float:
-        """Of the best powers of the basic terms and an extra one, behind a factor [nats]."""
+        """Largest log-likelihood [nats] over powers of the basic terms and an extra one, with a factor."""
         return self.scored(factor, extra)[0]
 
     def scored(
@@ -117,7 +118,7 @@ class FineLevels:
         factor: Float[np.ndarray, " bins"] | float = 1.0,
         extra: Float[np.ndarray, " bins"] | None = None,
     ) -> tuple[float, Float[np.ndarray, " terms"]]:
-        """The same and these powers, that of the extra one last."""
+        """Largest log-likelihood [nats] and the powers, that of the extra term last."""
         columns = factor * (self.columns if extra is None else np.vstack([self.columns, extra]))
         level = self.squares / self.size
         model, best, found = self.smooth, -np.inf, np.zeros(len(columns))
@@ -135,9 +136,9 @@ class FineLevels:
     def shape_of(
         self, likelihood: Callable[[float], float], bounds: tuple[float, float]
     ) -> tuple[float, float, float]:
-        """Where a likelihood is largest, its standard deviation there by the curvature, and the maximum.
+        """Place of the largest log-likelihood, its standard deviation by the curvature, and the maximum.
 
-        `limited` says whether that is at a bound.
+        `limited` says whether the place is at a bound.
         """
         found = minimize_scalar(
             lambda u: -likelihood(u), bounds=bounds, method="bounded", options={"xatol": 1e-3}
@@ -149,7 +150,7 @@ class FineLevels:
 
 
 def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, float, Limit]:
-    """An estimate and its deviation, or where it is at a bound the 95 % limit on this side of it."""
+    """Estimate and its standard deviation, or a 95 % limit where it is at a bound."""
     if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
         return min(u, bounds[1]) - ONE_SIDED * std, float("nan"), "above"
     if u < bounds[0] + max(_AT_BOUND, _NEAR_BOUND * std):
@@ -160,7 +161,7 @@ def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, f
 def relative_errors(view: View, noise: Noise) -> dict[str, float]:
     """Relative errors of all powers by their Fisher information, and the error of the `SHAPE`.
 
-    That is of the logarithm of a Markov process's correlation time, or of a power law's exponent.
+    The latter is that of the logarithm of a Markov process's correlation time, or of a power law's exponent.
     """
 
     first = fine_bins(view.n)

@@ -1,4 +1,4 @@
-"""The bias jumps to and fro between two levels."""
+"""Random telegraph noise: a bias that jumps between two levels."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ from allanjax.critic.noise import centred
 from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
 from allanjax.noise import terms
 
+# Most blocks that samples are averaged in.
 _BLOCKS = 2048
+# Fewest jumps; one or two are steps. A judgement.
 _LEAST_JUMPS = 3
-# Blocks that levels to start from are smoothed over; rounds of adjusting them.
+# Blocks that the first levels are smoothed over; rounds of adjusting the levels.
 _SMOOTH, _ROUNDS = (8, 32, 128), 10
-# Shares of the frequencies that blocks have between which their noise is looked at.
+# The noise of blocks is measured between 1/32 and 1/4 of their frequencies.
 _WHITE = (32, 4)
-# Dwell times that are compared: from so many blocks to a half of the record, flat in the logarithm.
+# Shortest dwell time [blocks], and number of those compared, up to half of the record, flat in the logarithm.
 _SHORTEST, _DWELLS = 4.0, 12
 
 
 class Telegraph(Cause):
-    """Two levels. How likely the record is is summed over all paths between them (a hidden Markov chain)."""
+    """Two levels, with the likelihood summed over all paths between them (a hidden Markov chain)."""
 
     name = "telegraph"
-    # The evidence is the test, and what it holds on other data: of 600 records of sensors without an effect
-    # none has both.
+    # The evidence and the gain on held-out data are the test. Measured: of 600 records of sensors without an
+    # effect none has both.
     max_p = 0.05
 
     def detect(self, view: View) -> Candidate | None:
@@ -70,7 +72,7 @@ class Telegraph(Cause):
         )
         if candidate is None:
             return None
-        # Any basic term that the model lacks and that explains as much is the better word for it.
+        # A basic term that the model lacks is preferred if it explains as much.
         gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
         p_value = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
@@ -79,15 +81,15 @@ class Telegraph(Cause):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TwoStateFit:
-    """Two levels and what blocks say about the path between them.
+    """Two levels fitted to blocks, and the posterior of the path between them.
 
     Attributes:
-        sigma: the blocks' noise.
+        sigma: standard deviation of the blocks' noise.
         upper: probability that a block is on the second level.
-        dwell: mean time between jumps [blocks], and its deviation.
-        limit: on which side of `dwell` that time is, if it may be anywhere there.
-        log_likelihood: of all blocks, over all paths and dwell times, less than that of a known block at its
-            level by what is lost [nats].
+        dwell: mean time between jumps [blocks], and its standard deviation.
+        limit: side of `dwell` on which that time is, if only a limit is known.
+        log_likelihood: log-likelihood of all blocks, averaged over paths and dwell times, relative to blocks
+            at their level [nats].
     """
 
     sigma: float
@@ -99,16 +101,16 @@ class TwoStateFit:
     def log_trials_factor(
         self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]
     ) -> float:
-        """What not knowing the path costs [nats]: its likelihood, at its best levels, over that of all."""
+        """Log trials factor of the path [nats]: its likelihood at its best levels over that of all paths."""
         upper = path > 0.5
         left = np.where(upper, means - means[upper].mean(), means - means[~upper].mean())
         return -0.5 * float(np.sum((left / self.sigma) ** 2)) - self.log_likelihood
 
 
 def _noise(means: Float[np.ndarray, " blocks"]) -> float:
-    """Deviation of the blocks by noise that is white from block to block.
+    """Standard deviation of the blocks by noise that is white from block to block.
 
-    Of frequencies above those of a telegraph, and below those of quantization noise.
+    It is measured at frequencies above those of a telegraph and below those of quantization noise.
     """
     first, last = (max(len(means) // part, 1) for part in _WHITE)
     return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
@@ -117,14 +119,12 @@ def _noise(means: Float[np.ndarray, " blocks"]) -> float:
 def two_levels(
     means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
 ) -> TwoStateFit:
-    """The most likely levels, adjusted to the probable path again and again (Baum & Welch).
-
-    Blocks that are not `known` are bridged.
+    """Most likely levels, adjusted to the probable path again and again (Baum & Welch).
 
     Args:
-        means: of the blocks.
-        sigma: their noise.
-        known: which of them are looked at; all by default.
+        means: means of the blocks.
+        sigma: standard deviation of their noise.
+        known: which blocks are used, all by default; the others are bridged.
     """
     weight = np.ones(len(means)) if known is None else known.astype(float)
     y = means[weight > 0.0]
@@ -155,10 +155,12 @@ def two_levels(
 def _chain(
     log_likelihood: Float[np.ndarray, "#chains blocks 2"], dwells: Float[np.ndarray, "#chains"]
 ) -> tuple[Float[np.ndarray, " chains"], Float[np.ndarray, "chains blocks"]]:
-    """Of chains of two states that jump with these mean dwell times [blocks]; one of either is for all.
+    """Forward-backward pass of two-state Markov chains with these mean dwell times [blocks].
+
+    `log_likelihood` and `dwells` broadcast against each other.
 
     Returns:
-        Its log-likelihood over all paths, and the probability of the second state in each block.
+        The log-likelihood over all paths, and the probability of the second state in each block.
     """
     largest = log_likelihood.max(axis=-1)
     jump = -0.5 * np.expm1(-2.0 / dwells)[:, None]
@@ -178,9 +180,9 @@ def _chain(
 def _products(
     links: Float[np.ndarray, "2 2 chains blocks"],
 ) -> tuple[Float[np.ndarray, "2 2 chains blocks"], Float[np.ndarray, "chains blocks"]]:
-    """Products of the first one, two, three, … matrices, and the logarithms of what they were divided by.
+    """Products of the first one, two, three, … matrices, scaled, and the logarithms of the scales.
 
-    By doubling: those of two, four, eight, … in a row.
+    They are computed by doubling: of two, four, eight, … in a row.
     """
     found = links.copy()
     scale = np.zeros(links.shape[2:])
@@ -198,7 +200,7 @@ def _products(
 
 
 def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
-    """Gain on some blocks by the levels that the others are on."""
+    """Gain in log-likelihood [nats] on some blocks by the path that the others show."""
     kept, length = 0.0, view.n // len(means)
     c = centred(means)
     root = np.sqrt(after.variance()[: len(c)] / length)

@@ -1,4 +1,4 @@
-"""The rate follows an auxiliary channel."""
+"""Influence of an auxiliary channel, such as temperature, on the rate."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
 from allanjax.critic.view import Candidate, Cause, Quantity, View
 
+# Most lags that are compared.
 _LAGS = 48
-# A channel that is a straight line but for this share of its variance is a clock or a counter.
+# Share of a channel's variance about a straight line below which it is a clock or a counter.
 _CLOCK = 1e-6
 
 
 class Temperature(Cause):
-    """coefficient · channel(t − lag), for every auxiliary channel; lags up to a tenth of the record."""
+    """Effect coefficient · channel(t − lag) of an auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"
-    # Units do feel the temperature: shorter odds than of other causes will do.
+    # Shorter odds than for other causes, since units do feel the temperature: a judgement.
     min_log_odds = 1.5
     refit = "at once"
 
@@ -34,10 +35,11 @@ class Temperature(Cause):
     def p_value(self, view: View) -> float | None:
         banks = [_bank(np.asarray(channel, float)) for channel in view.auxiliary.values()]
         p = [bank[1].p_value(view, view.noise) for bank in banks if bank is not None]
-        # Of several channels the best, and there were so many.
+        # The best of several channels, corrected for their number.
         return any_of(min(p), len(p)) if p else None
 
     def _of(self, view: View, name: str, channel: np.ndarray) -> Candidate | None:
+        """Best candidate of one channel."""
         z = np.asarray(channel, float)
         found = _bank(z)
         if found is None:
@@ -72,7 +74,7 @@ class Temperature(Cause):
 
 
 def _bank(z: Float[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " lags"], Bank] | None:
-    """Lags, and the coefficients of a channel that comes so much later; None if it is no such channel."""
+    """Lags [bank samples] and a bank of the channel at these; None if the channel can have no influence."""
     n = len(z)
     if not np.isfinite(z).all() or np.ptp(z) == 0.0:
         return None

@@ -1,4 +1,4 @@
-"""The noise is louder, or quieter, for a while."""
+"""Changes of the variance: noise that is louder, or quieter, for a while."""
 
 from __future__ import annotations
 
@@ -14,16 +14,21 @@ from allanjax.critic.bank import any_of, extrapolated, folds
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
 
+# Most blocks that intervals are made of.
 _BLOCKS = 256
-# Share of the record that an interval has at least: what is shorter is an event.
+# Share of the record that an interval has at least; what is shorter is an event. A judgement.
 _SHORTEST = 0.01
+# Draws from which the law of the largest score is extrapolated.
 _DRAWS = 1000
+# Smallest score [nats]: a judgement.
 _WORTH = 6.0
+# Places on either side of an end within a block at which it is located.
 _FINER = 32
+# Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
-# Samples at each end of the record that are not looked at.
+# Samples at each end of the record that are not used.
 _ENDS = 16
-# The least that can be left of a noise, less one.
+# Least relative change of a noise's power: some of it is always left.
 _LEAST = -0.99
 # Normal variates beyond this are too rare for the bivariate law to be computed.
 _NORMAL = 5.0
@@ -31,14 +36,15 @@ _NORMAL = 5.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Kind:
-    """A part of the noise that may change: all of it, or the white noise only.
+    """Part of the noise that may change: all of it, or the white noise only.
 
     Attributes:
-        name: for people.
-        share: of this part in the expected squares of the coefficients.
-        squares: of the record behind the filter √share matched to a change of this part, mean 1.
-        worth: of one of them as a degree of freedom: neighbours are correlated.
-        edges: of the blocks that intervals are made of [samples].
+        name: "all" or "white".
+        share: share of this part in the expected squares of the coefficients.
+        squares: squares, of mean 1, of the record after the filter √share that is matched to a change of this
+            part.
+        worth: degrees of freedom for each of them: neighbours are correlated.
+        edges: edges of the blocks that intervals are made of [samples].
     """
 
     name: str
@@ -49,6 +55,7 @@ class _Kind:
 
     @classmethod
     def of(cls, view: View, name: str, share: Float[np.ndarray, " n-1"] | float) -> _Kind:
+        """Part of a view's noise that has this share."""
         u = (
             view.whitened
             if isinstance(share, float)
@@ -66,15 +73,16 @@ class _Kind:
         return cls(name, share, squares / squares.mean(), worth, edges)
 
     def scores(self) -> Float[np.ndarray, "k k"]:
-        """Log-likelihood gained by another variance between any two edges, less what the interval costs."""
+        """Gain in log-likelihood by another variance between any two edges, less the log trials factor."""
         return self.worth * interval_gains(self.squares, self.edges) - _log_trials_factor(len(self.edges))
 
     def excess(self, ratio: float) -> float:
-        """By what share of itself this part has grown where the squares have grown by a ratio."""
+        """Relative growth of this part of the noise where the squares have grown by a ratio."""
         return (ratio - 1.0) * float(np.mean(self.share) / np.mean(np.square(self.share)))
 
 
 def _kinds(view: View) -> list[_Kind]:
+    """Parts of a view's noise that may change."""
     kinds = [_Kind.of(view, "all", 1.0)]
     power = view.noise.power.get(WHITE)
     if power is not None:
@@ -85,9 +93,10 @@ def _kinds(view: View) -> list[_Kind]:
 
 
 class VarianceChange(Cause):
-    """One interval in which the noise, or its white part, has another variance.
+    """An interval in which the noise, or its white part, has another variance.
 
-    Beforehand it is as likely to last to an end of the record, with one place to know, as to begin and end.
+    Under the prior it is as likely to last to an end of the record as to begin and end within it: a
+        judgement.
     """
 
     name = "variance_change"
@@ -111,7 +120,7 @@ class VarianceChange(Cause):
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
         louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
-        # A record that begins or ends with another level: the louder part is what changed.
+        # In a record that begins or ends with another level, the louder part is taken to be the change.
         if not louder and (a == 0 or b == view.n):
             a, b = (b, view.n) if a == 0 else (0, a)
             inside = ~inside
@@ -143,9 +152,9 @@ class VarianceChange(Cause):
 
 
 def _ratio(excess: float, scatter: float) -> Quantity:
-    """Of the noise's deviations, from what it has grown by and the scatter of that, as shares of the power.
+    """Ratio of the noise's deviations, by the relative growth of its power and the scatter of that.
 
-    Of a noise that has all but vanished it is known only below what it is.
+    Of a noise that has all but vanished only an upper limit is known.
     """
     if excess < max(_LEAST, 2.0 * scatter - 1.0):
         return Quantity.beyond(float(np.sqrt(1.0 + max(excess + ONE_SIDED * scatter, _LEAST))), "below", "1")
@@ -155,28 +164,28 @@ def _ratio(excess: float, scatter: float) -> Quantity:
 
 
 def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
-    """Probability of so large a score by any of the kinds, where nothing changes.
+    """p-value of the largest score by any of the kinds.
 
-    Sums of the squares behind the two filters, 1 and √share, are correlated by √worth.
+    Sums of the squares after the two filters, 1 and √share, are correlated by √worth.
     """
     p = scan_p_value(score, len(kinds[0].edges) - 1)
     if len(kinds) == 1:
         return p
     u, r = float(np.sqrt(2.0 * score)), float(np.sqrt(kinds[1].worth))
     both = multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]])
-    # As a pair of normal variates exceeds u more often than one of them, so do the largest of many.
+    # The largest of many exceed u more often for two kinds by the same factor as single normal variates.
     below = both.cdf([u, u], lower_limit=[-u, -u])
     times = min((1.0 - below) / (2.0 * norm.sf(u)), 2.0) if u < _NORMAL else 2.0
     return any_of(p, times)
 
 
 def _intervals(edges: int) -> Bool[np.ndarray, "k k"]:
-    """From the first of two edges to the second one."""
+    """Whether two edges are in order, and so make an interval."""
     return np.triu(np.ones((edges, edges), bool), 1)
 
 
 def _lasting(edges: int) -> Bool[np.ndarray, "k k"]:
-    """Intervals to an end of the record."""
+    """Whether the interval between two edges lasts to an end of the record."""
     lasting = _intervals(edges)
     lasting[1:, :-1] = False
     return lasting
@@ -184,7 +193,7 @@ def _lasting(edges: int) -> Bool[np.ndarray, "k k"]:
 
 @functools.lru_cache(maxsize=4)
 def _log_trials_factor(edges: int) -> Float[np.ndarray, "k k"]:
-    """What an interval costs that does not last to an end: there are so many more of these [nats]."""
+    """Log trials factor of each interval [nats], larger within the record, where there are more of them."""
     lasting = _lasting(edges)
     others = _intervals(edges) & ~lasting
     return np.where(others, np.log(others.sum() / lasting.sum()), 0.0)
@@ -193,12 +202,12 @@ def _log_trials_factor(edges: int) -> Float[np.ndarray, "k k"]:
 def interval_gains(
     squares: Float[np.ndarray, " n"], edges: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Log-likelihood gained by another variance between any two edges."""
+    """Gain in log-likelihood by another variance between any two edges [nats]."""
     return _gains(np.concatenate([[0.0], np.cumsum(squares)])[edges.astype(int)], edges)
 
 
 def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-    """The same from the sum of squares up to each edge."""
+    """Gain in log-likelihood of each interval by the sums of squares up to the edges [nats]."""
     inner, count = total[None, :] - total[:, None], edges[None, :] - edges[:, None]
     outer, rest = total[-1] - inner, edges[-1] - count
     shortest = _SHORTEST * edges[-1]
@@ -213,7 +222,7 @@ def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Fl
 
 
 def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float) -> tuple[int, int]:
-    """The interval, its ends moved about within a block of where they were found."""
+    """Interval with its ends located within a block of where they were found."""
     n = len(squares)
     near = [
         np.unique(np.rint(np.linspace(max(e - length, 0), min(e + length, n), 2 * _FINER + 1)))
@@ -230,7 +239,7 @@ def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float
 
 
 def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tuple[float, float]:
-    """How far each of the two places may be from where it was found, the other being right: rms [samples]."""
+    """Standard deviation of each end of the interval, given the other [samples]."""
     inside = np.zeros(len(kind.squares), bool)
     inside[a:b] = True
     step = kind.squares[inside].mean() / kind.squares[~inside].mean()
@@ -247,7 +256,7 @@ def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tu
 
 @functools.lru_cache(maxsize=4)
 def _null(blocks: int) -> Float[np.ndarray, " draws"]:
-    """Largest root of twice the score in draws of blocks of many samples, which are normal."""
+    """Draws of the root of twice the largest score, for blocks of many samples without a change."""
     rng = np.random.default_rng(0)
     many = 400
     edges = np.arange(blocks + 1.0) * many
@@ -259,12 +268,12 @@ def _null(blocks: int) -> Float[np.ndarray, " draws"]:
 
 
 def scan_p_value(score: float, blocks: int) -> float:
-    """Probability that equal noise has so large a score in some interval."""
+    """Probability that noise without a change has so large a score in some interval."""
     return extrapolated(_null(blocks), float(np.sqrt(2.0 * score)))
 
 
 def _held_out(kind: _Kind) -> float:
-    """Gain on parts of the samples by the interval and the levels that the others show."""
+    """Gain in log-likelihood [nats] on parts of the samples by the interval that the others show."""
     squares, edges = kind.squares, kind.edges
     gain, place = 0.0, np.arange(len(squares))
     for part in folds(len(squares), _FOLD_BLOCK):

@@ -1,4 +1,4 @@
-"""The bias settles exponentially after switching on."""
+"""Warm-up: a bias that settles exponentially after switching on."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View
 from allanjax.noise import terms
 
+# Time constants that are compared.
 _TIMES = 48
 
 
 class WarmUp(Cause):
-    """a·exp(−t/T), T from a five hundredth of the record to its half: beyond, it is a ramp."""
+    """Exponential a·exp(−t/T), T from a five hundredth of the record to half of it: beyond, it is a ramp."""
 
     name = "warm_up"
-    # Units do warm up: shorter odds than of other causes will do.
+    # Shorter odds than for other causes, since units do warm up: a judgement.
     min_log_odds = 1.0
     refit = "at once"
 
@@ -36,7 +37,7 @@ class WarmUp(Cause):
             log_time, spread, limit = shape_parameter(np.log(times), likelihood)
             spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
             T = float(np.exp(log_time))
-            # Of a slower one, or a faster one, more is before or between what was recorded.
+            # More of a slower or a faster one is outside the record or between its samples.
             least = a - np.sign(a) * ONE_SIDED * std
             beyond = dataclasses.replace(view.own(least, np.nan), limit="above" if a > 0.0 else "below")
             return {
@@ -57,12 +58,13 @@ class WarmUp(Cause):
 
 @functools.lru_cache(maxsize=2)
 def _bank(n: int, rate: float) -> tuple[Float[np.ndarray, " times"], Bank]:
+    """Time constants [s], and a bank of exponentials with these."""
     times = np.geomspace(n / 500.0, n / 2.0, _TIMES)
     return times / rate, Bank(_coefficients(times, n))
 
 
 def _coefficients(times: Float[np.ndarray, " times"], n: int) -> Float[np.ndarray, "times slow"]:
-    """Of e^{−k/T}, T in samples: the real part of a geometric series."""
+    """Coefficients of e^{−k/T}, T in samples, by the real part of a geometric series."""
     a = np.pi * np.arange(1, min(SLOW, n - 1) + 1) / n
     ratio = np.exp(1j * a - 1.0 / times[:, None])
     last = np.exp(1j * np.pi * np.arange(1, len(a) + 1) - n / times[:, None])
