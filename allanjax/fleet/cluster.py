@@ -1,4 +1,4 @@
-"""Work on a Dask cluster: one of this machine's cores, or one that exists."""
+"""Calls on a Dask cluster, of this machine's cores or a running one."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from allanjax.base.errors import AllanjaxError
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+# Time that a scheduler has to answer.
 _CONNECT_SECONDS = 10
 
 
 @contextmanager
 def connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterator[Client]:
-    """A client of the cluster at an address, or of one made for these tasks and closed after them.
+    """Client of the cluster at an address, or of a local one that is closed after the tasks.
 
     Args:
         scheduler: address of a running scheduler, e.g. `tcp://host:8786`.
@@ -65,7 +66,7 @@ Call = tuple[Callable[..., Any], Sequence[Any]]
 
 
 def submitted(client: Client, call: Call) -> Future:
-    """The future of a call on the cluster."""
+    """Future of a call on the cluster."""
     return client.submit(_call, *call, pure=False)
 
 
@@ -73,8 +74,8 @@ def outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, A
     """Make calls on the cluster.
 
     Args:
-        client: of the cluster.
-        calls: by a name of each.
+        client: client of the cluster.
+        calls: the calls by their names.
 
     Yields:
         Name and result of each call as they end, or the exception it raised; `distributed.KilledWorker` if
@@ -98,6 +99,7 @@ def outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, A
 
 
 def _outcome(future: Any) -> Any:
+    """Result of a future, or the exception that it raised."""
     try:
         return future.result()
     except Exception as error:
@@ -105,14 +107,14 @@ def _outcome(future: Any) -> Any:
 
 
 def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
-    """What a worker does."""
+    """Make a call in a worker process."""
     _prepare_worker()
     return function(*arguments)
 
 
 @functools.cache
 def _prepare_worker() -> None:
-    """Compiled programs are shared by the machine's workers, and JAX leaves the other workers their cores."""
+    """Let this machine's workers share compiled programs, and JAX leave the other workers their cores."""
     from distributed import get_worker
 
     # How many threads XLA's processor client starts; read when it first computes, which is after this.

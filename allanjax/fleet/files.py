@@ -1,4 +1,4 @@
-"""The recordings of a fleet: which files they are, and what each is called."""
+"""Files of a fleet's recordings, and their names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from allanjax.base.errors import AllanjaxError
 def matching_files(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], out: Path
 ) -> tuple[Path, ...]:
-    """The files that paths and patterns stand for, each once; those below `out` are results.
+    """Files that paths and patterns stand for, each once, without those below `out`, which are results.
 
     Raises:
         AllanjaxError: a pattern without a file.
@@ -39,9 +39,9 @@ def matching_files(
 
 
 def recording_names(paths: Sequence[Path]) -> list[str]:
-    """A name for each recording: its file's without suffix, with what tells it from others of that name.
+    """Name of each recording: its file's without suffix, made unique.
 
-    That is the suffix where there is another such file in the same folder, and as many folders as it takes,
+    The suffix is added where the same folder has another file of that name, and as many folders as it takes,
     e.g. `unit_07_imu`.
     """
     stems = [path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name for path in paths]

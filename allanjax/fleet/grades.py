@@ -1,4 +1,4 @@
-"""Groups of a fleet that nobody named: grades, types or batches whose coefficients differ."""
+"""Groups of a fleet that its user has not named: grades, types or batches whose coefficients differ."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from allanjax.fleet.outlying_units import (
 )
 from allanjax.record.units import Sensor
 
-# Odds of several groups against one from which groups are believed, for each coefficient that was looked at.
+# Odds of several groups against one from which on groups are reported, times the number of coefficients: a
+# judgement.
 _ODDS = 5.0
-# Prior probability that a unit is odd, and its coefficient anything within this range [ln].
+# Prior probability that a unit is odd, and range of its coefficient [ln]: judgements.
 _ODD, _RANGE = 0.05, np.log(1000.0)
-# Units that may be a group below all others.
+# Fewest units of the lowest group.
 _FEWEST_BETTER = 2
-# Gaps between units at which groups may part.
+# Number of the widest gaps between units at which groups may part.
 _GAPS = 8
-# Standard deviation [ln] given to a limit that stands in for an estimate.
+# Standard deviation [ln] of a limit that is used in place of an estimate: a judgement.
 _LIMIT_SCATTER = 0.3
-# In a unit's choice of a group coefficients scatter by Student's law of so many degrees of freedom: one that
-# is odd cannot outvote the others. Units of a group scatter by as much at least.
+# Degrees of freedom of Student's law by which a unit's coefficients scatter about those of its group, so that
+# an odd one does not outvote the others; and the least scatter of a group [ln]: judgements.
 _FREEDOM, _LEAST_WIDTH = 3.0, 0.05
 
 
@@ -40,7 +41,7 @@ class Pooled:
     """One coefficient of all units, its axes pooled.
 
     Attributes:
-        sensor, coefficient: what it is.
+        sensor, coefficient: sensor and label of the coefficient.
         x, s: ln of the coefficient, up to a constant, and its standard deviation; NaN where it is unknown.
     """
 
@@ -50,7 +51,7 @@ class Pooled:
     s: Float[np.ndarray, " units"]
 
     def of_units(self, places: Int[np.ndarray, " units"], count: int) -> Pooled:
-        """The values among more units, at these places; NaN for the others."""
+        """Values at these places among more units, NaN for the others."""
         x, s = np.full((2, count), np.nan)
         x[places], s[places] = self.x, self.s
         return Pooled(self.sensor, self.coefficient, x, s)
@@ -58,12 +59,12 @@ class Pooled:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Units that fall into groups.
+    """Division of units into groups.
 
     Attributes:
-        pooled: the coefficient that shows it.
-        labels: each unit's group, from 0, the lowest coefficient, on.
-        log_odds: against a single group.
+        pooled: coefficient that shows it.
+        labels: group of each unit, in ascending order of the coefficient from 0 on.
+        log_odds: log odds against a single group.
     """
 
     pooled: Pooled
@@ -72,21 +73,21 @@ class Split:
 
     @property
     def ratios(self) -> list[float]:
-        """How many times each group's median is that of the group below."""
+        """Ratio of each group's median to that of the group below."""
         return list(
             np.exp(np.diff([np.nanmedian(self.pooled.x[self.labels == g]) for g in range(self.groups)]))
         )
 
     @property
     def groups(self) -> int:
-        """How many there are."""
+        """Number of groups."""
         return int(self.labels.max()) + 1
 
 
 def pooled_values(sensor: Sensor, coefficient: str, axes: Sequence[Values]) -> Pooled:
-    """The coefficient of all units from its values on each axis.
+    """Coefficient of all units, pooled from its values on each axis.
 
-    A limit counts as a value if it is below all of these: the coefficient is lower still.
+    A limit counts as a value if it is below all values: the coefficient is lower still.
     """
     values = pooled(list(axes))
     lowest = values.x[values.known].min() if values.known.any() else np.inf
@@ -96,14 +97,14 @@ def pooled_values(sensor: Sensor, coefficient: str, axes: Sequence[Values]) -> P
 
 
 def found_split(families: Sequence[Pooled]) -> Split | None:
-    """The groups that the units fall into by the coefficient that shows them most clearly, if any does.
+    """Groups that the units fall into, by the coefficient that shows them most clearly, or None.
 
     Each coefficient's units are put in order and parted at their widest gaps. A part is a group, whose units
     scatter log-normally about a centre of its own, or its units are odd ones; parts of fewer than three
     units, or of an eighth of all, are not taken for groups; parts of two are, of six units or fewer, and
     below all others, for bad units are not better than the rest. The scatter has the prior of
-    `outliers.outlying`; parameters are integrated over; groups are believed if the odds against the best
-    single group, with whatever units are odd then, are five times the number of coefficients to one.
+    `outlying_units.outlying`; parameters are integrated over; groups are reported if the odds against the
+    best single group, with whatever units are odd then, are five times the number of coefficients to one.
 
     A unit belongs to the group that is nearest in its coefficients together, each with long tails: one bad
     coefficient does not carry it into another group.
@@ -116,7 +117,7 @@ def found_split(families: Sequence[Pooled]) -> Split | None:
 
 
 def _split(values: Pooled) -> Split | None:
-    """Groups by one coefficient; units that are odd or unknown have the label −1."""
+    """Division by one coefficient, in which units that are odd or unknown have the label −1."""
     units = np.flatnonzero(np.isfinite(values.x))
     order = units[np.argsort(values.x[units])]
     m = len(order)
@@ -147,7 +148,7 @@ def _weighed(
     smallest: int,
     prior: Float[np.ndarray, " widths"],
 ) -> tuple[float, float, Int[np.ndarray, " units"]]:
-    """ln of the evidence of one group and of several, the parts being groups or odd units; and the groups."""
+    """Log evidence of one group and of several, the parts being groups or odd units, and the labels."""
     sizes = np.array([len(part) for part in parts])
     odd = sizes * np.log(_ODD / _RANGE)
     group = np.full((len(parts), len(WIDTHS)), -np.inf)
@@ -174,7 +175,7 @@ def _weighed(
 
 
 def _nearest(families: Sequence[Pooled], labels: Int[np.ndarray, " units"]) -> Int[np.ndarray, " units"]:
-    """The group that each unit is nearest to, in all coefficients together."""
+    """Group that each unit is nearest to, in all coefficients together."""
     groups = int(labels.max()) + 1
     cost = np.zeros((len(labels), groups))
     for family in families:

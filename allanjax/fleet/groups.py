@@ -1,4 +1,4 @@
-"""Which group each recording of a fleet belongs to, as its user says: grades, types, batches."""
+"""Groups of a fleet's recordings, as its user names them: grades, types, batches."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from pathlib import Path
 from allanjax.base.errors import AllanjaxError
 
 Groups = str | os.PathLike[str] | Mapping[str, str] | Callable[[Path], str]
-"""A pattern, a CSV file, or what gives each recording its group; see `group_names`."""
+"""Pattern, CSV file, mapping or function that gives each recording its group; see `group_names`."""
 
+# Recordings that a message names at most.
 _NAMED = 3
+# Text that is the path of a CSV file rather than a pattern.
 _PLAIN_PATH = re.compile(r"[\w\-./\\: ]+\.csv", re.ASCII)
 
 
 def group_names(group: Groups | None, recordings: Mapping[str, Path]) -> dict[str, str]:
-    """The group of each recording.
+    """Group of each recording.
 
     Args:
         group: a regular expression that is searched in the path as given, the recording's name and the whole
@@ -63,6 +65,7 @@ def group_names(group: Groups | None, recordings: Mapping[str, Path]) -> dict[st
 
 
 def _matched(pattern: str, recordings: Mapping[str, Path]) -> dict[str, str]:
+    """Groups of the recordings that a regular expression matches."""
     try:
         expression = re.compile(pattern)
     except re.error as error:
@@ -80,7 +83,7 @@ def _matched(pattern: str, recordings: Mapping[str, Path]) -> dict[str, str]:
 
 
 def _pairs_of(path: Path) -> list[tuple[str, str]]:
-    """File and group of each line."""
+    """File and group of each line of a CSV file."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             lines = list(csv.DictReader(stream, skipinitialspace=True))
@@ -98,7 +101,7 @@ def _pairs_of(path: Path) -> list[tuple[str, str]]:
 
 
 def _looked_up(pairs: list[tuple[str, str]], recordings: Mapping[str, Path], folder: Path) -> dict[str, str]:
-    """Groups of the recordings that the pairs name, by path (from here or from the folder), file or name."""
+    """Groups of the recordings that pairs name, by path (from here or from the folder), file or name."""
     shared = Counter(path.name for path in recordings.values())
     names: dict[str, str] = {}
     for name, path in recordings.items():

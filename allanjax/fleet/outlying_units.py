@@ -1,4 +1,4 @@
-"""Which units of a fleet are unlike the others."""
+"""Outlying units: those of a fleet that are unlike the others."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ FALSE_ALARMS = 0.01
 FEWEST_UNITS = 3
 """Units that it takes to say that one is unlike the others."""
 
-# How much alike units scatter [ln]: a Student's t folded at zero, of this scale and these degrees of freedom.
-# White noise comes from the electronics and is much the same in units of one make; what drifts is not.
+# Prior of the scatter of like units [ln]: a Student's t folded at zero, of this scale and these degrees of
+# freedom. White noise comes from the electronics and is much the same in units of one make; what drifts is
+# not.
 _SCATTER = {"angle_random_walk": 0.12, "quantization": 0.12}
 _SCATTER_OF_OTHERS = 0.4
 _DEGREES = 8.0
 WIDTHS = np.concatenate([[0.0], np.geomspace(0.005, 5.0, 48)])
-"""Scatters [ln] of alike units that are summed over."""
+"""Scatters of like units [ln] that are summed over."""
 
 # Median of the distance from the centre, in standard deviations of a normal law.
 _MEDIAN_DISTANCE = 0.6745
-# Robust standard deviations beyond which a unit is suspected, and tested.
+# Robust standard deviations beyond which a unit is tested: a judgement.
 _SUSPECT = 2.5
-# Of the axes of a unit that is found, those are marked that would be so far out by chance as rarely as this.
+# Tail probability below which an axis of an outlying unit is marked: a judgement.
 _ALSO = 0.02
-# Of the probability of a false mark: several suspects are tested, each as if it were the only one, and units
-# may scatter more than the prior expects (benchmarks/fleet_outliers.py).
+# Share of the probability of a false mark that each test gets: several suspects are tested, each as if it
+# were the only one, and units may scatter more than the prior expects. Measured by the study fleet_outliers.
 _SHARE = 0.5
-# Logarithms agree no better than rounding.
+# Least standard deviation of a logarithm: rounding.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """ln of one coefficient of many units, on one axis or pooled over several.
+    """Logarithms of one coefficient of many units, on one axis or pooled over several.
 
     Attributes:
         x: ln of the estimates; of the limits, where there is no estimate.
@@ -55,11 +56,11 @@ class Values:
 
     @property
     def comparable(self) -> Bool[np.ndarray, " units"]:
-        """Units with an estimate or a limit."""
+        """Whether a unit has an estimate or a limit."""
         return self.known | self.limited
 
     def towards(self, centre: float) -> Float[np.ndarray, " units"]:
-        """Standard deviations of x on the side that faces the centre; of a limit, none."""
+        """Standard deviations of x on the side that faces the centre; limits have none."""
         s = np.where(self.x > centre, self.below, self.above)
         return np.where(self.known, np.maximum(s, _ROUNDING), _ROUNDING)
 
@@ -73,7 +74,7 @@ def log_values(
 ) -> Values:
     """Logarithms of estimates with 95 % intervals, and of 95 % limits of what was not detected.
 
-    What has neither (NaN, an interval without width as of a value that was held) is not compared at all.
+    A unit with neither (NaN, or an interval without width, as of a value that was held) is not compared.
     """
     has_interval = (lower > 0.0) & (value >= lower) & (upper >= value) & (upper > lower)
     known: Bool[np.ndarray, " units"] = detected & has_interval & np.isfinite(upper)
@@ -89,7 +90,7 @@ def log_values(
 
 
 def pooled(axes: list[Values]) -> Values:
-    """One value a unit from all its axes: the mean of its distances from the axes' medians.
+    """Values pooled over the axes: the mean of each unit's distances from the axes' medians.
 
     Axes weigh by the inverse of the variance that their own interval and the usual scatter give them. A unit
     with an estimate on one axis at least is known by its estimates, one without by its limits.
@@ -136,9 +137,9 @@ def outlying(axes: list[Values], probability: float, coefficient: str = "") -> B
     still. For low values such units are left out.
 
     Args:
-        axes: the values on like axes, the same units on each.
-        probability: that any unit is marked if all are alike.
-        coefficient: its label, for the prior of τ.
+        axes: values on like axes, the same units on each.
+        probability: probability that any unit is marked if all are alike.
+        coefficient: label of the coefficient, for the prior of τ.
 
     Returns:
         Whether each unit is marked on each axis; none of fewer than three.
@@ -156,14 +157,14 @@ def outlying(axes: list[Values], probability: float, coefficient: str = "") -> B
 
 
 def testable(axes: list[Values]) -> bool:
-    """Whether there are units enough, on one axis at least, for `outlying` to mark one."""
+    """Whether `outlying` can mark a unit: whether an axis has enough units."""
     return any(axis.known.any() and axis.comparable.sum() >= FEWEST_UNITS for axis in axes)
 
 
 def _unlike(
     values: Values, probability: float, log_prior: Float[np.ndarray, " widths"]
 ) -> Bool[np.ndarray, " units"]:
-    """The units that are unlike the others in one column."""
+    """Whether each unit is unlike the others in one column."""
     marked = np.zeros(len(values.x), bool)
     comparable = values.comparable
     if not values.known.any() or comparable.sum() < FEWEST_UNITS:
@@ -185,7 +186,7 @@ def _unlike(
 
 
 def _suspects(values: Values) -> tuple[Int[np.ndarray, " suspects"], Bool[np.ndarray, " units"]]:
-    """The units to test, the most extreme first, and which units are high rather than low."""
+    """Units to test, the most extreme first, and whether each unit is high rather than low."""
     high, low = _distance(values, values.comparable), _distance(values, values.known)
     is_high = high > _SUSPECT
     distance = np.where(values.known, np.where(is_high, high, -low), 0.0)
@@ -204,7 +205,7 @@ def _distance(values: Values, units: Bool[np.ndarray, " units"]) -> Float[np.nda
 def _chance(
     values: Values, unit: int, alike: Bool[np.ndarray, " units"], log_prior: Float[np.ndarray, " widths"]
 ) -> float:
-    """Probability that a value is so far out on its side if the unit is like the others; 1 if unknown."""
+    """Probability of a value so far out on its side in a unit like the others; 1 if it is unknown."""
     rest = np.flatnonzero((values.known if (values.known & alike).sum() > 1 else values.comparable) & alike)
     if not values.known[unit] or len(rest) + 1 < FEWEST_UNITS:
         return 1.0
@@ -235,7 +236,7 @@ def log_evidence(
     x: Float[np.ndarray, " units"],
     mean: Float[np.ndarray, " widths"],
 ) -> Float[np.ndarray, " widths"]:
-    """ln of the likelihood of normal values, integrated over a centre of flat prior density 1."""
+    """Log-likelihood of normal values, integrated over a centre of flat prior density 1."""
     total = precision.sum(axis=1)
     misfit = np.sum(precision * (x - mean[:, None]) ** 2, axis=1)
     parts = np.sum(np.log(precision), axis=1) - np.log(total) - misfit
@@ -243,19 +244,19 @@ def log_evidence(
 
 
 def log_prior_of(coefficient: str) -> Float[np.ndarray, " widths"]:
-    """ln of the probability of each width before any unit is seen; they add up to 1."""
+    """Log prior probability of each width; the probabilities add up to 1."""
     scale = _SCATTER.get(coefficient, _SCATTER_OF_OTHERS)
     weight = (1.0 + (WIDTHS / scale) ** 2 / _DEGREES) ** (-0.5 * (_DEGREES + 1.0)) * np.gradient(WIDTHS)
     return np.log(weight / weight.sum())
 
 
 def _median(values: Values) -> float:
-    """Of the estimates; of the limits where there are none."""
+    """Median of the estimates, or of the limits where there are none."""
     units = values.known if values.known.any() else values.limited
     return float(np.median(values.x[units])) if units.any() else 0.0
 
 
 def median_width(distance: Float[np.ndarray, " units"], s: Float[np.ndarray, " units"]) -> float:
-    """Scatter τ of units, from half of them, beside their own standard deviations."""
+    """Robust scatter τ of units beyond their own standard deviations, by their median distance."""
     width = float(np.median(distance)) / _MEDIAN_DISTANCE
     return float(np.sqrt(max(width**2 - float(np.median(s)) ** 2, 0.0)))

@@ -1,4 +1,4 @@
-"""What a fleet's earlier runs left: each recording's fit, under a key of all that it depends on."""
+"""Stored fits of a fleet's recordings, each with a key of all that it depends on."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Key = dict[str, Any]
 
 @dataclass(frozen=True)
 class Earlier:
-    """What is there before a run.
+    """Fits that earlier runs have stored.
 
     Attributes:
-        done: names of this run's recordings that have been computed before; `stored` gives their fits.
-        left_out: the files of other recordings that have a fit there, which this run does not name.
+        done: names of this run's recordings that have a stored fit; `stored` gives it.
+        left_out: files of other recordings that have a stored fit, which this run does not name.
     """
 
     done: Sequence[str]
@@ -30,7 +30,7 @@ class Earlier:
 
 
 def key_of(path: Path, options: FitOptions) -> Key | None:
-    """What a result depends on; None if there is no such file."""
+    """Key of a result: all that it depends on; None if there is no such file."""
     try:
         status = path.stat()
     except OSError:
@@ -45,10 +45,10 @@ def key_of(path: Path, options: FitOptions) -> Key | None:
 
 
 def earlier(folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key | None]) -> Earlier:
-    """What the folder has of these recordings, by their names, and of others.
+    """Fits that a folder has of these recordings, by their names, and of others.
 
-    A recording's name is made to tell it from the others of its run. One that had another name in an earlier
-    run gets its new one; one that is left out and in the way of another's name gives that up.
+    Names are unique within a run only. A stored fit that had another name in an earlier run gets its new one;
+    one that is left out and has a name that is needed is renamed.
     """
     paths = {name: str(path.resolve()) for name, path in recordings.items()}
     found = {path.stem: document["key"] for path in folder.glob("*.json") if (document := _document(path))}
@@ -67,19 +67,19 @@ def earlier(folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key
 
 
 def stored(folder: Path, name: str) -> dict[str, Any]:
-    """The fit that is there for a recording of this name."""
+    """Stored fit of the recording of this name."""
     return json.loads(_file(folder, name).read_text(encoding="utf-8"))["fit"]
 
 
 def store(folder: Path, name: str, document: Mapping[str, Any]) -> None:
-    """Written beside and renamed: whatever happens, a result is there as a whole or not at all."""
+    """Store a document as a whole or not at all: it is written to another file, which is renamed."""
     path, draft = _file(folder, name), folder / f".{name}.{os.getpid()}"
     draft.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
     draft.replace(path)
 
 
 def _document(path: Path) -> dict[str, Any] | None:
-    """A recording's key and fit; None if the file holds something else."""
+    """Key and fit of a recording; None if the file holds something else."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         return document if isinstance(document["key"]["path"], str) and document["fit"]["axes"] else None

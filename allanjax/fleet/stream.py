@@ -1,4 +1,4 @@
-"""Characterize a recording while it is being made, or one that no memory holds."""
+"""Characterization of a recording while it is being made, or of one that does not fit into memory."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ from allanjax.spectrum.segments import SegmentedLevel, SegmentSpectra
 if TYPE_CHECKING:
     from allanjax.record.io.chunks import ChunkedRecording
 
-# Samples that are gathered before they are looked at: a call of a compiled program costs as much as many.
+# Samples that are gathered before they are processed: a call of a compiled program costs as much as many.
 _GATHERED = 1 << 17
+# Version of the format of snapshots.
 _FORMAT = 2
 _TOO_FINE = "the Allan variances did not determine the fit; it is that of the averaged spectra (whittle)"
 
@@ -48,7 +49,7 @@ _T = TypeVar("_T")
 
 
 class AllanAccumulator:
-    """Allan deviation and spectrum of samples that come piece by piece, in memory that does not grow.
+    """Allan deviation and spectrum of samples that come piece by piece, in constant memory.
 
     `update` takes samples in chunks of any sizes, `merge` joins the accumulators of adjacent pieces, and
     `result` and `fit` say what all of them show: the same, to rounding, however the samples were divided.
@@ -64,7 +65,7 @@ class AllanAccumulator:
     def __init__(
         self, rate: float, axes: Sequence[Axis | str] = ("gyro",), *, start: int = 0, name: str = ""
     ) -> None:
-        """An accumulator of no samples.
+        """Make an accumulator of no samples.
 
         Args:
             rate: sample rate [Hz].
@@ -131,7 +132,7 @@ class AllanAccumulator:
             self._flush()
 
     def merge(self, right: AllanAccumulator) -> AllanAccumulator:
-        """An accumulator of this one's samples and those of the piece after it; both stay as they are.
+        """Accumulator of this one's samples and those of the piece after it; both stay as they are.
 
         Raises:
             AllanjaxError: `right` does not begin where this one ends, or has another rate or other axes.
@@ -168,10 +169,10 @@ class AllanAccumulator:
         )
 
     def _living(self) -> AllanAccumulator:
-        """The accumulator of the axes that are not dead.
+        """Accumulator of the axes that are not dead.
 
         Raises:
-            FitError: all are.
+            FitError: all axes are dead.
         """
         dead = self.dead
         if not dead:
@@ -188,7 +189,7 @@ class AllanAccumulator:
         return living
 
     def result(self) -> AllanDeviation:
-        """The Allan deviations of all samples so far, at octaves: those of `estimator="pyramid"`.
+        """Allan deviations of all samples so far, at octaves: those of `estimator="pyramid"`.
 
         Raises:
             AllanjaxError: fewer than two samples, or no axis that is not dead.
@@ -197,9 +198,9 @@ class AllanAccumulator:
         return AllanDeviation.of_pyramid(living._pyramid, self.rate, living.axes)
 
     def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
-        """What the samples so far look like, as `allanjax.inspect` says it of a recording.
+        """Inspection of the samples so far, as `allanjax.inspect` does for a recording.
 
-        Its `stretch` is what an accumulator of better samples would begin and end with.
+        Its `stretch` is the one that an accumulator without the disturbed samples would have.
         """
         living = self._living()
         return look(living._windows, living.axes, self.rate, name=self.name, as_is=as_is, vibrating=vibrating)
@@ -279,7 +280,7 @@ class AllanAccumulator:
 
     @classmethod
     def restore(cls, path: str | os.PathLike[str]) -> AllanAccumulator:
-        """The accumulator of a snapshot.
+        """Accumulator of a snapshot.
 
         Raises:
             RecordingError: the file is no snapshot, is damaged, or is of a later version.
@@ -330,6 +331,7 @@ class AllanAccumulator:
 
 
 def _described(accumulator: AllanAccumulator) -> str:
+    """Axes and rate of an accumulator, for messages."""
     names = ", ".join(axis.name for axis in accumulator.axes)
     return f"{names} at {accumulator.rate:.9g} Hz"
 
@@ -342,7 +344,7 @@ def accumulate(
     Args:
         recording: what `read_chunks` returns.
         start: number of its first sample, for a piece that is merged later.
-        progress: is told the samples done and, if that is known, the samples in all.
+        progress: called with the samples done and, if known, the samples in all.
 
     Raises:
         RecordingError: the file has bad values, gaps or damaged rows; the message says where.
@@ -356,7 +358,7 @@ def accumulate(
 
 
 def _axes(given: Sequence[Axis | str]) -> tuple[Axis, ...]:
-    """The axes of these names, in SI."""
+    """Axes of these names, in SI."""
     if isinstance(given, str):
         raise AllanjaxError(f"axes= takes a list of names: [{given!r}]")
     columns = [recognise(axis if isinstance(axis, str) else axis.name) for axis in given]
@@ -365,7 +367,7 @@ def _axes(given: Sequence[Axis | str]) -> tuple[Axis, ...]:
 
 
 def _packed(part: Any, name: str) -> dict[str, np.ndarray]:
-    """The fields of a statistic as arrays; of those that are several of a kind, one after the other."""
+    """Fields of a statistic as arrays; those of a tuple of statistics one after the other."""
     arrays = {}
     for field in dataclasses.fields(part):
         key, value = f"{name}.{field.name}", getattr(part, field.name)
@@ -376,7 +378,7 @@ def _packed(part: Any, name: str) -> dict[str, np.ndarray]:
 
 
 def _unpacked(kind: type[_T], arrays: Mapping[str, np.ndarray], name: str) -> _T:
-    """The statistic of arrays made by `_packed`."""
+    """Statistic whose fields `_packed` has made arrays of."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         key = f"{name}.{field.name}"

@@ -1,4 +1,4 @@
-"""What is said of a fleet: its groups, its units, and a table for people."""
+"""Notes on a fleet's groups and units, and its printed table."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from allanjax.record.recording import Axis
 if TYPE_CHECKING:
     import pandas as pd
 
+# Names that a note lists at most.
 _NAMED = 5
+# Numbers in words.
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six")
 
 
 def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """The table with the groups that units fall into and outlying units marked, and what to say of it."""
+    """Table with the groups that units fall into and outlying units marked, and notes on it."""
     parted, notes = [], []
     for _, of in table.groupby("group", sort=False):
         for part, words in _parted(of):
@@ -38,7 +40,7 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
 
 def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
-    """The table of a group, or those of the groups that it falls into, and what is said of them."""
+    """Table of a group, or tables of the groups that it falls into, each with notes."""
     names = list(table["recording"].unique())
     found = []
     for family in families(table):
@@ -59,6 +61,7 @@ def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
 
 
 def _told(split: Split, names: Sequence[str], group: str) -> str:
+    """Note on the groups that a group falls into."""
     title = title_of(split.pooled.coefficient, Axis("", split.pooled.sensor, ""))
     parts = []
     for g in range(split.groups):
@@ -74,7 +77,7 @@ def _told(split: Split, names: Sequence[str], group: str) -> str:
 
 
 def _warned(table: pd.DataFrame) -> list[str]:
-    """Each warning with the recordings that have it, the most frequent first."""
+    """Notes on the warnings, each with the recordings that have it, the most frequent first."""
     of = table.drop_duplicates("recording")
     found: dict[str, list[str]] = {}
     for name, text in zip(of["recording"], of["warnings"], strict=True):
@@ -90,7 +93,7 @@ def _warned(table: pd.DataFrame) -> list[str]:
 
 
 def _unmeasured(table: pd.DataFrame) -> list[str]:
-    """What has been fitted and is no measurement of a sensor."""
+    """Note on the fits that are no measurement of a sensor."""
     of = table.loc[~table["measured"], ["recording", "axis"]].drop_duplicates()
     if of.empty:
         return []
@@ -102,7 +105,7 @@ def _unmeasured(table: pd.DataFrame) -> list[str]:
 
 
 def _alike(table: pd.DataFrame) -> list[str]:
-    """Where so many units are outlying that they could be a grade of their own."""
+    """Notes on coefficients in which so many units are outlying that they could be a grade of their own."""
     notes = []
     for family in families(table):
         odd = table["outlying"].to_numpy()[family.rows] & (family.rows >= 0)
@@ -117,7 +120,7 @@ def _alike(table: pd.DataFrame) -> list[str]:
 
 
 def _too_few(table: pd.DataFrame) -> list[str]:
-    """Which groups are too small for a judgement."""
+    """Note on the groups that are too small for outlying units to be found."""
     counts = table.groupby("group", sort=False)["recording"].nunique()
     small = counts[counts < FEWEST_UNITS]
     if small.empty:
@@ -131,7 +134,7 @@ def _too_few(table: pd.DataFrame) -> list[str]:
 
 
 def left_out(files: Sequence[Path], folder: Path) -> str:
-    """What is said of recordings that an earlier run had, and this one was not given."""
+    """Note on recordings that an earlier run had, and this one does not name."""
     count = f"{len(files)} recording{'s' * (len(files) > 1)}"
     be = "are" if len(files) > 1 else "is"
     return (
@@ -142,13 +145,13 @@ def left_out(files: Sequence[Path], folder: Path) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names, the first five of many."""
+    """List of names, the first five of many."""
     more = len(names) - _NAMED
     return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings and rows of the printed table, one a group, axis and coefficient.
+    """Headings of the printed table, and a row for each group, axis and coefficient.
 
     Median, scatter and quantiles are those of estimates with an interval, without outlying units.
     """
@@ -185,7 +188,7 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
 
 
 def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
-    """Median with the scatter among units, of a single one its own error; and 5 and 95 % quantiles."""
+    """Median with the scatter among units (of a single unit its own error), and 5 and 95 % quantiles."""
     if not len(values):
         return "", ""
     named = "" if unit == "1" else f" {unit}"

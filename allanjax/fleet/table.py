@@ -1,4 +1,4 @@
-"""The table of a fleet: one row a recording, axis and coefficient."""
+"""Table of a fleet, with a row for each recording, axis and coefficient."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+# Columns that say how large a coefficient is.
 _NUMBERS = ("value", "lower_95", "upper_95", "upper_limit_95")
 
 
 @functools.cache
 def table_schema() -> pa.Schema:
-    """Columns and types of the Parquet file, the same whatever is in it."""
+    """Columns of the Parquet file and their types, the same whatever is in it."""
     import pyarrow as pa
 
     text, number, flag = pa.string(), pa.float64(), pa.bool_()
@@ -54,9 +55,9 @@ def table_schema() -> pa.Schema:
 
 
 def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
-    """The rows of one recording, from its fit as `export.to_dict` gives it; outlying units are marked later.
+    """Rows of one recording, from its fit as `as_json.to_dict` gives it.
 
-    Axes without result have no rows.
+    Axes without result have no rows. Outlying units are marked later.
     """
     rows = []
     start, stop = fit["stretch_s"] or (None, None)
@@ -90,7 +91,7 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """The rows as a table with the columns and types of `table_schema`."""
+    """Table of these rows, with the columns and types of `table_schema`."""
     import pyarrow as pa
 
     return pa.Table.from_pylist(list(rows), table_schema()).to_pandas()
@@ -101,10 +102,10 @@ class Family:
     """One coefficient of the units of a group, on all axes of a sensor.
 
     Attributes:
-        sensor, coefficient, group: what it is.
-        recordings: the units' names.
+        sensor, coefficient, group: sensor, label of the coefficient, name of the group.
+        recordings: names of the units.
         rows: their rows in the table, −1 where there is none.
-        axes: ln of the coefficient on each axis.
+        axes: logarithms of the coefficient on each axis.
     """
 
     sensor: Sensor
@@ -116,7 +117,7 @@ class Family:
 
 
 def families(table: pd.DataFrame) -> Iterator[Family]:
-    """Every coefficient of every sensor and group."""
+    """Coefficients of every sensor and group, in the order of the table."""
     value, lower, upper, limit = (np.append(table[name].to_numpy(), np.nan) for name in _NUMBERS)
     is_detected = np.append(table["detected"].to_numpy(), False)
     parts: Mapping[Any, Any] = table.groupby(["group", "sensor", "coefficient"], sort=False).indices
@@ -131,10 +132,10 @@ def families(table: pd.DataFrame) -> Iterator[Family]:
 
 
 def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
-    """A copy whose column `outlying` says which values are unlike those of the other units of the group.
+    """Copy whose column `outlying` says which values are unlike those of the other units of the group.
 
-    `outliers.outlying` judges a coefficient by all axes of a sensor. The probability that anything is marked
-    in a fleet of like units is 1 % for the whole table (Bonferroni: every coefficient has its share).
+    `outlying_units.outlying` judges a coefficient by all axes of a sensor. The probability that anything is
+    marked in a fleet of like units is 1 % for the whole table (Bonferroni: every coefficient has its share).
     """
     judged = [family for family in families(table) if testable(family.axes)]
     marked = np.zeros(len(table) + 1, bool)
@@ -153,7 +154,7 @@ def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
 
 
 def _terms(axis: Mapping[str, Any]) -> list[str]:
-    """The terms that the fit chose for the axis, or was given."""
+    """Terms that the fit chose for the axis, or was given."""
     for s in axis["selection"] or ():
         if s["chosen"]:
             return list(s["terms"])
