@@ -1,4 +1,4 @@
-"""What people see of results: figures, tables, stories and files.
+"""Presentation of results to people: figures, tables, stories and files.
 
 Importing this room gives results their methods that draw, tell and export (see `base.presented`).
 """

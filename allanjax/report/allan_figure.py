@@ -1,4 +1,4 @@
-"""The picture of a fit: Allan deviations, the model and its terms, and what the model leaves."""
+"""Figure of a fit: Allan deviations, the model and its terms, and the residuals."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class _AllanPanels(Panels):
 
 
 def _draw_model(panel: Axes, fit: Fit, k: int, unit: Unit) -> dict[str, Line2D]:
-    """The model and its terms; the lines of these, by their labels."""
+    """Draw the model and its terms; returns the lines of the terms, by their labels."""
     result, time = fit.results[k], times_to_draw(fit.curve)
     model = result.model.sampled(fit.curve.rate)
     total = np.zeros(len(time))
@@ -154,7 +154,7 @@ def _residual(fit: Fit, k: int) -> Residual | None:
 
 
 def _key(fit: Fit, result: AxisFit) -> list[KeyEntry]:
-    """Every term with its coefficients, and how well the model fits."""
+    """Entries of every term with its coefficients, and the verdict on the fit."""
     entries = []
     if result.converged:
         for label, term in zip(fit.template.term_labels, fit.template.terms, strict=True):

@@ -1,4 +1,4 @@
-"""Parts of pictures of Allan deviations: the measured points, units and labels."""
+"""Parts of figures of Allan deviations: measured points, units and labels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Drawable: TypeAlias = Fit | AllanDeviation | Recording
 
 
 def fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
-    """What there is to draw of it."""
+    """Fit, if there is one, and Allan deviations of what is to be drawn."""
     if isinstance(data, Fit):
         return data, data.curve
     if isinstance(data, Recording):
@@ -39,7 +39,7 @@ def fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
 def draw_measured(
     panel: Axes, curve: AllanDeviation, k: int, unit: Unit, label: str = "measured", **style: Any
 ) -> None:
-    """The estimates with their 68 % intervals."""
+    """Draw the estimates with their 68 % intervals."""
     deviation = curve.deviation[:, k]
     lower, upper = curve.confidence_interval(0.68)
     spread = np.stack([deviation - lower[:, k], upper[:, k] - deviation])
@@ -54,15 +54,16 @@ def draw_measured(
 
 
 def times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
-    """Cluster times [s] of a model's line.
+    """Cluster times at which a model's curve is drawn [s].
 
-    At whole numbers of samples only: between them a line above the Nyquist frequency is something else.
+    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another
+        one.
     """
     return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
 
 
 def unit_of(axis: Axis | None) -> Unit:
-    """The unit in which an axis's deviations are drawn."""
+    """Unit in which an axis's deviations are drawn."""
     if axis is None:
         return Unit("", 1.0)
     name = default_coefficient_unit(axis.sensor, 0.0)
@@ -70,10 +71,10 @@ def unit_of(axis: Axis | None) -> Unit:
 
 
 def deviation_label(curve: AllanDeviation, unit: Unit) -> str:
-    """What is on the vertical axis."""
+    """Label of the vertical axis."""
     return f"{kind_of(curve)}\n[{unit.name}]" if unit.name else kind_of(curve)
 
 
 def kind_of(curve: AllanDeviation) -> str:
-    """E.g. "Allan deviation"."""
+    """Name of the curve's statistic, e.g. "Allan deviation"."""
     return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"

@@ -1,4 +1,4 @@
-"""Pictures of a critique: the measurement beside its simulations, before and after each finding."""
+"""Figures of a critique: the measurement and its simulations, before and after each finding."""
 
 from __future__ import annotations
 
@@ -26,23 +26,25 @@ if TYPE_CHECKING:
 
 _BEFORE, _AFTER = "#D55E00", "#0072B2"
 _SPAN = "#E69F00"
+# Width and height of a figure [inches], and characters in a line of its text.
 _SIZE = (10.0, 7.0)
 _COLUMNS = 66
 # Points that a series is thinned to.
 _POINTS = 600
-# A span is drawn with so many times its width on either side, and needs none where it is nearly all there is.
+# Widths of a span that are drawn on either side of it; share of the record from which on it is not marked.
 _MARGIN = 4.0
 _EVERYWHERE = 0.95
-# So many discrepancies that a finding mended are told.
+# Most discrepancies that are listed of those that a finding removed.
 _TOLD = 3
-# Causes that are seen in how loud the whitened residuals are, in their extremes, and in single samples.
+# Causes that are shown by the rms of the whitened residuals, by their extremes, and by single samples.
 _LOUDNESS = frozenset({"variance_change"})
 _EXTREMES = frozenset({"outliers", "disturbance", "unexplained"})
 _SAMPLES = frozenset({"rounding", "saturation", "repeated_samples"})
+# Samples that are shown one by one, and blocks whose means are shown.
 _SHOWN_SAMPLES, _BLOCKS = 150, 200
-# Correlations are drawn for half octaves that have so many coefficients.
+# Correlations are drawn in bins of so many of `octave_bins`, which have so many coefficients at least.
 _MERGED, _LEAST = 3, 16
-# Axes of a PSD reach this far beyond the simulations' median: single coefficients may be next to nothing.
+# Factors by which a PSD's scale exceeds the simulations' medians: single coefficients may be next to nothing.
 _BELOW, _ABOVE = 30.0, 10.0
 
 
@@ -76,7 +78,7 @@ def plot_critique(
 
 
 def _jobs(critique: Critique) -> Iterator[tuple[Finding | None, Callable[[], Figure]]]:
-    """What there is to draw, in the order of `figure_names`."""
+    """Findings, None for an axis without, and what draws them, in the order of `figure_names`."""
     for axis in critique.results:
         record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique, axis))
         for k, finding in enumerate(axis.findings):
@@ -89,7 +91,7 @@ def _jobs(critique: Critique) -> Iterator[tuple[Finding | None, Callable[[], Fig
 
 
 def figure_names(critique: Critique) -> tuple[str, ...]:
-    """Names of the files of these figures, numbered where a cause was found several times."""
+    """File names of a critique's figures, numbered where a cause was found several times."""
     names: list[str] = []
     for axis in critique.results:
         names += [f"{axis.axis.name}_{finding.cause}" for finding in axis.findings] or [axis.axis.name]
@@ -102,6 +104,7 @@ def figure_names(critique: Critique) -> tuple[str, ...]:
 
 
 def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResiduals:
+    """Residuals of an axis at a stage."""
     return StageResiduals.of(axis.axis, 1.0, critique.rate, axis.stages[stage])
 
 
@@ -133,7 +136,7 @@ def _of_finding(
 
 
 def _of_shared(critique: Critique, finding: Finding) -> Figure:
-    """Curves are those of the first axis."""
+    """Figure of a finding that axes share, with the curves of the first axis."""
     import matplotlib.pyplot as plt
 
     records = [_record(critique, critique[name], -1) for name in finding.axes]
@@ -162,7 +165,7 @@ def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals
 
 
 def _draw_curves(panels: Any, stages: Any, axis: Axis) -> None:
-    """Both curves of every stage: points measured, bands simulated."""
+    """Draw both curves of every stage, points being measured and bands simulated."""
     deviation = default_coefficient_unit(axis.sensor, 0.0)
     units = (Unit(deviation, unit_scale(deviation, axis.sensor)), Unit(*density_unit(axis)))
     names = (("cluster time T [s]", "Allan deviation"), ("frequency f [Hz]", "one-sided PSD"))
@@ -177,7 +180,7 @@ def _draw_curves(panels: Any, stages: Any, axis: Axis) -> None:
 
 
 def _limit(panel: Axes) -> None:
-    """Heights that the medians of simulations suggest; they are the lines without markers."""
+    """Limit the vertical scale to the medians of the simulations, which are the lines without markers."""
     lines = [line for line in panel.get_lines() if line.get_marker() == "None"]
     medians = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
     low, high = panel.get_ylim()
@@ -207,7 +210,7 @@ def _draw_comparison(
 
 
 def _window(record: StageResiduals, span: tuple[float, float]) -> tuple[slice, bool]:
-    """Samples to show around a time, and whether that is not all of them."""
+    """Samples to show around a span, and whether the span is not nearly all of the record."""
     duration = record.n / record.rate
     start, end = span
     width = max(end - start, 0.01 * duration)
@@ -217,7 +220,7 @@ def _window(record: StageResiduals, span: tuple[float, float]) -> tuple[slice, b
 
 
 def _blocks(length: int, most: int) -> tuple[Any, Any]:
-    """Edges of about equal blocks of samples, and how long these are."""
+    """First samples of about equal blocks, and the blocks' lengths."""
     edges = np.unique(np.linspace(0, length, min(most, length) + 1).astype(int))
     return edges[:-1], np.diff(edges)
 
@@ -233,7 +236,7 @@ def _shade(panel: Axes, span: tuple[float, float]) -> None:
 
 
 def _draw_extremes(panel: Axes, record: StageResiduals, finding: Finding) -> None:
-    """Whitened residuals: mean and extremes of blocks; outliers by themselves."""
+    """Draw mean and extremes of blocks of the whitened residuals, and single outliers."""
     shown, partial = _window(record, finding.span)
     e = record.whitened[shown]
     edges, length = _blocks(len(e), _POINTS)
@@ -252,7 +255,7 @@ def _draw_extremes(panel: Axes, record: StageResiduals, finding: Finding) -> Non
 
 
 def _draw_loudness(panel: Axes, record: StageResiduals, finding: Finding) -> None:
-    """Root mean square of the whitened residuals in blocks, and where that of simulations lies."""
+    """Draw the root mean square of the whitened residuals in blocks, and the band of simulations."""
     edges, length = _blocks(record.n, _BLOCKS)
     time = (edges + 0.5 * length) / record.rate
     rms = np.sqrt(np.add.reduceat(record.whitened**2, edges) / length)
@@ -267,7 +270,7 @@ def _draw_loudness(panel: Axes, record: StageResiduals, finding: Finding) -> Non
 
 
 def _draw_samples(panel: Axes, record: StageResiduals) -> None:
-    """Single samples as recorded, where most of them are like the one before."""
+    """Draw single samples as recorded, where most of them equal the one before."""
     unit = default_coefficient_unit(record.axis.sensor, 0.0)
     x = record.stage.x
     same = np.concatenate([[0], np.cumsum(x[1:] == x[:-1])])
@@ -282,7 +285,7 @@ def _draw_samples(panel: Axes, record: StageResiduals) -> None:
 
 
 def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals) -> None:
-    """Means of blocks of samples, and the effect that was found."""
+    """Draw means of blocks of samples, and the effect that was found."""
     unit = default_coefficient_unit(before.axis.sensor, 0.0)
     scale = unit_scale(unit, before.axis.sensor)
     edges, length = _blocks(before.n, _BLOCKS)
@@ -304,7 +307,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals) -> No
 
 
 def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
-    """Correlation of the axes' whitened coefficients in bins, and where that of simulations lies."""
+    """Draw the correlation of the axes' whitened coefficients in bins, and the band of simulations."""
     n, rate = records[0].n, records[0].rate
     edges = octave_bins(n)[::_MERGED]
     first, count = edges[:-1] - 1, np.diff(edges)
@@ -345,7 +348,7 @@ def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
 
 
 def _draw_spectrum(panel: Axes, record: StageResiduals, finding: Finding) -> None:
-    """Whitened spectrum around the effect's frequencies."""
+    """Draw the whitened spectrum around the effect's frequencies."""
     low, high = finding.span
     nyquist, width = 0.5 * record.rate, finding.span[1] - finding.span[0]
     shown = (max(low - _MARGIN * width, 0.0), min(high + _MARGIN * width, nyquist))

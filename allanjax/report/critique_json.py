@@ -1,4 +1,4 @@
-"""A critique as plain data, after `critique.schema.json`."""
+"""Critiques as plain data, after `critique.schema.json`."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _quantity(q: Quantity) -> dict[str, Any]:
 
 
 def _model(model: Model, axis: Axis) -> dict[str, Any]:
-    """Terms, and their parameters by label in usual units."""
+    """Terms of a model, and their parameters by label in usual units."""
     values: dict[str, dict[str, Any]] = {}
     for p in model.parameters:
         unit, scale = _unit(p.parameter.kind, float(p.parameter.time_exponent), axis)

@@ -1,4 +1,4 @@
-"""A critique told to people."""
+"""Stories of critiques, in sentences for people."""
 
 from __future__ import annotations
 
@@ -21,21 +21,23 @@ from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
 from allanjax.report.critique_words import describe, factor_off, p_value, parameters, percent, what, wrap
 
-#: A discrepancy with a larger p-value is not worth a word: of some fourteen an axis, a few are small anyway.
+#: Largest p-value of a discrepancy that is reported: of some fourteen an axis, a few are small by chance. A
+#: judgement.
 UNEXPLAINED = 1e-4
-# Changes of a coefficient or of the drift below this share are not told.
+# Smallest relative change of a coefficient or of the drift that is reported.
 _NOTABLE = 0.05
-# What people know comes first, unless something else says it this many times as clearly.
+# The best-known statistic comes first, unless another one improved by this many times as many nats.
 _KNOWN, _CLEARER = "allan_deviation", 3.0
-# Statistics of which what is left is told as a ratio.
+# Statistics whose remainder is given as a ratio.
 _RATIOS = frozenset({"allan_deviation", "drift", "psd", "window_variance"})
 _BETWEEN = frozenset({"cross_correlation", "auxiliary_correlation"})
+# Most unexplained discrepancies that are listed, and characters in a line.
 _TOLD = 3
 _WIDTH = 108
 
 
 def story(critique: Critique) -> str:
-    """What the simulation of a recording gets wrong and why: a headline an axis, a paragraph a finding."""
+    """Story of a critique: a headline for each axis, a paragraph for each finding."""
     count = sum(f.cause != "unexplained" for f in critique.findings)
     head = "nothing found" if count == 0 else f"{count} finding{'s' if count > 1 else ''}"
     gain = f", worth {nats(critique.gain)} on held-out data" if count else ""
@@ -59,7 +61,7 @@ def story(critique: Critique) -> str:
 
 
 def unmeasured(critique: Critique) -> tuple[str, ...]:
-    """A sentence for each axis whose baseline is not a measurement of the sensor, and what became of that."""
+    """Warnings about axes whose baseline is not a measurement of the sensor, and what to do about it."""
     found = []
     for axis in critique.results:
         if axis.misfit is None or not axis.misfit.excessive:
@@ -83,12 +85,12 @@ def _is_far(size: float) -> bool:
 
 
 def sentence(finding: Finding) -> str:
-    """A finding by itself: what was wrong, the cause, what is left of it, the gain, and rivals."""
+    """Description of a finding with its axes, see `paragraph`."""
     return f"{', '.join(finding.axes)}: {paragraph(finding)}"
 
 
 def paragraph(finding: Finding, known: str = "") -> str:
-    """The same without the axis, and without what is wrong if that is `known`."""
+    """Description of a finding: what was wrong (unless `known`), the cause, the remainder, gain, rivals."""
     if finding.cause == "unexplained":
         return f"unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
     cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding.parameters)])
@@ -106,7 +108,7 @@ def paragraph(finding: Finding, known: str = "") -> str:
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
-    """What the finding mended most, if it was plainly wrong before."""
+    """Discrepancy that the finding reduced most, before and after, if it was significant before."""
     pairs = [p for p in finding.discrepancies if p[0].p_value < UNEXPLAINED and _much(p)]
     best = max(pairs, key=_mended, default=None)
     if best is None:
@@ -116,17 +118,18 @@ def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | 
 
 
 def _much(pair: tuple[Discrepancy, Discrepancy]) -> bool:
-    """Whether half of it, at least, is gone."""
+    """Whether the log p-value has lost at least half of its size."""
     return _mended(pair) > -0.5 * np.log(pair[0].p_value)
 
 
 def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
+    """Increase of the log p-value from before to after."""
     before, after = (np.log(max(d.p_value, 1e-300)) for d in pair)
     return float(after - before)
 
 
 def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
-    """What remains of a discrepancy, e.g. "within 0.5 %"."""
+    """Remainder of a discrepancy in words, e.g. "within 0.5 %"."""
     if before.statistic in _RATIOS and np.isfinite(after.size):
         if after.p_value < UNEXPLAINED:
             return factor_off(after.size)
@@ -135,13 +138,13 @@ def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
 
 
 def format_changes(finding: Finding, axis: Axis) -> list[str]:
-    """What the finding changes, in one line if anything."""
+    """Changes by a finding as a paragraph, none if there are none."""
     text = "; ".join(changes(finding, axis))
     return [_wrapped(text, "    ", "    ")] if text else []
 
 
 def changes(finding: Finding, axis: Axis) -> list[str]:
-    """Coefficients and drift that the finding changes."""
+    """Changes of coefficients and drift by a finding, each in words."""
     found = [_coefficient(c, axis) for c in finding.coefficients if _notable(c.before, c.after)]
     drift = finding.drift
     if drift is not None and _notable(drift.before, drift.after):
@@ -150,11 +153,12 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
 
 
 def nats(gain: float) -> str:
-    """E.g. "1,234 nats"."""
+    """Gain in words, e.g. "1,234 nats"."""
     return f"{gain:,.0f} nats" if abs(gain) >= 10.0 else f"{gain:.1f} nats"
 
 
 def _of_axis(axis: AxisCritique, shared: set[str]) -> list[str]:
+    """Lines of the story of one axis."""
     name, count = axis.axis.name, len(axis.before)
     causes = [f for f in axis.findings if f.cause != "unexplained"]
     wrong = _wrong(axis.before)
@@ -194,7 +198,7 @@ _SHARED = "nothing of its own; see what axes share"
 
 
 def _wrong(found: Sequence[Discrepancy]) -> list[Discrepancy]:
-    """What is plainly wrong: the Allan deviation first, then by p-value."""
+    """Significant discrepancies, the Allan deviation first, then by p-value."""
     wrong = [d for d in found if d.p_value < UNEXPLAINED]
     return sorted(wrong, key=lambda d: (d.statistic != _KNOWN, d.p_value))
 
@@ -238,16 +242,16 @@ def _axes(count: int) -> str:
 
 
 def critique_text(critique: Critique) -> str:
-    """The story of a critique as standard output can show it, for `print`."""
+    """Story of a critique as standard output can show it, for `print`."""
     return printable(story(critique))
 
 
 def finding_text(finding: Finding) -> str:
-    """A finding in a sentence as standard output can show it, for `print`."""
+    """Description of a finding as standard output can show it, for `print`."""
     return printable(sentence(finding))
 
 
 def finding_repr(finding: Finding) -> str:
-    """A finding in one line: its cause, its parameters, its gain."""
+    """Finding in one line: its cause, its parameters, its gain."""
     found = ", ".join([f"{finding.cause} in {' and '.join(finding.axes)}", *parameters(finding.parameters)])
     return f"<Finding {found}; gain {nats(finding.gain)} on held-out data>"

@@ -1,4 +1,4 @@
-"""Numbers of a critique as people write them."""
+"""Numbers of a critique in words."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ _RELATIVE = {
     "psd": ("PSD", "at"),
     "window_variance": ("noise power", "around"),
 }
+# Values of a list that are shown.
 _SHOWN = 3
-# Errors below this share of a value are not told: they are those of arithmetic, or of a file's digits.
+# Errors below this share of a value are not shown: they are those of arithmetic, or of a file's digits.
 _EXACT = 1e-5
+# Parameters that are whole numbers.
 _COUNTS = frozenset({"count", "jumps", "order", "longest"})
-# Values that the samples have, in whose unit people look for them.
+# Parameters that are values of samples, and are given in the samples' unit.
 _AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
-# Places in time, and what is counted, of which limits have words of their own.
+# Parameters that are places in time, whose limits have words of their own.
 _PLACES = frozenset({"start", "end", "time"})
-# Units for what is small in another one, the largest first, and their factor.
+# Finer units for small values, the largest first, and their factors.
 _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
     "g": (("mg", 1e3), ("µg", 1e6)),
     "mg": (("µg", 1e3),),
@@ -35,13 +37,14 @@ _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
     "deg/s": (("deg/h", 3600.0),),
     "rad/s": (("mrad/s", 1e3), ("µrad/s", 1e6)),
 }
+# Value below which a finer unit is taken.
 _SMALL = 0.1
 # Spaces at which no line is broken: in "p = 1e-30", "0.552 ± 0.001 Hz" and "τ = 0.7 s".
 _TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<]) |(?<=\d) (?=[A-Za-zµσ(])|(?<=[pτ]) ")
 
 
 def parameters(values: Mapping[str, Quantity]) -> list[str]:
-    """Each with its error, e.g. "frequency 0.55200 ± 0.00010 Hz"."""
+    """Parameters in words, each with its error, e.g. "frequency 0.55200 ± 0.00010 Hz"."""
     return [f"{name.replace('_', ' ')} {quantity(q, name)}" for name, q in values.items() if name != "axes"]
 
 
@@ -65,7 +68,7 @@ def quantity(q: Quantity, name: str = "") -> str:
 
 
 def _beyond(limit: str, name: str) -> str:
-    """What stands before a limit, e.g. "below"."""
+    """Words before a limit, e.g. "below"."""
     if name in _PLACES:
         return {"below": "at or before", "above": "at or after"}[limit]
     if name in _COUNTS:
@@ -74,6 +77,7 @@ def _beyond(limit: str, name: str) -> str:
 
 
 def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:
+    """List of values with their unit, cut short."""
     if not values:
         return "none"
     numbers = [v for v in values if not isinstance(v, str)]
@@ -84,7 +88,7 @@ def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:
 
 
 def suited(unit: str, value: float) -> tuple[str, float]:
-    """A unit in which a small value is easy to read, and the factor to it; of a ratio, an empty name."""
+    """Unit in which a small value is easy to read, and the factor to it; a ratio has an empty name."""
     if unit in ("", "1"):
         return "", 1.0
     base = max(
@@ -101,19 +105,19 @@ def suited(unit: str, value: float) -> tuple[str, float]:
 
 
 def describe(d: Discrepancy) -> str:
-    """A discrepancy in words, e.g. "simulated Allan deviation is 38 % low at τ = 0.7 s (p = 1e-30)"."""
+    """Discrepancy in words, e.g. "simulated Allan deviation is 38 % low at τ = 0.7 s (p = 1e-30)"."""
     return f"{what(d)} ({p_value(d.p_value)})"
 
 
 def p_value(p: float) -> str:
-    """E.g. "p = 1e-30"."""
+    """p-value in words, e.g. "p = 1e-30"."""
     if p <= 1e-300:
         return "p < 1e-300"
     return f"p = {p:.0e}" if p < 1e-3 else f"p = {p:.2g}"
 
 
 def what(d: Discrepancy) -> str:
-    """The same without its p-value."""
+    """Discrepancy in words, without its p-value."""
     place = f"{plain(d.where, 3)} {d.where_unit}"
     if d.statistic in _RELATIVE:
         name, before = _RELATIVE[d.statistic]
@@ -135,7 +139,7 @@ def what(d: Discrepancy) -> str:
 
 
 def factor_off(size: float) -> str:
-    """E.g. "38 % low"; of large errors the factor."""
+    """Relative error in words, e.g. "38 % low"; a large one as a factor."""
     if not np.isfinite(size):
         return "wrong"
     if size > 2.0:
@@ -146,7 +150,7 @@ def factor_off(size: float) -> str:
 
 
 def percent(size: float) -> str:
-    """E.g. "38 %", "160 %"."""
+    """Relative size in per cent, e.g. "38 %" or "160 %"."""
     size = abs(100.0 * size)
     return f"{size:.2g} %" if size < 99.5 else f"{round(size, -1):.0f} %"
 
@@ -156,7 +160,7 @@ def _factor(x: float) -> str:
 
 
 def wrap(text: str, width: int, first: str = "", rest: str = "") -> str:
-    """Broken into lines, not between a number and its unit."""
+    """Text broken into lines, but not between a number and its unit."""
     kept = _TOGETHER.sub("\u00a0", text)
     lines = textwrap.wrap(
         kept,

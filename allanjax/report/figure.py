@@ -33,7 +33,7 @@ _waiting: weakref.WeakSet[Figure] = weakref.WeakSet()
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit for people, and its factor to SI."""
+    """Unit in which values are shown, and its factor to SI."""
 
     name: str
     scale: float
@@ -41,21 +41,21 @@ class Unit:
 
 @dataclass(frozen=True)
 class KeyEntry:
-    """A line of a panel's key: a term's curve, or only a remark."""
+    """Entry of a panel's key: a term with the style of its curve, or only a remark."""
 
     text: str
     style: dict[str, Any] | None = None
 
 
 def style() -> AbstractContextManager[None]:
-    """The settings under which a picture is drawn."""
+    """Settings under which a figure is drawn."""
     import matplotlib
 
     return matplotlib.rc_context({"font.size": FONT_SIZE, "axes.linewidth": 0.7, "text.usetex": False})
 
 
 def literal(text: str) -> str:
-    """The text for a picture as it is: a name may have dollars, which are no formula's."""
+    """Text for a figure as it is: dollars in a name do not begin a formula."""
     return text.encode("utf-8", "replace").decode("utf-8").replace("$", r"\$")
 
 
@@ -68,10 +68,11 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def save_and_close(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    """The figure, saved if there is a path.
+    """Figure, saved if there is a path, and closed in pyplot where nobody will show it.
 
-    Figures do not pile up in pyplot: one that is saved is closed there, and so is, where there are no windows
-    to show it in, the one before it. A closed figure can be saved and shown by itself as before.
+    So figures do not pile up in pyplot: one that is saved is closed, and so is, where there are no windows,
+        the one
+    before it. A closed figure can be saved and shown by itself as before.
     """
     import matplotlib
     import matplotlib.pyplot as plt
@@ -117,7 +118,7 @@ MODEL: dict[str, Any] = {"color": "black", "linewidth": 1.4, "label": "model", "
 
 
 def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEntry:
-    """A term with its coefficients, detected or not."""
+    """Entry of a term with its coefficients, detected or not."""
     found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
     amplitude, name = found[0], title_of(term, result.axis)
     if amplitude.detected and len(found) > 1:
@@ -129,17 +130,17 @@ def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEnt
 
 
 def term_style(fit: Fit, term_label: str) -> dict[str, Any]:
-    """Line of a term: the same in every panel."""
+    """Style of a term's line, the same in every panel."""
     i = fit.template.term_labels.index(term_label)
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": _DASHES[i % len(_DASHES)], "linewidth": 1.3}
 
 
 def wrapped(text: str) -> str:
-    """The text in lines of the key's width, not broken between a number and its per cent."""
+    """Text in lines of the key's width, not broken between a number and its per cent."""
     lines = textwrap.wrap(text.replace(" %", "\u00a0%"), _KEY_COLUMNS, break_long_words=False)
     return "\n".join(lines).replace("\u00a0", " ")
 
 
 def facts_of(n: int, rate: float) -> str:
-    """E.g. "200 s at 100 Hz, 20,000 samples"."""
+    """Length and rate of a record, e.g. "200 s at 100 Hz, 20,000 samples"."""
     return f"{duration(n / rate)} at {rate:g} Hz, {n:,} samples"

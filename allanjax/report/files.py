@@ -1,4 +1,4 @@
-"""Files of a fit: JSON after `fit.schema.json`, CSV tables and the picture."""
+"""Files of a fit: JSON after `fit.schema.json`, CSV tables and figures."""
 
 import csv
 import json
@@ -16,6 +16,7 @@ from allanjax.estimate.result import Fit
 from allanjax.record.units import rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum
 
+# List of numbers in JSON, one in each line.
 _NUMBERS = re.compile(r"\[\n\s+((?:-?[\d.eE+-]+|null)(?:,\n\s+(?:-?[\d.eE+-]+|null))*)\n\s+\]")
 
 
@@ -52,7 +53,8 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
 def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     """Write one row a coefficient, in its usual unit; an axis without result has one row with the reason.
 
-    What is not a measurement (see `AxisFit.measured`) has no error and no interval, and a reason, too.
+    A coefficient that is not a measurement (see `AxisFit.measured`) has no error and no interval, but a
+    reason.
     """
     header = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit"]
     header += ["detected", "held", "measured"]

@@ -1,4 +1,4 @@
-"""The picture of a fleet: how each coefficient is distributed over its units."""
+"""Figure of a fleet: the distribution of each coefficient over its units."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, as in the other pictures.
 _MEDIAN, _OUTLYING, _LIMIT = "#0072B2", "#D55E00", "0.6"
-# Points of each group; of one group alone the first.
+# Colours of each group's points; the first one if there is a single group.
 _GROUPS = (POINTS, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.5")
 _SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
@@ -33,27 +33,29 @@ _SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
 _PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.75, 0.65
 _NAME_HEIGHT = 0.125
-# Letters of a unit's name beside its point, of which the last ones tell it; width of one, of the panel.
+# Most letters of a unit's name beside its point, the last ones; width of a letter as a share of the panel.
 _LONGEST, _LETTER = 18, 0.0115
-# Half the width that an axis's units take, of the distance between axes; from points to names, of the panel.
+# Half the width of an axis's units as a share of the distance between axes; distance from points to names as
+# a share of the panel.
 _SPREAD = 0.38
 _BESIDE = 0.02
-# Outlying units that are named in a panel, on each axis; the table names all.
+# Most outlying units that are named in a panel on each axis; the table names all.
 _NAMED = 12
-# Units of a fleet that are named in the title, from left to right.
+# Most units, and most lines, that the title names from left to right.
 _LISTED, _MOST_LINES = 12, 4
-# Empty places between two groups, of all places; one at least.
+# Empty places between two groups as a share of all places; one at least.
 _APART = 0.05
-# Heights of a line of the key and of the title; letters, and entries of the key, that an inch holds.
+# Heights of a line of the key and of the title [inches]; letters, and entries of the key, to an inch.
 _LINE_HEIGHT, _TITLE_LINE, _LETTERS, _ENTRIES = 0.2, 0.16, 12.0, 0.5
-# From the outermost points of a group to the ends of its band, of the distance between axes.
+# Distance from the outermost points of a group to the ends of its band, as a share of that between axes.
 _BESIDE_POINTS = 0.04
+# Units from which on error bars are thin.
 _MANY = 60
-# Intervals reach so many times beyond the outermost values at most.
+# Most that the scale reaches beyond the outermost values, as a factor.
 _BEYOND = 2.0
 # Ratio of highest to lowest from which ticks are at 1, 2 and 5 times powers of ten.
 _NEAR = 8.0
-# Of the units, from which to which the bands reach.
+# Quantiles of the units that the bands reach from and to.
 _BAND = (0.05, 0.95)
 
 
@@ -116,7 +118,7 @@ def plot_fleet_result(fleet: FleetResult, path: str | os.PathLike[str] | None = 
 
 
 def _drawn(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows with an estimate and its interval, or a limit; `height` is where they are."""
+    """Rows with an estimate and its interval, or a limit; `height` is where they are drawn."""
     height = np.where(table["detected"], table["value"], table["upper_limit_95"])
     # Neither a value that was held nor one without an error is an estimate.
     estimated = table["lower_95"] < table["upper_95"]
@@ -124,7 +126,7 @@ def _drawn(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
-    """What the key says of the points of each group, and their colour."""
+    """Text of the key for the points of each group, and their colour."""
     groups = list(table["group"].unique())
     if len(groups) < 2:
         return [("estimate, 95 % interval", _GROUPS[0])]
@@ -147,7 +149,7 @@ def _facts(table: pd.DataFrame, letters: int) -> list[str]:
 
 
 def _key(table: pd.DataFrame) -> list[Any]:
-    """What points, lines and bands mean."""
+    """Entries of the key for points, lines and bands."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -197,7 +199,7 @@ def _draw_panel(
 
 
 def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
-    """Logarithmic where it can be, with numbers for people; ends of wide intervals leave the panel."""
+    """Set a logarithmic scale where values allow; ends of wide intervals leave the panel."""
     height = of["height"].to_numpy()
     if (height <= 0.0).any():
         return
@@ -217,7 +219,7 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
 
 
 def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: Sequence[str]) -> None:
-    """The units' values on one axis about x = k, side by side, with a gap between groups."""
+    """Draw the units' values on one axis about x = k, side by side, with a gap between groups."""
     places = np.concatenate([np.flatnonzero(of["group"] == group) for group in groups])
     of = of.iloc[places]
     number = of["group"].map(list(groups).index).to_numpy()
@@ -232,7 +234,7 @@ def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: Sequence[str]) -> 
 
 
 def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, colour: str) -> None:
-    """The values of a group's units on one axis, and where most of them are."""
+    """Draw the values of a group's units on one axis, and the band of most of them."""
     y, detected, outlying = (of[name].to_numpy() for name in ("height", "detected", "outlying"))
     usual = detected & ~outlying
     if usual.any():
@@ -269,7 +271,7 @@ def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, c
 def _name_units(
     panel: Axes, k: int, x: Float[np.ndarray, " units"], y: Float[np.ndarray, " units"], names: list[str]
 ) -> None:
-    """Names in a column beside their points, from the lowest up, each clear of the one before."""
+    """Write names in a column beside their points, from the lowest up, each clear of the one before."""
     if not names:
         return
     to_share = panel.transLimits.transform

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.85, 0.2, 0.9, 0.1
 _PANEL_WIDTH, _PANEL_HEIGHT, _STRIP_HEIGHT = 4.1, 2.5, 0.8
 _HEADING, _GAP, _X_LABEL, _LINE = 0.3, 0.25, 0.45, 0.155
-# Residuals beyond so many per cent are marked at the edge: a line must not hide all else.
+# Residuals beyond so many per cent are marked at the edge, so that a line does not hide all else.
 _WIDEST = 100.0
 #: Estimates with a larger relative error do not set the scale of the residuals: a judgement.
 PRECISE = 0.2
@@ -43,14 +43,14 @@ _SENSOR = {"gyro": "gyros", "accel": "accelerometers"}
 
 @dataclass(frozen=True)
 class Residual:
-    """Measured over model minus one, in percent.
+    """Measured values over the model minus one, in per cent.
 
     Attributes:
         x: [m] cluster times or frequencies.
         value: [m] residuals.
         spread: [2, m] length of the error bars below and above.
-        precise: [m] whether the residual has a say in the strip's scale.
-        off: the model's own relative error.
+        precise: [m] whether the strip's scale is made for the residual.
+        off: relative error of the model itself.
     """
 
     x: Float[np.ndarray, " m"]
@@ -168,7 +168,7 @@ class Panels(ABC):
 def rows_of(
     names: Sequence[str], axes: Sequence[Axis] | None, chosen: Sequence[str] | None
 ) -> list[list[int]]:
-    """Indices of the axes to draw, one row a sensor; a single name stands for itself."""
+    """Indices of the axes to draw, in a row for each sensor; `chosen` may be a single name."""
     chosen = [chosen] if isinstance(chosen, str) else chosen
     if chosen is not None and not chosen:
         raise AllanjaxError(f"name at least one axis to plot of {', '.join(names)}")
@@ -183,7 +183,7 @@ def rows_of(
 
 
 def _only_one(rows: Sequence[Sequence[int]]) -> int:
-    """The single axis that there is to draw.
+    """Index of the single axis to draw.
 
     Raises:
         AllanjaxError: there are several.
@@ -195,7 +195,7 @@ def _only_one(rows: Sequence[Sequence[int]]) -> int:
 
 
 def _figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
-    """The figure that the caller's axes are in, saved if there is a path; it is the caller's to close."""
+    """Figure that the caller's axes are in, saved if there is a path; it is the caller's to close."""
     figure = ax.get_figure(root=True)
     assert figure is not None
     if path is not None:
@@ -253,7 +253,7 @@ class _Cells:
 
 
 def _draw_title(figure: Figure, cells: _Cells, heading: Heading) -> None:
-    """The name, the facts about the record, and what points and the black line are."""
+    """Write the title, the facts about the record, and the key of points and model."""
     from matplotlib.lines import Line2D
 
     width, height = cells.size

@@ -1,4 +1,4 @@
-"""What helps to read an Allan curve: the slopes of the noise terms, and N, B and K on their lines."""
+"""Guides in an Allan plot: the slopes of the noise terms, and N, B and K on their lines."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
-"""Slopes of quantization, angle random walk, bias instability, rate random walk and ramp, as told."""
+"""Slopes of quantization, angle random walk, bias instability, rate random walk and ramp, as written."""
 
-# Terms whose coefficient is written on its line, and what their line is in units of it.
+# Terms whose coefficient is written on its line, and the text.
 _WRITTEN = {
     "angle_random_walk": "{symbol} = {value}",
     "bias_instability": "0.664 {symbol}, {symbol} = {value}",
     "rate_random_walk": "{symbol} = {value}",
 }
 _FAINT, _FAINT_TEXT, _SIZE = "0.78", "0.55", 6.5
-# Of the font's size: mean width of a character, height of a line, and distance of a text from its line.
+# Mean width of a character, height of a line, and distance of a text from its line, over the font's size.
 _WIDTH, _HEIGHT, _AWAY = 0.56, 1.0, 0.95
+# Places along a line that are tried.
 _PLACES = 60
 
 
 def draw_slopes(panel: Axes) -> None:
-    """Faint lines of these slopes through the middle of a panel whose scales are set."""
+    """Draw faint lines of the slopes through the middle of a panel whose scales are set."""
     (left, right), (bottom, top) = (np.log10(ends) for ends in (panel.get_xlim(), panel.get_ylim()))
     x0, y0 = (left + right) / 2.0, (bottom + top) / 2.0
     limits = panel.get_xlim(), panel.get_ylim()
@@ -64,11 +65,11 @@ def draw_slopes(panel: Axes) -> None:
 
 
 def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None:
-    """N, B and K with their units on the lines of their terms, where there is most room.
+    """Write N, B and K with their units on the lines of their terms, where there is most room.
 
     Args:
-        panel: with all its points and lines, its scales set.
-        result: the axis's fit.
+        panel: panel with all its points and lines, its scales set.
+        result: fit of the axis.
         drawn: line of each term, by its label.
     """
     from matplotlib.patheffects import withStroke
@@ -112,7 +113,7 @@ def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None
 
 
 def _pixels(panel: Axes, line: Line2D) -> Float[np.ndarray, "points 2"]:
-    """Points of a line on the screen."""
+    """Points of a line on the screen, in pixels."""
     points = np.asarray(line.get_xydata(), float)
     return panel.transData.transform(points[(points > 0.0).all(axis=1)])
 
@@ -124,9 +125,9 @@ def _roomiest(
     others: Sequence[Float[np.ndarray, "_ 2"]],
     taken: Sequence[Float[np.ndarray, "2 2"]],
 ) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "4 2"]] | None:
-    """Middle, angle and corners of the place beside the line that is farthest from everything else.
+    """Middle, angle and corners of the place beside a line that is farthest from everything else.
 
-    None if there is no place inside the panel that has not been taken by another text.
+    None if there is no place inside the panel that another text has not taken.
     """
     size = _SIZE * panel.figure.dpi / 72.0
     half = np.array([0.5 * _WIDTH * len(text), 0.5 * _HEIGHT]) * size
@@ -172,7 +173,7 @@ def _free(
     upper: Float[np.ndarray, " 2"],
     taken: Sequence[Float[np.ndarray, "2 2"]],
 ) -> Bool[np.ndarray, " places"]:
-    """Whether these boxes are inside the panel and beside those taken."""
+    """Whether each box is inside the panel and clear of those taken."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     fits = (low > lower).all(axis=1) & (high < upper).all(axis=1)
     for a, b in taken:

@@ -1,4 +1,4 @@
-"""Several Allan curves over one another: units of a kind, one before and after."""
+"""Figure of several Allan curves over one another: like units, or one before and after."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-# For black and white.
+# Markers that tell curves apart in black and white.
 _MARKERS = "os^Dv*"
 
 
@@ -52,7 +52,7 @@ class _Curve:
         return self.curve.names.index(name)
 
     def result(self, name: str) -> AxisFit | None:
-        """The fit of the axis of this name, if there is one."""
+        """Fit of the axis of this name, if there is one."""
         found = None if self.fit is None else self.fit.results[self.index(name)]
         return found if found is not None and found.converged else None
 
@@ -127,7 +127,7 @@ class _OverlayPanels(Panels):
         panel.legend([drawn[label] for label in shown], shown, frameon=False)
 
     def _of(self, k: int) -> list[_Curve]:
-        """The curves that have an axis of this name."""
+        """Curves that have the axis of a panel."""
         return [c for c in self.curves if self.names[k] in c.curve.names]
 
     def _unit(self, k: int) -> Unit:

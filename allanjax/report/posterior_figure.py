@@ -1,4 +1,4 @@
-"""Pictures of a posterior: its margins, and the bands of its curves."""
+"""Figures of a posterior: its marginals, and the bands of its curves."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
 
 
 def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) -> None:
-    """Names with units at the outer edges only."""
+    """Write names with units, at the outer edges only."""
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     last = row == len(marginals) - 1
@@ -135,7 +135,7 @@ def _heading(m: Estimate) -> str:
 
 
 def _range(x: Float[np.ndarray, " draws"]) -> tuple[float, float]:
-    """Where nearly all draws lie."""
+    """Range in which nearly all draws lie."""
     low, high = np.quantile(x, [0.001, 0.999])
     margin = 0.08 * (high - low)
     if not margin > 0.0:
@@ -167,7 +167,7 @@ def _draw_margin(
 def _prior_density(
     posterior: AxisPosterior, index: int, limits: tuple[float, float], scale: float
 ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """Points of the prior density per display unit."""
+    """Points of the prior density, per unit that is shown."""
     x = np.linspace(*limits, 200)
     prior = posterior.priors[posterior.labels[index]]
     return x, np.exp(np.asarray(prior.log_density(x * scale))) * scale

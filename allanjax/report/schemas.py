@@ -1,4 +1,4 @@
-"""JSON schemas of all that the commands write: results, what `--json` prints, the recordings of a fleet."""
+"""JSON schemas of files and of `--json`: fits, critiques, the recordings of a fleet."""
 
 import json
 from dataclasses import fields
@@ -27,7 +27,7 @@ _ERRORS = {
 
 
 def schema(name: Name) -> dict[str, Any]:
-    """The schema of what `characterize` ("fit"), `critique` or `fleet` writes, of draft 2020-12.
+    """JSON schema, draft 2020-12, of what `characterize` ("fit"), `critique` or `fleet` writes.
 
     "fit": NAME.json, and the document of `--json`. "critique": NAME_critique.json, and the document of
     `--json`. "fleet": recordings/NAME.json.
@@ -53,7 +53,7 @@ def schema(name: Name) -> dict[str, Any]:
 
 
 def _bundle(plural: str, single: dict[str, Any]) -> dict[str, Any]:
-    """Of several documents, each with the file it is of, and errors."""
+    """Schema of several documents, each with its file, and of errors."""
     properties = {key: value for key, value in single["properties"].items() if key != "errors"}
     entry = {
         **single,
@@ -78,6 +78,7 @@ def _bundle(plural: str, single: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_fleet() -> dict[str, Any]:
+    """Schema of a recording of a fleet."""
     fit = schema("fit")
     key = {
         "type": "object",

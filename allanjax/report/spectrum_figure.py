@@ -1,4 +1,4 @@
-"""The picture of a spectrum: power spectral densities, and a fitted model and its terms over them."""
+"""Figure of a spectrum: power spectral densities, a fitted model and its terms."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
 
 
 def _random_walk(spectrum: PowerSpectrum, k: int) -> Estimate | None:
-    """N of the axis, unless its samples have no unit or its density is nowhere flat."""
+    """N of an axis by the flat part of its spectrum; None if it is nowhere flat or has no unit."""
     if spectrum.axes is None:
         return None
     try:
@@ -189,7 +189,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
 
 
 def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
-    """Where to draw the model [Hz]: dense enough for a curve, and for the peak of a resonance."""
+    """Frequencies at which the model is drawn [Hz], dense enough for the peak of a resonance."""
     lowest, highest = spectrum.frequency[[0, -1]]
     found = [np.geomspace(lowest, highest, 400)]
     away = np.geomspace(1e-5, 0.5, 40)
@@ -231,7 +231,7 @@ def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
 
 
 def _line_of(term: NoiseTerm) -> list[float]:
-    """Frequency [Hz] of a deterministic line; nothing for another term."""
+    """Frequency of a deterministic line [Hz], none for another term."""
     if not term.deterministic:
         return []
     return [float(getattr(term, p.name)) for p in term.parameters() if p.kind == "line"]
@@ -240,7 +240,7 @@ def _line_of(term: NoiseTerm) -> list[float]:
 def _key(
     fit: Fit | None, result: AxisFit | None, walk: Estimate | None, spectrum: PowerSpectrum
 ) -> list[KeyEntry]:
-    """Every term with its coefficients, and N from the flat part."""
+    """Entries of every term with its coefficients, and of N by the flat part."""
     entries = []
     if fit is not None and result is not None:
         if not result.converged:
