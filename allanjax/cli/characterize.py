@@ -100,7 +100,7 @@ def command(
 
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
-    """The fit of a file's recording, and its spectrum, which is estimated while the fit compiles."""
+    """Spectrum and fit of a file's recording; the spectrum is estimated while the fit compiles."""
     with stage(f"{file.label}: reading"):
         recording = read_recording(file.path, options.reading, file.label)
     size = f"{recording.n:,} samples of {len(recording.axes)} axes"
@@ -114,7 +114,7 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectru
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
-    """The fit of a file that is never in memory as a whole."""
+    """Fit of a file that is never in memory as a whole."""
     from allanjax.base.errors import AllanjaxError
 
     if options.regressors:

@@ -1,4 +1,4 @@
-"""What commands share: files, progress, errors, and names of results."""
+"""Files, progress, errors and names of results, for all commands."""
 
 import json
 import logging
@@ -36,7 +36,7 @@ Out = Annotated[
 
 
 def epilog(*examples: str) -> str:
-    """Examples and exit codes, a line each: typer breaks lines at empty ones only."""
+    """End of a command's help: examples and exit codes, apart since typer breaks lines at empty ones only."""
     codes = (
         "Exit codes: 0 success; 1 bad input, or an axis without result; 2 a wrong command line; "
         f"{INTERRUPTED} interrupted."
@@ -45,12 +45,12 @@ def epilog(*examples: str) -> str:
 
 
 class Input(NamedTuple):
-    """A recording to work on.
+    """Recording that a command works on.
 
     Attributes:
-        path: of the file that is read.
-        label: what messages call it.
-        name: of its results, which no other one has.
+        path: file that is read.
+        label: its name in messages.
+        name: name of its results, which no other recording has.
     """
 
     path: Path
@@ -60,10 +60,10 @@ class Input(NamedTuple):
 
 @contextmanager
 def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, ...]]:
-    """What arguments stand for: files, those that match a pattern, standard input; each once.
+    """Recordings that arguments stand for: files, matches of patterns, standard input; each once.
 
-    A pattern does not mean results, which are below `out`. A pipe is kept in a file while it is worked on: it
-    can be read but once.
+    Patterns do not match results, which are below `out`. A pipe, which can be read only once, is copied to a
+    file.
     """
     with TemporaryDirectory() as folder:
         files: dict[Path, tuple[Path, str]] = {}
@@ -89,7 +89,7 @@ def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, 
 
 
 def prepare(out: Path | None = None) -> None:
-    """What every command needs before it computes: a place for results, programs of earlier runs, no windows.
+    """Prepare a command: check the folder for results, open no windows, reuse compiled programs.
 
     Ends the program if the folder `out` can not be written to.
     """
@@ -102,19 +102,19 @@ def prepare(out: Path | None = None) -> None:
             print_error(f"{place} can not be written to: give another folder for the results by --out")
             raise typer.Exit(1)
     os.environ["MPLBACKEND"] = "Agg"
-    # It has a word to say of a home that can not be written to.
+    # It would warn of a home folder that can not be written to.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     from allanjax.base.cache import enable_compilation_cache
 
     enable_compilation_cache()
 
 
-#: What the input, the disk or the machine can do to a command; anything else is a bug and shows itself.
+#: Failures by the input, the disk or the machine; any other exception is a bug and shows itself.
 FAILURES = (AllanjaxError, OSError, MemoryError)
 
 
 def reason(failure: BaseException, label: str) -> str:
-    """What went wrong with the file of this label, in words."""
+    """Message that says what went wrong with the file of this label."""
     if isinstance(failure, MemoryError):
         return f"{label}: not enough memory; take a stretch by --start and --stop, or --stream"
     if isinstance(failure, OSError) and failure.strerror:
@@ -124,7 +124,7 @@ def reason(failure: BaseException, label: str) -> str:
 
 @contextmanager
 def failures_told() -> Iterator[None]:
-    """Bad input and failing files end the program with a message; anything else is a bug and shows itself."""
+    """End the program with a message on bad input and failing files; other exceptions show themselves."""
     try:
         yield
     except FAILURES as failure:
@@ -134,7 +134,7 @@ def failures_told() -> Iterator[None]:
 
 @contextmanager
 def stage(text: str) -> Iterator[Callable[[str], None]]:
-    """A spinner on stderr, where that is a terminal; what it gives changes the text."""
+    """Show a spinner on stderr, where that is a terminal; yields a function that changes its text."""
     from rich.console import Console
     from rich.text import Text
 
@@ -144,24 +144,24 @@ def stage(text: str) -> Iterator[Callable[[str], None]]:
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """On stdout, and nothing else there."""
+    """Print a document on stdout, where nothing else is printed."""
     print(json.dumps(document, indent=2, ensure_ascii=not is_unicode(sys.stdout), allow_nan=False))
 
 
 def print_error(message: str) -> None:
-    """On stderr."""
+    """Print an error on stderr."""
     print(f"error: {message}", file=sys.stderr)
 
 
 def reported(file: Input, message: str) -> dict[str, str]:
-    """An error of a file, told on stderr, as the JSON has it."""
+    """Print an error of a file on stderr; returns it as the JSON has it."""
     begin = f"{file.label}: "
     print_error(message if message.startswith(begin) else begin + message)
     return {"file": file.label, "message": message}
 
 
 def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
-    """Say which of so many files failed, if any did, and end the program."""
+    """End the program if files failed, and say which of how many."""
     if errors:
         failed = dict.fromkeys(error["file"] for error in errors)
         if files > 1:
@@ -170,7 +170,7 @@ def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
 
 
 def result_names(files: Sequence[Path]) -> list[str]:
-    """A name for the results of each file: its own without suffix, numbered where several share it."""
+    """Names for the results of each file: its own without suffix, numbered where several share it."""
     names: list[str] = []
     for file in files:
         stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name

@@ -99,7 +99,7 @@ def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
 
 
 def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
-    """The JSON file and the pictures; returns their paths."""
+    """Write the JSON file and the figures; returns their paths."""
     from allanjax.report.critique_figure import figure_names, plot_critique
     from allanjax.report.critique_json import write_json
 

@@ -1,4 +1,4 @@
-"""The demonstration: a simulated sensor whose coefficients are known, to compare with what a fit finds."""
+"""Simulated sensor of the demonstration, whose true coefficients a fit is compared with."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from allanjax.record.recording import Recording
 RATE = 100.0
 DURATION = 1500.0
 _SEED = 952
-# Of the order of a good MEMS unit. What a term makes of 25 minutes must be visible for a fit to find it.
+# Terms of the order of a good MEMS unit, each visible in 25 minutes, so that a fit can find it.
 _TRUTH = {
     "gyro_x": "Q=0.6 arcsec + N=0.20 deg/√h + B=6 deg/h",
     "gyro_y": "Q=0.5 arcsec + N=0.25 deg/√h + B=8 deg/h",
@@ -28,11 +28,11 @@ _TRUTH = {
 
 @dataclass(frozen=True)
 class TruthComparison:
-    """A coefficient that was found, beside the one that was put in.
+    """Estimate of a coefficient and its true value.
 
     Attributes:
         found: the estimate [SI].
-        truth: the true value [SI]; 0 for a term that was left out.
+        truth: true value [SI]; 0 for a term that was left out.
     """
 
     found: Estimate
@@ -48,18 +48,18 @@ class TruthComparison:
 
 
 def demo_models() -> Mapping[str, Model]:
-    """The true model of each axis."""
+    """True model of each axis."""
     return {axis: parse_model(text, "gyro" if "gyro" in axis else "accel") for axis, text in _TRUTH.items()}
 
 
 def demo_recording() -> Recording:
-    """25 minutes of a six-axis sensor at 100 Hz; always the same."""
+    """Recording of 25 minutes of a six-axis sensor at 100 Hz, always the same."""
     n = round(DURATION * RATE)
     return simulate_recording(demo_models(), n, RATE, _SEED, bias={"accel_z": 9.80665}, name="demo")
 
 
 def compare(fit: Fit) -> list[TruthComparison]:
-    """Every coefficient of a fit of `demo_recording` beside the truth."""
+    """Comparisons of every coefficient of a fit of `demo_recording` with the truth."""
     models = demo_models()
     return [
         TruthComparison(c, models[result.axis.name].values.get(c.label) or 0.0)
@@ -70,7 +70,7 @@ def compare(fit: Fit) -> list[TruthComparison]:
 
 
 def comparison_table(comparisons: Iterable[TruthComparison]) -> str:
-    """The comparisons for a terminal, each coefficient in its usual unit."""
+    """Table of the comparisons for a terminal, each coefficient in its usual unit."""
     rows = []
     for comparison in comparisons:
         c = comparison.found.in_unit()

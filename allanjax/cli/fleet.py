@@ -86,7 +86,7 @@ def command(
 
 @contextmanager
 def _progress_bar() -> Iterator["Progress"]:
-    """A bar on stderr, where that is a terminal."""
+    """Show a bar on stderr, where that is a terminal; yields what moves it."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 

@@ -1,8 +1,7 @@
 """Options that commands share, each declared once: a command takes one object for all of a kind.
 
 `@with_options` gives a command, for its parameter `reading`, the options of `ReadOptions`, and for its
-parameter `options` those of `FitOptions`, the former among them. What a command is not given one by one, it
-can not forget to pass on.
+parameter `options` those of `FitOptions`, the former among them. So no command can forget to pass one on.
 """
 
 import functools
@@ -24,7 +23,7 @@ Sensor = Literal["gyro", "accel"]
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with options in place of its parameters `reading` and `options`."""
+    """Command with options in place of the parameters `reading` and `options` of a function."""
     expanded = list(_expanded(command))
 
     @functools.wraps(command)
@@ -37,7 +36,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
-    """The parameters of a function, those of a builder in place of what it builds."""
+    """Parameters of a function, those of a builder in place of what it builds."""
     for parameter in inspect.signature(function).parameters.values():
         if parameter.name in _BUILDERS:
             yield from _expanded(_BUILDERS[parameter.name])
@@ -46,7 +45,7 @@ def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
 
 
 def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
-    """Call a function with its share of the values, what is built among them."""
+    """Call a function with those of the values that it takes, after builders have combined them."""
     return function(
         **{
             name: _call(_BUILDERS[name], values) if name in _BUILDERS else values[name]
@@ -56,6 +55,7 @@ def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
 
 
 def _read_options(**values: Any) -> ReadOptions:
+    """Options of reading, or a wrong command line."""
     try:
         return ReadOptions(**values)
     except AllanjaxError as error:
@@ -63,7 +63,7 @@ def _read_options(**values: Any) -> ReadOptions:
 
 
 def _typed(name: str) -> Any:
-    """The type of an option's value as it is written on a command line."""
+    """Type of an option's value as it is written on a command line."""
     return (float if name in ("rate", "start", "stop") else str) | None
 
 
@@ -118,7 +118,7 @@ _BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options":
 
 
 def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
-    """The model that --terms writes down; a wrong command line if it writes down none."""
+    """Model that --terms describes, or a wrong command line."""
     from allanjax.noise.notation import parse_model
 
     try:
@@ -128,7 +128,7 @@ def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
 
 
 def fit_model(terms: str) -> "Model":
-    """The model that a fit is to start from: without amplitudes, which are what it estimates."""
+    """Model that a fit starts from: without amplitudes, which it estimates."""
     model = parsed_model(terms)
     for p in model.parameters:
         if p.parameter.kind == "amplitude" and p.start is not None:
