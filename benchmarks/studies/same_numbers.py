@@ -191,10 +191,9 @@ def differences(before: Any, after: Any, place: str = "") -> Iterator[tuple[str,
         case list(), list() if len(before) == len(after):
             for k, pair in enumerate(zip(before, after, strict=True)):
                 yield from differences(*pair, f"{place}/{k}")
-        case float(), float() | int():
-            if not (before == after or (math.isnan(before) and math.isnan(after))) and not math.isclose(
-                before, after, rel_tol=TOLERANCE
-            ):
+        case float() | int(), float() | int():
+            both_nan = math.isnan(before) and math.isnan(after)
+            if not both_nan and not math.isclose(before, after, rel_tol=TOLERANCE):
                 yield place, before, after
         case _:
             if before != after:
