@@ -27,6 +27,17 @@ def test_libraries_and_other_annotations_make_no_difference(array):
         assert len(without_ends(3, array(5), y)) == 3
 
 
+@jaxtyped(typechecker=check_shapes)
+def total(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, ""]:
+    return x.sum()
+
+
+def test_a_number_is_an_array_without_dimensions():
+    assert total(np.ones(3)) == 3.0
+    with pytest.raises(TypeCheckError):
+        total(np.float64(3.0))
+
+
 @pytest.mark.parametrize(
     ("x", "y"),
     [

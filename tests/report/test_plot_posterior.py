@@ -123,7 +123,14 @@ def test_contours_hold_their_share_of_the_draws(posterior):
 
 def test_one_parameter_alone_has_one_panel(posterior):
     axis = posterior["gyro_x"]
-    alone = dataclasses.replace(axis, labels=LABELS[:1], draws=axis.draws[:, :1])
+    alone = dataclasses.replace(
+        axis,
+        labels=LABELS[:1],
+        draws=axis.draws[:, :1],
+        chain=axis.chain[..., :1],
+        tau=axis.tau[:1],
+        r_hat=axis.r_hat[:1],
+    )
     figure = plot_corner(alone)
     assert len(figure.axes) == 1
     assert figure.axes[0].get_xlabel() == "angle random walk\nN [deg/√h]"

@@ -1,8 +1,8 @@
 """What `jaxtyping` checks while the tests run: arrays have the shapes that annotations say.
 
-Of the annotations with a shape only, and whether an array is NumPy's or JAX's makes no difference: what takes
-one takes the other. A length such as `n-1` is compared with other lengths `n-1`, not with `n`, which need not
-be among the arguments.
+Of the annotations with a shape only. Whether an array is NumPy's or JAX's makes no difference: what takes one
+takes the other, and a number of NumPy's is an array without dimensions. A length such as `n-1` is compared
+with other lengths `n-1`, not with `n`, which need not be among the arguments.
 """
 
 import functools
@@ -31,7 +31,11 @@ def _shape(hint: Any) -> Any:
     """What of an annotation is checked; Any if it has no shape."""
     if isinstance(hint, type) and issubclass(hint, AbstractArray):
         lengths = " ".join(map(_length, hint.dim_str.split()))
-        return hint.dtype[jax.Array | np.ndarray, lengths] if hint.array_type in _LIBRARIES else hint
+        return (
+            hint.dtype[jax.Array | np.ndarray | np.generic, lengths]
+            if hint.array_type in _LIBRARIES
+            else hint
+        )
     of, parts = get_origin(hint), get_args(hint)
     shapes = tuple(map(_shape, parts))
     if all(shape is Any for shape in shapes):
