@@ -20,7 +20,7 @@ def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...
     return (jnp.cbrt(ratio) - 1.0 + g) / jnp.sqrt(g)
 
 
-def exact_cube_root_score(ratio: Float[Array, " m"], dof: Float[ArrayLike, " m"]) -> Float[Array, " m"]:
+def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[Array, ...]:
     """Normal score of a χ² variate over its mean, with the exact moments of the cube root.
 
     They are E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2), of which the usual approximation is 15 % off at one degree
@@ -33,7 +33,7 @@ def exact_cube_root_score(ratio: Float[Array, " m"], dof: Float[ArrayLike, " m"]
     )
     g = 2.0 / (9.0 * dof)
     mean = jnp.where(dof < 1e3, first, 1.0 - g)
-    return (jnp.cbrt(ratio) - mean) / jnp.sqrt(jnp.where(dof < 1e3, second - first**2, g))
+    return (jnp.cbrt(jnp.asarray(ratio)) - mean) / jnp.sqrt(jnp.where(dof < 1e3, second - first**2, g))
 
 
 def beyond_doubt(dof: Float[ArrayLike, ""]) -> Float[Array, ""]:
