@@ -50,7 +50,7 @@ def critique(
 
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
 
-    # Sooner than a fit would: not while axes are criticized beside it.
+    # Sooner than a fit would, so that it does not happen while axes are criticized.
     release_programs(0.5)
 
     return criticize(recording, fit, causes, false_alarms, progress)

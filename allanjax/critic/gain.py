@@ -47,7 +47,7 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
     known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
 
     def predicted(view: View) -> Float[np.ndarray, "halves m"]:
-        # What is after one finding is before the next, if only as the same samples behind the same spectrum.
+        # The view after one finding is that before the next, at least in its samples and its factor.
         key = id(view.samples), id(view.factor), tuple(view.allowed)
         if key not in known:
             known[key] = _predicted(view)

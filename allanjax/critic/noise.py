@@ -24,6 +24,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
 from allanjax.spectrum.cosine import CosineBins, SpectralStatistics, cosine_transform, ramp_column
 
+#: Terms without a free shape, and names of terms that are treated apart.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
 #: Share of white noise in all noise above which the two are not told apart: a judgement.

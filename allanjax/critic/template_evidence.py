@@ -1,4 +1,4 @@
-"""The evidence of a shape of a bank, whatever its amplitude and whatever the noise."""
+"""Log evidence for a bank of shapes, with amplitude and noise marginalized."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from allanjax.critic.view import View
 
 
 class _Products(NamedTuple):
-    """Of the shapes with the record and with themselves, in each set's noise [sets, shapes]."""
+    """Products of the shapes with the record and with themselves, in the noise of each subset."""
 
     cross: Float[np.ndarray, "sets shapes"]
     gram: Float[np.ndarray, "sets shapes"]
 
 
 def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: float) -> float:
-    """Of the record with one of a bank's shapes in it [nats]; without one it is `View.log_evidence`.
+    """Log evidence of a record with one of a bank's shapes [nats]; without one it is `View.log_evidence`.
 
-    The likelihood is averaged over shapes and amplitudes in every set of noise terms that may be right, and
-    over these. They are weighed, and their levels known, without the effect's most likely shape h and
-    amplitude a (with it a step would be taken for a random walk): with p and g the products of h with the
-    record and with itself, the likelihood of the record is that without a·h times exp(½a²g − ap).
+    The likelihood is averaged over shapes, amplitudes and plausible subsets of the noise terms. The subsets
+    and their levels are those of the record without the effect at its most likely shape h and amplitude a;
+    otherwise a step would be taken for a random walk. With p and g the products of h with the record and with
+    itself, the likelihood of the record is that without a·h times exp(½a²g − ap).
 
     Args:
-        view: the record.
-        after: the record without the effect at about its most likely.
-        bank: of the shapes.
-        taken, amplitude: which shape is not in `after`, and its amplitude.
+        view: view of the record.
+        after: view without the effect at about its most likely.
+        bank: bank of shapes.
+        taken, amplitude: index and amplitude of the shape that is subtracted in `after`.
     """
     sets = after.model_evidence.sets(view.allowed)
     cross, gram = _products(view, bank, sets)
@@ -43,7 +43,7 @@ def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: flo
 
 
 def _products(view: View, bank: Bank, sets: Sets) -> _Products:
-    """What is free beside the shapes (a set's ramp, shapes that were taken out) being projected out."""
+    """Products of the shapes after projecting out the nuisances: a subset's ramp, other accepted shapes."""
     J = bank.shapes.shape[1]
     first = view.family.bins.first[view.family.keep] - 1
     first = first[first < J]

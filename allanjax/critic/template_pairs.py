@@ -1,4 +1,4 @@
-"""Two shapes of a bank at once: an effect may be nothing without another one that undoes half of it."""
+"""Joint fit of two shapes of a bank, for effects that hide each other."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from allanjax.critic.bank import Bank, Matched
 from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
 
-# Shapes of the bank between two that are tried at first.
+# Every how many shapes of the bank one is tried at first.
 _COARSER = 8
-# A shape beside another one is looked at where so much of the most that can be is left of it.
+# Least norm of a shape after projecting out the other one, over the largest such norm: a judgement.
 _CLEAR = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pair:
-    """Two shapes that together explain most.
+    """Most likely pair of shapes.
 
     Attributes:
-        members: their places in the bank.
-        amplitude: of each, by generalized least squares.
-        snr: of each beside the other, with its sign.
+        members: indices of the shapes in the bank.
+        amplitude: amplitude of each, by generalized least squares.
+        snr: signal-to-noise ratio of each given the other, with its sign.
         log_trials_factor: of the search for the two [nats]: the best likelihood over the mean of all pairs.
     """
 
@@ -35,13 +35,13 @@ class Pair:
 
 
 def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None = None) -> Pair:
-    """The two shapes that explain most: of every eighth first, then of all, each in turn beside the other.
+    """Most likely pair of shapes: of every eighth shape first, then of all, each in turn given the other.
 
     Args:
-        bank: of shapes.
-        view: what is looked at.
-        noise: what it is whitened by.
-        near: the two to begin with, if they are known nearly.
+        bank: bank of shapes.
+        view: view of the record.
+        noise: noise that it is whitened by.
+        near: pair to begin with, if it is known approximately.
     """
     matched = bank.matched(view, noise)
     p = matched.products(matched.whitened)
@@ -57,7 +57,8 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
     chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
     covariance = np.linalg.pinv(chosen @ chosen.T)
     amplitude = covariance @ p
-    # Where both are located more sharply than the coarse pairs are apart, one after the other tells better.
+    # Where both are located more sharply than the coarse pairs are apart, the factor from single searches is
+    # better.
     among = 0.5 * float(p @ amplitude) - float(np.logaddexp.reduce(coarse)) + np.log(len(coarse))
     snr = amplitude / np.sqrt(np.diag(covariance))
     return Pair((first, second), amplitude, snr, min(price, float(among)))
@@ -69,7 +70,7 @@ def _gains(
     i: Int[np.ndarray, " pairs"],
     j: Int[np.ndarray, " pairs"],
 ) -> Float[np.ndarray, " pairs"]:
-    """Log-likelihood gained by each pair of whitened shapes, `p` being their products with the record."""
+    """Gain in log-likelihood by each pair of whitened shapes, `p` being their products with the record."""
     gram = shapes @ shapes.T
     own = np.diag(gram)
     det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
@@ -77,7 +78,7 @@ def _gains(
 
 
 def _beside(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
-    """The shape that explains most where another one may be of any size, and what not knowing it costs.
+    """Most likely shape given another one of any amplitude, and its log trials factor [nats].
 
     `p` are the shapes' products with the record.
     """

@@ -14,7 +14,7 @@ import numpy as np
 from allanjax.critic.comparison import SimulationEnvelope, StageResiduals, octave_bins, summaries
 from allanjax.critic.result import AxisCritique, Critique, Finding
 from allanjax.record.recording import Axis
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.report.allan_panel import CLUSTER_TIME, unit_of
 from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
 from allanjax.report.critique_words import p_value, what, wrap
 from allanjax.report.figure import POINTS, Unit, add_grid, facts_of, literal, save_and_close, style
@@ -166,9 +166,8 @@ def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals
 
 def _draw_curves(panels: Any, stages: Any, axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
-    deviation = default_coefficient_unit(axis.sensor, 0.0)
-    units = (Unit(deviation, unit_scale(deviation, axis.sensor)), Unit(*density_unit(axis)))
-    names = (("cluster time T [s]", "Allan deviation"), ("frequency f [Hz]", "one-sided PSD"))
+    units = (unit_of(axis), Unit(*density_unit(axis)))
+    names = ((CLUSTER_TIME, "Allan deviation"), ("frequency f [Hz]", "one-sided PSD"))
     for record, label, colour, marker in stages:
         for panel, unit, comparison in zip(panels, units, summaries(record), strict=True):
             _draw_comparison(panel, comparison, unit, label, colour, marker)
@@ -271,26 +270,25 @@ def _draw_loudness(panel: Axes, record: StageResiduals, finding: Finding) -> Non
 
 def _draw_samples(panel: Axes, record: StageResiduals) -> None:
     """Draw single samples as recorded, where most of them equal the one before."""
-    unit = default_coefficient_unit(record.axis.sensor, 0.0)
+    unit = unit_of(record.axis)
     x = record.stage.x
     same = np.concatenate([[0], np.cumsum(x[1:] == x[:-1])])
     length = min(_SHOWN_SAMPLES, record.n)
     first = int(np.argmax(same[length - 1 :] - same[: record.n - length + 1]))
     shown = slice(first, first + length)
     time = np.arange(shown.start, shown.stop) / record.rate
-    y = (x[shown] - x.mean()) / unit_scale(unit, record.axis.sensor)
+    y = (x[shown] - x.mean()) / unit.scale
     panel.step(time, y, where="mid", color="0.75", linewidth=0.7)
     panel.plot(time, y, "o", color=POINTS, markersize=2.4, markeredgewidth=0.0, label="samples as recorded")
-    _finish(panel, f"samples − mean [{unit}]")
+    _finish(panel, f"samples − mean [{unit.name}]")
 
 
 def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals) -> None:
     """Draw means of blocks of samples, and the effect that was found."""
-    unit = default_coefficient_unit(before.axis.sensor, 0.0)
-    scale = unit_scale(unit, before.axis.sensor)
+    unit = unit_of(before.axis)
     edges, length = _blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
-    x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
+    x, effect = ((y - y.mean()) / unit.scale for y in (before.stage.x, before.stage.x - after.stage.x))
     mean = np.add.reduceat(x, edges) / length
     name = f"means of {before.n / len(edges) / before.rate:.2g} s, before"
     panel.plot(time, mean, "o", color=POINTS, markersize=2.4, markeredgewidth=0.0, label=name)
@@ -301,9 +299,8 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals) -> No
         linewidth=1.2,
         label="effect",
     )
-    _finish(
-        panel, f"rate − mean [{unit}]" if before.axis.sensor == "gyro" else f"acceleration − mean [{unit}]"
-    )
+    quantity = "rate" if before.axis.sensor == "gyro" else "acceleration"
+    _finish(panel, f"{quantity} − mean [{unit.name}]")
 
 
 def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from allanjax.base.wording import duration
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import title_of
+from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
 _DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 1)))
 POINTS = "0.3"
+#: Sensors in words, in the order in which they are drawn.
+SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 62

@@ -16,7 +16,7 @@ from allanjax.fleet.fleet import FleetResult
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor
-from allanjax.report.figure import POINTS, literal, save_and_close, style
+from allanjax.report.figure import POINTS, SENSORS, literal, save_and_close, style
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 _MEDIAN, _OUTLYING, _LIMIT = "#0072B2", "#D55E00", "0.6"
 # Colours of each group's points; the first one if there is a single group.
 _GROUPS = (POINTS, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.5")
-_SENSOR: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 # Inches: places are fixed, so that nothing can overlap.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
@@ -88,7 +87,7 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
         )
     drawn = _drawn(table)
     groups = list(table["group"].unique())
-    sensors = [sensor for sensor in _SENSOR if (drawn["sensor"] == sensor).any()]
+    sensors = [sensor for sensor in SENSORS if (drawn["sensor"] == sensor).any()]
     coefficients = list(drawn["coefficient"].unique())
     rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
     width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
@@ -186,7 +185,7 @@ def _draw_panel(
 ) -> None:
     unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
     title = title_of(coefficient, Axis(axes[0], sensor, unit))
-    panel.set_title(f"{_SENSOR[sensor]}: {title}", loc="left", fontweight="bold")
+    panel.set_title(f"{SENSORS[sensor]}: {title}", loc="left", fontweight="bold")
     panel.set_ylabel(title if unit == "1" else f"{title} [{unit}]")
     panel.set_xticks(range(len(axes)), axes)
     panel.set_xlim(-0.5, len(axes) - 0.5)

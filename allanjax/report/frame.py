@@ -16,6 +16,7 @@ from allanjax.record.recording import Axis
 from allanjax.report.figure import (
     FONT_SIZE,
     POINTS,
+    SENSORS,
     KeyEntry,
     add_grid,
     literal,
@@ -38,7 +39,6 @@ _HEADING, _GAP, _X_LABEL, _LINE = 0.3, 0.25, 0.45, 0.155
 _WIDEST = 100.0
 #: Estimates with a larger relative error do not set the scale of the residuals: a judgement.
 PRECISE = 0.2
-_SENSOR = {"gyro": "gyros", "accel": "accelerometers"}
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def rows_of(
     indices = range(len(names)) if chosen is None else [names.index(name) for name in chosen]
     if axes is None:
         return [list(indices)]
-    rows = [[k for k in indices if axes[k].sensor == sensor] for sensor in _SENSOR]
+    rows = [[k for k in indices if axes[k].sensor == sensor] for sensor in SENSORS]
     return [row for row in rows if row]
 
 

@@ -16,15 +16,15 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.units import unit_scale
+from allanjax.report.allan_panel import CLUSTER_TIME, unit_of
 from allanjax.report.figure import COLOURS, FONT_SIZE, POINTS, add_grid, literal, marks, save_and_close, style
+from allanjax.spectrum.psd import density_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _COLOUR = COLOURS[0]
-_DISPLAY_UNIT = {"gyro": "deg/h", "accel": "µg"}
-_DENSITY_UNIT = {"gyro": "(deg/h)²/Hz", "accel": "µg²/Hz"}
 
 # Inches: places are fixed, so that nothing can overlap.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.95, 0.2, 0.95, 0.55
@@ -32,11 +32,12 @@ _PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 4.1, 2.6, 1.0, 0.75
 _CORNER_LEFT, _CORNER_TOP, _CORNER_BOTTOM = 1.15, 0.85, 0.75
 _CORNER_PANEL, _CORNER_GAP = 1.7, 0.12
 
-# Draws of a band, and points of its curve.
+# Draws that a band is made of, and points of a curve of either kind.
 _DRAWS = 300
 _CURVE_POINTS, _DENSITY_POINTS = 200, 160
 # Contours of a joint posterior hold these shares of it.
 _SHARES = (0.68, 0.95)
+# Bins of a marginal.
 _BINS = 40
 
 
@@ -303,32 +304,30 @@ def _draw_band(
 
 
 def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation, k: int) -> None:
-    name = _DISPLAY_UNIT[result.axis.sensor]
-    scale = unit_scale(name, result.axis.sensor)
+    unit = unit_of(result.axis)
     sizes = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _CURVE_POINTS)))
     time = sizes / curve.rate
-    _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / scale)
+    _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / unit.scale)
     lower, upper = curve.confidence_interval(0.68)
     deviation = curve.deviation[:, k]
     spread = np.maximum(np.stack([deviation - lower[:, k], upper[:, k] - deviation]), 0.0)
     panel.errorbar(
         curve.cluster_time,
-        deviation / scale,
-        spread / scale,
+        deviation / unit.scale,
+        spread / unit.scale,
         label="measured",
         zorder=3,
         **marks(2.6),
     )
-    positive = deviation[deviation > 0.0] / scale
+    positive = deviation[deviation > 0.0] / unit.scale
     panel.set_xlim(time[0] / 1.4, time[-1] * 1.4)
     panel.set_ylim(positive.min(initial=np.inf) / 2.5, positive.max(initial=0.0) * 2.0)
-    panel.set_xlabel("cluster time T [s]")
-    panel.set_ylabel(f"Allan deviation [{name}]")
+    panel.set_xlabel(CLUSTER_TIME)
+    panel.set_ylabel(f"Allan deviation [{unit.name}]")
 
 
 def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> None:
-    name = _DENSITY_UNIT[result.axis.sensor]
-    scale = unit_scale(_DISPLAY_UNIT[result.axis.sensor], result.axis.sensor) ** 2
+    name, scale = density_unit(result.axis)
     f = np.geomspace(result.rate / n, result.rate / 2.0, _DENSITY_POINTS)
     curves = result.density_curves(f, _DRAWS) / scale
     if spectrum is not None:

@@ -81,7 +81,7 @@ class Resonance(Cause):
         gain -= np.log(windows) + np.log(widths) + 2.0
         f0, Q, amplitude = np.exp(theta)
         if view.passes is not None:
-            # As it is recorded, behind the filter.
+            # The amplitude as it is recorded, after the filter.
             amplitude *= np.sqrt(np.interp(f0, view.family.frequency, view.passes))
         relative = np.sqrt(np.diag(covariance))
         # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.

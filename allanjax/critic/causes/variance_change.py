@@ -62,7 +62,7 @@ class _Kind:
             else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
         )
         squares = u**2
-        # Samples that were drawn anew have the right variance, but not the record's ends behind a filter; and
+        # Samples that were drawn anew have the right variance, but not the record's ends after a filter; and
         # quantization noise at the ends is not that of the mirrored record.
         known = np.flatnonzero(~view.restored)
         first, last = max(known[0], _ENDS), min(known[-1], view.n - 1 - _ENDS)
