@@ -131,7 +131,7 @@ def fit_model(terms: str) -> "Model":
     """Model that a fit starts from: without amplitudes, which it estimates."""
     model = parsed_model(terms)
     for p in model.parameters:
-        if p.parameter.kind == "amplitude" and p.start is not None:
+        if p.parameter.is_amplitude and p.start is not None:
             raise typer.BadParameter(
                 f"{p.label} is what the fit estimates; leave out its value", param_hint="--terms"
             )

@@ -30,7 +30,7 @@ def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
         if name not in before and name not in after:
             continue
         term = Markov() if name == MARKOV else basic_terms()[name]
-        unit = default_coefficient_unit(sensor, term.parameters()[0].time_exponent)
+        unit = default_coefficient_unit(sensor, term.amplitude_parameter().time_exponent)
         scale = unit_scale(unit, sensor)
         old, new = (float(np.sqrt(p[name])) / scale if name in p else float("nan") for p in (before, after))
         changes.append(CoefficientChange(name, old, new, unit))

@@ -215,7 +215,7 @@ def _in_blocks(
 ) -> tuple[Solution, Inference, Bool[np.ndarray, " axes"]]:
     """Solution and inference of every axis, and whether the curve is near enough to the data."""
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
-    free = np.array([term.is_free(term.parameters()[0]) for term in template.terms])
+    free = np.array([term.has_free_amplitude for term in template.terms])
     active = np.ones((_BLOCK, len(template)), bool)
     variance = curve.variance.T
 

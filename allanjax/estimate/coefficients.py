@@ -81,7 +81,7 @@ def estimates_of(
         solution, inference: what `gls.solve` and `infer` return, of as many axes.
     """
     parameters = reported(model)
-    shapes = [p for p in parameters if p.free and p.parameter.kind != "amplitude"]
+    shapes = [p for p in parameters if p.free and not p.parameter.is_amplitude]
     power, shape = np.asarray(solution.power), np.asarray(solution.shape)
     covariance = np.asarray(inference.covariance)
     power_at, pivot_at = np.asarray(inference.power_at), np.asarray(inference.pivot_at)
@@ -94,7 +94,7 @@ def estimates_of(
     has_power = active & (power > 0.0)
     found = has_power.copy()
     for row, p in enumerate(parameters):
-        is_amplitude = p.parameter.kind == "amplitude"
+        is_amplitude = p.parameter.is_amplitude
         if not p.free:
             value[:, row] = p.start or 0.0
             interval[:, row] = interval_68[:, row] = value[:, row, None]
@@ -145,7 +145,7 @@ def coefficients_of(
     estimates = estimates_of(model, active, solution, inference)
     found: list[dict[str, Estimate]] = [{} for _ in axes]
     for row, p in enumerate(reported(model)):
-        limited = p.free and p.parameter.kind == "amplitude"
+        limited = p.free and p.parameter.is_amplitude
         for k, axis in enumerate(axes):
             c = Estimate(
                 label=p.label,
@@ -230,7 +230,7 @@ def deterministic_coefficients(
             value, std = float(p.start or 0.0), 0.0
             interval = interval_68 = (value, value)
             detected = True
-        elif p.parameter.kind == "amplitude":
+        elif p.parameter.is_amplitude:
             levels = np.array([TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95, 0.0])
             ends = [unit * amplitude_quantile(square, components, float(level)) for level in norm.cdf(levels)]
             interval, interval_68, limit = (ends[0], ends[1]), (ends[2], ends[3]), ends[4]

@@ -46,7 +46,7 @@ def fitted_model(
 ) -> Model:
     """The template with these values, without the terms that are inactive or whose amplitude is zero."""
     values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
-    amplitudes = [p for p in template.parameters if p.parameter.kind == "amplitude"]
+    amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
     absent = [p.term_label for p in amplitudes if values.get(p.label, 0.0) == 0.0]
     return template.with_values(**values).without([*absent, *inactive])
 

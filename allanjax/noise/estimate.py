@@ -213,7 +213,7 @@ def _times(numbers: float | tuple[float, float] | None, factor: float) -> Any:
 
 def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
     """The usual unit of a parameter of this sensor's noise, e.g. "deg/√h"."""
-    if parameter.kind == "amplitude":
+    if parameter.is_amplitude:
         return default_coefficient_unit(sensor, parameter.time_exponent)
     return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(parameter.kind, "1")
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # An amplitude is detected if the data make zero this much less credible than it was.
 _DETECTED = 1.0 / 20.0
-# Below this coordinate, a third of the knee, an amplitude cannot be told from zero.
+# Below this coordinate, a third of the prior's scale, an amplitude cannot be told from zero.
 _INDISTINGUISHABLE = 0.3
 _CENTRAL_68 = (0.16, 0.84)
 _CENTRAL_95 = (0.025, 0.975)
@@ -97,7 +97,7 @@ def _marginal(
     evidence: float | None,
 ) -> Estimate:
     median, low_68, high_68, low_95, high_95, below_68, below_95 = (float(q) for q in quantiles)
-    amplitude = p.parameter.kind == "amplitude"
+    amplitude = p.parameter.is_amplitude
     one_sided = amplitude and not detected
     return Estimate(
         source="posterior",
@@ -120,7 +120,7 @@ def bayes_factor(posterior: LogPosterior, index: int, draws: Float[np.ndarray, "
     threshold = posterior.scale[index] * np.expm1(_INDISTINGUISHABLE)
     nodes, weights = np.polynomial.legendre.leggauss(200)
     prior = posterior.priors[index]
-    # In ln(1 + c/knee) the default prior is uniform, and others are smooth inside their support.
+    # In ln(1 + c/scale) the default prior is uniform, and others are smooth inside their support.
     low = np.log1p(prior.lower / posterior.scale[index])
     if low >= _INDISTINGUISHABLE:
         return 0.0

@@ -124,7 +124,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         return tuple(
             p.term_label
             for p in self._template.parameters
-            if p.parameter.kind == "amplitude" and p.free and p.label not in self.labels
+            if p.parameter.is_amplitude and p.free and p.label not in self.labels
         )
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:

@@ -137,7 +137,7 @@ def spectral_random_walk(
         source="spectrum",
         label=AngleRandomWalk.name(),
         term=AngleRandomWalk.name(),
-        parameter=AngleRandomWalk.parameters()[0],
+        parameter=AngleRandomWalk.amplitude_parameter(),
         axis=axis,
         value=value,
         std=float(np.hypot(value / np.sqrt(2.0 * dof), excess)),

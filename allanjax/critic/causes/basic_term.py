@@ -76,7 +76,7 @@ class BasicTerm(Cause):
         values, stds = np.transpose(found)
         std = float(np.sqrt(odds(sets) @ (stds**2 + (values - value) ** 2)))
         declared = Markov() if term == MARKOV else basic_terms()[term]
-        parameter = declared.parameters()[0]
+        parameter = declared.amplitude_parameter()
         unit = default_coefficient_unit(view.axis.sensor, parameter.time_exponent)
         scale = unit_scale(unit, view.axis.sensor)
         parameters = {parameter.name: Quantity(value / scale, std / scale, unit)}
