@@ -14,11 +14,11 @@ from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import fit_allan, fit_whittle, with_curve
 from allanjax.estimate.result import NEXT, AxisFit, Fit
-from allanjax.estimate.selection import TermSelection, basic_terms, select_terms
+from allanjax.estimate.selection import TermSelection, select_terms
 from allanjax.inspection import Inspection, inspect
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.noise.terms import Markov, Telegraph
+from allanjax.noise.terms import Markov, Telegraph, basic_terms
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, DeadAxis, Recording
