@@ -80,7 +80,7 @@ def cluster_sizes(
     return np.unique(sizes[sizes <= largest])
 
 
-def _sizes_of_times(times: Float[np.ndarray, " m"], rate: float, largest: int) -> Int[np.ndarray, " m"]:
+def _sizes_of_times(times: Float[np.ndarray, " times"], rate: float, largest: int) -> Int[np.ndarray, " m"]:
     """Cluster sizes in samples of the given cluster times [s]."""
     if times.ndim != 1 or times.size == 0:
         raise AllanjaxError("cluster times must be a non-empty sequence of seconds")

@@ -254,6 +254,7 @@ def test_cluster_sizes():
         (0, "at least 1"),
     ],
 )
+@pytest.mark.usefixtures("unchecked_shapes")
 def test_refuses_cluster_times(spacing, message):
     with pytest.raises(AllanjaxError, match=message):
         cluster_sizes(100, 50.0, spacing)

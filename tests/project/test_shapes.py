@@ -28,6 +28,15 @@ def test_libraries_and_other_annotations_make_no_difference(array):
 
 
 @jaxtyped(typechecker=check_shapes)
+def length(times: list[float] | Float[np.ndarray, " n"]) -> int:
+    return len(times)
+
+
+def test_whole_numbers_are_numbers():
+    assert length([1, 2]) == length(np.ones(2)) == 2
+
+
+@jaxtyped(typechecker=check_shapes)
 def total(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, ""]:
     return x.sum()
 

@@ -14,9 +14,11 @@ from typing import Any, TypeVar, Union, get_args, get_origin
 
 import jax
 import numpy as np
-from beartype import beartype
+from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray
 
+# Whole numbers are numbers, too.
+_checked = beartype(conf=BeartypeConf(is_pep484_tower=True))
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -24,7 +26,7 @@ def check_shapes(function: _F) -> _F:
     """The function, which raises if an argument or a result has not the shape that it is annotated with."""
     hints = {name: _shape(hint) for name, hint in function.__annotations__.items()}
     function.__annotations__ = hints
-    return beartype(function) if any(hint is not Any for hint in hints.values()) else function
+    return _checked(function) if any(hint is not Any for hint in hints.values()) else function
 
 
 def _shape(hint: Any) -> Any:
