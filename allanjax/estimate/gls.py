@@ -72,7 +72,7 @@ class Solution(NamedTuple):
     cost: Float[Array, ""]
 
     @property
-    def discrepancy(self) -> Float[Array, ""]:
+    def discrepancy(self) -> Float[Array, "*axes"]:
         """Relative error of the model's deviations, which is half of that of its powers."""
         return self.power_error / 2.0
 

@@ -42,6 +42,7 @@ def fit_of_truth(fitted, model, recording):
             std=p.start / 100,
             upper_limit=None,
             unit="",
+            usual_unit="",
         )
         for p in model.parameters
     }
