@@ -50,7 +50,7 @@ _BELOW, _ABOVE = 30.0, 10.0
 
 def plot_critique(
     critique: Critique,
-    folder: str | os.PathLike[str] | None = None,
+    path: str | os.PathLike[str] | None = None,
     findings: Collection[Finding] | None = None,
 ) -> tuple[Figure, ...]:
     """Draw a figure for every finding, and one for each axis without findings.
@@ -61,19 +61,19 @@ def plot_critique(
 
     Args:
         critique: what `critique` returns.
-        folder: where to save them, as NAME_gyro_x_sinusoid.png; it is made if need be.
+        path: where to save them, as NAME_gyro_x_sinusoid.png; it is made if need be.
         findings: some of the critique's, if only their figures are wanted.
 
     Returns:
         The matplotlib figures.
     """
-    if folder is not None:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+    if path is not None:
+        Path(path).mkdir(parents=True, exist_ok=True)
     figures = []
     with style():
         for (finding, draw), name in zip(_jobs(critique), figure_names(critique), strict=True):
             if findings is None or finding in findings:
-                figures.append(save_and_close(draw(), None if folder is None else Path(folder) / name))
+                figures.append(save_and_close(draw(), None if path is None else Path(path) / name))
     return tuple(figures)
 
 

@@ -1,9 +1,11 @@
 """Small recordings and their fits, made once; an empty folder for commands; figures that are closed."""
 
 import dataclasses
+import gc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import jax
 import jaxtyping
 import numpy as np
 import pytest
@@ -11,6 +13,29 @@ from gamma_levels import with_likelihood
 
 import allanjax as aj
 from allanjax.noise.notation import parse_model
+
+# Memory [bytes] at which a process forgets its compiled programs, and what it may then grow by.
+_MUCH, _MORE = 800_000_000, 150_000_000
+_kept = [0]
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """Keep a process that runs tests below 1.5 GB: JAX holds every program that it has compiled."""
+    yield
+    if _memory() > max(_MUCH, _kept[0] + _MORE):
+        jax.clear_caches()
+        gc.collect()
+        _kept[0] = _memory()
+
+
+def _memory() -> int:
+    """Memory of this process [bytes]; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0
+    return pages * 4096
 
 
 @pytest.fixture(scope="session")
