@@ -240,11 +240,6 @@ def _chunks(size: int) -> Iterator[slice]:
         first, length = first + length, min(2 * length, _CHUNK)
 
 
-def octave_sizes(n: int) -> Int[np.ndarray, " m"]:
-    """Cluster sizes 1, 2, 4, … samples, up to half of the record."""
-    return 2 ** np.arange(int(np.log2(n // 2)) + 1)
-
-
 def octave_bins(n: int) -> Int[np.ndarray, " bins+1"]:
     """Edges of logarithmic bins of the coefficients 1 … n−1, six an octave once that makes more than one."""
     edges = [1]

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import binom
 
+from allanjax.allan.clusters import cluster_sizes
 from allanjax.critic.causes.rounding import HARMLESS, lattice
-from allanjax.critic.comparison import AllanLaw, StageResiduals, allan_laws, octave_sizes
+from allanjax.critic.comparison import AllanLaw, StageResiduals, allan_laws
 from allanjax.critic.noise import centred
 from allanjax.critic.profiles import (
     TINY,
@@ -72,7 +73,7 @@ def mended(
     Returns:
         For every finding pairs of discrepancies at the same place, one a statistic.
     """
-    laws = allan_laws(records, octave_sizes(records[0].n))
+    laws = allan_laws(records, cluster_sizes(records[0].n, records[0].rate))
     channels = _varying(auxiliary)
     stages = [_cheap(record, law, channels) for record, law in zip(records, laws, strict=True)]
     found = []

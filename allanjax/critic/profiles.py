@@ -17,6 +17,7 @@ from jaxtyping import Float, Real
 from scipy.fft import dct, rfft
 from scipy.stats import chi2, kurtosistest, norm
 
+from allanjax.allan.clusters import cluster_sizes
 from allanjax.critic.bank import any_of, extrapolated
 from allanjax.critic.comparison import (
     AllanLaw,
@@ -24,7 +25,6 @@ from allanjax.critic.comparison import (
     allan_laws,
     degrees_of_freedom,
     octave_bins,
-    octave_sizes,
 )
 from allanjax.critic.result import Discrepancy
 from allanjax.record.units import unit_scale
@@ -114,7 +114,7 @@ def cluster_times(record: StageResiduals) -> list[Profile]:
     The drift over T, less that at the mean rate of the stretch of equal length before, is √2·T times the
     Allan deviation at T; it is given at round times.
     """
-    octaves = octave_sizes(record.n)
+    octaves = cluster_sizes(record.n, record.rate)
     horizons = 2.0 ** np.arange(np.floor(np.log2(max(record.n / record.rate / 4.0, 1.0))) + 1)
     stretches = np.unique(np.clip(np.rint(horizons * record.rate), 1, record.n // 2)).astype(int)
     (law,) = allan_laws([record], np.concatenate([octaves, stretches]))
