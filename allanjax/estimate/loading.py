@@ -158,7 +158,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         p_value=_number(a["p_value"]),
         discrepancy=_number(a["discrepancy"]),
         _coefficients=coefficients,
-        _covariance=np.array([_numbers(row) for row in a["covariance"]["values"]]),
+        _covariance=_matrix(a["covariance"]["values"]),
         _model=fitted_model(template, coefficients),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
         misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
@@ -194,6 +194,11 @@ def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> T
 def _number(x: float | None) -> float:
     """Number from JSON, NaN for null."""
     return math.nan if x is None else float(x)
+
+
+def _matrix(rows: Sequence[Sequence[float | None]]) -> Float[np.ndarray, "params params"]:
+    """Square matrix of these rows, which is empty if there are none."""
+    return np.array([_numbers(row) for row in rows]).reshape(len(rows), len(rows))
 
 
 def _numbers(values: Sequence[float | None]) -> Float[np.ndarray, " m"]:

@@ -144,7 +144,7 @@ def _split(values: Pooled) -> Split | None:
 def _weighed(
     x: Float[np.ndarray, " units"],
     s: Float[np.ndarray, " units"],
-    parts: Sequence[Int[np.ndarray, " part"]],
+    parts: Sequence[Int[np.ndarray, " _"]],
     smallest: int,
     prior: Float[np.ndarray, " widths"],
 ) -> tuple[float, float, Int[np.ndarray, " units"]]:

@@ -57,7 +57,8 @@ def test_intervals_cover_and_estimates_are_efficient(clear, objective) -> None:
 @pytest.mark.parametrize("K", [0.5, 1.0, 2.0])
 def test_intervals_and_limits_cover_through_the_edge_of_detection(K, objective) -> None:
     faint = records(1.0, K, RECORDS, seed=2)
-    found = [r["rate_random_walk"] for r in aj.fit(faint, MODEL, objective, as_is=True, vibrating=True)]
+    fit = aj.fit(faint, MODEL, objective, as_is=True, vibrating=True)
+    found = [r["rate_random_walk"] for r in fit.results]
     detected = sum(c.detected for c in found)
     if K == 1.0:
         assert 0.05 * RECORDS < detected < 0.95 * RECORDS  # this is the edge

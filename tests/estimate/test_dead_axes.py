@@ -167,7 +167,7 @@ def test_pieces_of_which_one_has_numbers(small_recording):
     with pytest.raises(AllanjaxError, match="sample 1000 of gyro_y is not finite"):
         piece(0, NAN).update(small_recording.values[:10])
     with pytest.raises(AllanjaxError, match="sample 0 of gyro_x is not finite"):
-        aj.AllanAccumulator(RATE, ["gyro_x"]).update([NAN, NAN])
+        aj.AllanAccumulator(RATE, ["gyro_x"]).update(np.array([NAN, NAN]))
     still = aj.AllanAccumulator(RATE, ["gyro_x"])
     still.update(np.zeros(100))
     with pytest.raises(FitError, match="gyro_x is constant, 0 rad/s throughout"):

@@ -268,7 +268,7 @@ def test_files_and_tables_have_no_errors_of_what_is_no_measurement(fit, recordin
     assert table[table["axis"] == "gyro_z"]["measured"].all()
     write_json(fit, tmp_path / "fit.json")
     loaded = aj.load(tmp_path / "fit.json")
-    assert [result.measured for result in loaded] == [False, False, True, True]
+    assert [result.measured for result in loaded.results] == [False, False, True, True]
     assert loaded["gyro_x"].misfit == misfit
     assert str(loaded["gyro_x"]["angle_random_walk"]) == str(fit["gyro_x"]["angle_random_walk"])
     assert str(loaded) == str(fit)
@@ -400,7 +400,7 @@ def test_shapes_whose_intervals_leave_what_a_record_can_show_have_limits(paramet
         upper_limit=None,
         detected=True,
     )
-    found = _within(c, FEWER, RATE)
+    found = _within(c, parameter, FEWER, RATE)
     if not limit:
         assert found is c
         return

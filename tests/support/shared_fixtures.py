@@ -1,5 +1,7 @@
 """Small recordings and their fits, made once; an empty folder for commands; figures that are closed."""
 
+import contextlib
+import ctypes
 import dataclasses
 import gc
 from collections.abc import Callable, Iterator
@@ -26,7 +28,14 @@ def bounded_memory() -> Iterator[None]:
     if _memory() > max(_MUCH, _kept[0] + _MORE):
         jax.clear_caches()
         gc.collect()
+        _give_back()
         _kept[0] = _memory()
+
+
+def _give_back() -> None:
+    """Give memory that is free back to the system; the C library of Linux would keep it."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def _memory() -> int:
