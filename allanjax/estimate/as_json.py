@@ -20,12 +20,8 @@ from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import DeadAxis
 
 SCHEMA_VERSION = 1
-
-
 #: What stands for an infinite parameter of a model, for which JSON has no number.
 INFINITY = "Infinity"
-
-
 # Sets of terms that are less probable are not written.
 _IMPROBABLE = 1e-6
 

@@ -250,7 +250,7 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     return WhittleLikelihood(
         parameters,
         start,
-        np.where(scatter > 0.0, scatter, np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)),
+        _known_scatter(scatter, start, prior_scale),
         lower,
         upper,
         prior_scale,
@@ -308,7 +308,7 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     return AllanLikelihood(
         parameters,
         start,
-        np.where(scatter > 0.0, scatter, np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)),
+        _known_scatter(scatter, start, prior_scale),
         lower,
         upper,
         prior_scale,
@@ -319,6 +319,16 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
         np.asarray(products),
         np.asarray(power_error),
     )
+
+
+def _known_scatter(
+    scatter: Float[np.ndarray, " params"],
+    start: Float[np.ndarray, " params"],
+    prior_scale: Float[np.ndarray, " params"],
+) -> Float[np.ndarray, " params"]:
+    """Rough standard deviations, where the fit gives none a share of the prior's scale or of the start."""
+    rough = np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)
+    return np.where(scatter > 0.0, scatter, rough)
 
 
 def _estimates(

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import AllanDeviation, allan_deviation, rate_unit
 from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import default_coefficient_unit, unit_scale
 from allanjax.report.figure import Unit, marks
 
 if TYPE_CHECKING:
@@ -56,18 +55,14 @@ def draw_measured(
 def times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
     """Cluster times at which a model's curve is drawn [s].
 
-    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another
-        one.
+    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another.
     """
     return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
 
 
 def unit_of(axis: Axis | None) -> Unit:
     """Unit in which an axis's deviations are drawn."""
-    if axis is None:
-        return Unit("", 1.0)
-    name = default_coefficient_unit(axis.sensor, 0.0)
-    return Unit(name, unit_scale(name, axis.sensor))
+    return Unit("", 1.0) if axis is None else Unit(*rate_unit(axis))
 
 
 def deviation_label(curve: AllanDeviation, unit: Unit) -> str:
