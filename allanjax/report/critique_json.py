@@ -11,9 +11,10 @@ from typing import Any
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding
 from allanjax.critic.view import Quantity
+from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.units import unit_scale
 
 SCHEMA_VERSION = 1
 
@@ -126,17 +127,10 @@ def _model(model: Model, axis: Axis) -> dict[str, Any]:
     """Terms of a model, and their parameters by label in usual units."""
     values: dict[str, dict[str, Any]] = {}
     for p in model.parameters:
-        unit, scale = _unit(p.parameter.kind, float(p.parameter.time_exponent), axis)
+        unit = usual_unit(p.parameter, axis.sensor)
+        scale = unit_scale(unit, axis.sensor)
         values[p.label] = {
             "value": None if p.start is None else finite_or_none(p.start / scale),
             "unit": unit,
         }
     return {"terms": list(model.term_labels), "parameters": values}
-
-
-def _unit(kind: str, time_exponent: float, axis: Axis) -> tuple[str, float]:
-    """Unit of a parameter, and its factor to SI."""
-    if kind == "amplitude":
-        unit = default_coefficient_unit(axis.sensor, time_exponent)
-        return unit, unit_scale(unit, axis.sensor)
-    return {"time": "s", "number": "1"}.get(kind, "Hz"), 1.0
