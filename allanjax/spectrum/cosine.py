@@ -128,7 +128,7 @@ class CosineBins(Bins):
         pad = most - len(first)
         first, size = np.append(first, np.full(pad, n // 2)), np.append(size, np.zeros(pad, int))
         nodes, weights = discrete_gauss(np.maximum(size, 1), _BIN_ORDER)
-        lags, lag_weights = _exact_expectation(n, rate, top)
+        lags, lag_weights = exact_expectation(n, rate, top)
         nodes = (first[:, None] + nodes) * rate / (2.0 * n)
         weights = weights * rate / np.maximum(size, 1)[:, None]
         return cls(n, rate, size, first, lags, lag_weights, nodes, weights)
@@ -174,7 +174,7 @@ class _Transform(eqx.Module):
         nodes = (edges[:-1, None] + nodes) * rate / (2.0 * n)
         lags, lag_weights = np.zeros(0), np.zeros((0, 0))
         if edges[0] == 1:
-            lags, lag_weights = _exact_expectation(n, rate, _SINGLE)
+            lags, lag_weights = exact_expectation(n, rate, _SINGLE)
             pad = -len(lags) % _LAGS
             lags, lag_weights = np.pad(lags, (0, pad)), np.pad(lag_weights, ((0, 0), (0, pad)))
         return cls(
@@ -259,7 +259,7 @@ def _from_density(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, 
     return jnp.sum(of.node_weights * density, axis=1)
 
 
-def _exact_expectation(
+def exact_expectation(
     n: int, rate: float, top: int
 ) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, "top lags"]]:
     """Lags [s], and weights of G there whose sum is the exact E c_j² for j = 1 … top."""

@@ -1,0 +1,116 @@
+"""Expected squares of cosine coefficients, in closed form and exact, of noise with exponential covariances.
+
+The orthonormal cosine transform of n values with autocovariance r_0, r_d = r_1·Q^{d−1} (d ≥ 1) has
+
+    E c_j² = r_0 + r_1·{2(y − 2s)/D − [1 − (−1)^j Qⁿ]/n · 4y²(1 − s)/D²},
+
+    y = 1 − Q,  s = sin²(a_j/2),  D = y² + 4(1 − y)s,  a_j = πj/n:
+
+the geometric sums of `spectrum.cosine`'s exact expression. The second part in the braces is what the record's
+two ends add. Q may be complex, the real part then counts; so Markov processes, oscillators and poles of a
+filter are of one form, and no lag is ever summed.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Num
+
+from allanjax.estimate.spectral.levels import Levels
+
+
+def geometric(
+    levels: Levels,
+    first: Num[Array, " m"],
+    second: Num[Array, " m"],
+    y: Num[Array, " m"],
+    last: Num[Array, " m"],
+) -> Num[Array, "nodes m"]:
+    """Expected squares for the autocovariance r_0 = first, r_d = second·(1 − y)^{d−1}; `last` is (1 − y)ⁿ."""
+    s = jnp.sin(levels.angle * levels.interval / 2.0) ** 2
+    D = y**2 + 4.0 * (1.0 - y) * s
+    ends = (1.0 - levels.parity * last) / levels.length * 4.0 * y**2 * (1.0 - s) / D
+    return first + second * (2.0 * (y - 2.0 * s) - ends) / D
+
+
+def markov(levels: Levels, log_time: Float[Array, ""]) -> Float[Array, "nodes m"]:
+    """Expected squares for a Gauss–Markov process of variance 1, averaged over each value's interval.
+
+    `log_time` is the logarithm of its correlation time in sample intervals.
+    """
+    x = levels.interval * jnp.exp(-log_time)
+    y = -jnp.expm1(-x)
+    small = x < 1e-3
+    first = jnp.where(small, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x - y) / jnp.where(small, 1.0, x) ** 2)
+    return geometric(levels, first, (y / x) ** 2, y, jnp.exp(-levels.length * x))
+
+
+def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -> Float[Array, "nodes m"]:
+    """Expected squares for a damped oscillator of variance 1, driven by white noise.
+
+    Args:
+        levels: the levels.
+        shape: ln ω0 [radians per sample interval], and ln(Q − ½).
+        band_limited: whether nothing above half the sample rate is folded back; otherwise the oscillator is
+            read at the instants of the samples.
+    """
+    w0, Q = jnp.exp(shape[0]), 0.5 + jnp.exp(shape[1])
+    decay = w0 / (2.0 * Q)
+    wd = jnp.sqrt(w0**2 - decay**2)
+    pole = jnp.asarray(-decay + 1j * wd)
+    # Means of M readings, as in `noise.terms.exponential_density`.
+    M = levels.interval
+    q, y, z = jnp.exp(pole), -jnp.expm1(pole), -jnp.expm1(M * pole)
+    series = 1.0 + pole * (M**2 - 1.0) / (3.0 * M) + pole**2 * (M**2 - 1.0) / 12.0
+    first = jnp.where(jnp.abs(M * pole) < 1e-3, series, (1.0 + q) / (M * y) - 2.0 * q * z / (M * y) ** 2)
+    second = q * (z / (M * y)) ** 2
+    last = jnp.exp(levels.length * M * pole)
+    read = jnp.real((1.0 - 1j * decay / wd) * geometric(levels, first, second, z, last))
+    a = levels.angle
+    density = 2.0 * w0**3 / Q / ((w0**2 - a**2) ** 2 + (w0 * a / Q) ** 2)
+    return jnp.where(band_limited, density, read)
+
+
+#: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited.
+NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range(5)
+
+
+def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
+    """Power response of a filter, 1 at frequency zero.
+
+    Args:
+        levels: the levels.
+        shape: ln ω_c [radians per sample interval], and ln(Q − ½) of two poles.
+        kind: the kind of response.
+    """
+    wc, Q = jnp.exp(shape[0]), 0.5 + jnp.exp(shape[1])
+    a = levels.angle
+    s = jnp.sin(a / 2.0) ** 2
+    y = -jnp.expm1(-wc)
+    one = y**2 / (y**2 + 4.0 * (1.0 - y) * s)
+    decay = wc / (2.0 * Q)
+    wd = jnp.sqrt(wc**2 - decay**2)
+    pole = -decay + 1j * wd
+    c, z = 1.0 - 1j * decay / wd, -jnp.expm1(pole)
+    # Of an oscillator read at the instants, over that at frequency zero.
+    two = jnp.real(c * (1.0 + 2.0 * (1.0 - z) * (z - 2.0 * s) / (z**2 + 4.0 * (1.0 - z) * s)))
+    two = two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
+    u = (a / wc) ** 2
+    limited = [1.0 / (1.0 + u), 1.0 / ((1.0 - u) ** 2 + u / Q**2)]
+    return jnp.select([kind == k for k in range(4)], [jnp.ones_like(a), one, two, limited[0]], limited[1])
+
+
+# Nodes of the integral over rates of decay, uniform in the logarithm: the trapezoidal rule converges
+# exponentially, here to 10⁻⁸.
+_DECAY_TIMES = np.arange(-45.0, 45.0, 0.5)
+
+
+def flicker(levels: Levels) -> Float[Array, "nodes m"]:
+    """Expected squares for flicker noise of PSD 1/(2πf) per cycle of the sampling: a sum of Markov processes.
+
+    Markov processes of variance 1/π, one for each logarithm of the correlation time, add up to 1/(2πf).
+    """
+    each = jax.lax.map(lambda log_time: markov(levels, log_time), jnp.asarray(_DECAY_TIMES))
+    return (_DECAY_TIMES[1] - _DECAY_TIMES[0]) / jnp.pi * jnp.sum(each, axis=0)

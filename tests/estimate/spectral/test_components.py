@@ -1,0 +1,148 @@
+"""Expected squares of cosine coefficients, against sums over all pairs of samples, and against Allan's G."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.signal import freqz
+
+import allanjax as aj
+from allanjax.estimate.spectral import components
+from allanjax.estimate.spectral.columns import columns_of
+from allanjax.estimate.spectral.levels import levels_of
+from allanjax.spectrum.cosine import exact_expectation
+
+N = 300
+
+
+def single_coefficients(n, first=1, stop=None):
+    """Levels of single coefficients without columns, and how many they are."""
+    stop = n if stop is None else stop
+    m = stop - first
+    return levels_of(np.ones(m), np.ones(m), np.arange(first, stop + 1), n, np.zeros((0, 2, m))), m
+
+
+def by_all_pairs(covariance):
+    """E c_j² of the cosine coefficients from the covariance of all samples."""
+    n = len(covariance)
+    basis = np.sqrt(2.0 / n) * np.cos(np.pi * np.arange(1, n)[:, None] / n * (np.arange(n) + 0.5))
+    return np.einsum("ij,jk,ik->i", basis, covariance, basis)
+
+
+def lags(n):
+    return abs(np.subtract.outer(np.arange(n), np.arange(n))).astype(float)
+
+
+@pytest.mark.parametrize("time", [0.05, 1.0, 30.0, 1e4])
+def test_markov_is_the_sum_over_all_pairs(time):
+    """Means over the interval: r_0 and r_1 by numerical integration of the covariance."""
+    x = 1.0 / time
+    r0 = quad(lambda t: 2.0 * (1.0 - t) * np.exp(-x * t), 0.0, 1.0)[0]
+    r1 = quad(lambda t: (1.0 - abs(t)) * np.exp(-x * (1.0 + t)), -1.0, 1.0, points=[0.0])[0]
+    d = lags(N)
+    expected = by_all_pairs(np.where(d == 0, r0, r1 * np.exp(-x * np.maximum(d - 1.0, 0.0))))
+    levels, m = single_coefficients(N)
+    found = np.asarray(components.markov(levels, jnp.log(time)))[0, :m]
+    # Of 10⁴ samples the covariance is nearly constant, and the sum over pairs keeps six digits.
+    np.testing.assert_allclose(found, expected, rtol=1e-9 if time < 1e3 else 1e-6)
+
+
+@pytest.mark.parametrize(("f0", "Q"), [(0.1, 3.0), (0.3, 20.0), (0.01, 0.7), (0.45, 1.5)])
+def test_oscillator_is_the_sum_over_all_pairs(f0, Q):
+    w0 = 2.0 * np.pi * f0
+    decay = w0 / (2.0 * Q)
+    wd = np.sqrt(w0**2 - decay**2)
+    d = lags(N)
+    expected = by_all_pairs(np.exp(-decay * d) * (np.cos(wd * d) + decay / wd * np.sin(wd * d)))
+    levels, m = single_coefficients(N)
+    shape = jnp.array([np.log(w0), np.log(Q - 0.5)])
+    found = np.asarray(components.oscillator(levels, shape, jnp.asarray(False)))[0, :m]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_flicker_is_that_of_its_phase_covariance():
+    n, rate = 20_000, 100.0
+    at, weights = exact_expectation(n, rate, 64)
+    expected = weights @ np.asarray(aj.BiasInstability(1.0).phase_covariance(jnp.asarray(at)))
+    levels, m = single_coefficients(n, stop=65)
+    np.testing.assert_allclose(np.asarray(components.flicker(levels))[0, :m], expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "term", [aj.Quantization(1.0), aj.AngleRandomWalk(1.0), aj.RateRandomWalk(1.0), aj.BiasInstability(1.0)]
+)
+def test_columns_are_sums_over_all_pairs_of_the_phase_covariance(term):
+    """E c_j² = −(1/h²) Σ G δ²r: here by brute force, the covariance of increments of the phase."""
+    n, rate = 200, 4.0
+    G = np.asarray(term.phase_covariance(jnp.arange(n + 1) / rate))
+    d = lags(n).astype(int)
+    second = -(G[d + 1] - 2.0 * G[d] + G[abs(d - 1)]) * rate**2
+    expected = by_all_pairs(second)
+    edges = np.arange(1, n + 1)
+    found = columns_of([term], edges, n, rate)[0, 0]
+    np.testing.assert_allclose(found, expected, rtol=2e-3 if isinstance(term, aj.RateRandomWalk) else 1e-6)
+
+
+@pytest.mark.parametrize("bandwidth", [0.02, 0.15, 0.4])
+def test_one_pole_is_the_digital_filter(bandwidth):
+    """y_k = w·y_{k−1} + (1 − w)·x_k has the response that scipy computes from its coefficients."""
+    w = np.exp(-2.0 * np.pi * bandwidth)
+    levels, m = single_coefficients(N)
+    _, H = freqz([1.0 - w], [1.0, -w], np.asarray(levels.angle)[0, :m])
+    shape = jnp.array([np.log(2.0 * np.pi * bandwidth), 0.0])
+    found = np.asarray(components.response(levels, shape, jnp.asarray(components.ONE_POLE)))[0, :m]
+    np.testing.assert_allclose(found, abs(H) ** 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "limited"),
+    [
+        (components.ONE_POLE, components.ONE_POLE_BAND_LIMITED),
+        (components.TWO_POLES, components.TWO_POLES_BAND_LIMITED),
+    ],
+)
+def test_responses_read_at_the_instants_are_sums_over_aliases(kind, limited):
+    """White noise through the continuous filter, its aliases summed, over their sum at frequency zero."""
+    wc, Q, n = 2.0 * np.pi * 0.12, 0.9, 500
+    levels, m = single_coefficients(n)
+    a = np.asarray(levels.angle)[0, :m]
+    shape = jnp.array([np.log(wc), np.log(Q - 0.5)])
+
+    def density(a):
+        u = (a / wc) ** 2
+        return (
+            1.0 / (1.0 + u)
+            if limited == components.ONE_POLE_BAND_LIMITED
+            else 1.0 / ((1.0 - u) ** 2 + u / Q**2)
+        )
+
+    np.testing.assert_allclose(
+        np.asarray(components.response(levels, shape, jnp.asarray(limited)))[0, :m], density(a), rtol=1e-12
+    )
+    k = np.arange(-20_000, 20_001)
+    folded = np.array([density(x + 2.0 * np.pi * k).sum() for x in (0.0, *a[:: m // 20])])
+    found = np.asarray(components.response(levels, shape, jnp.asarray(kind)))[0, :m][:: m // 20]
+    # One pole's aliases fall off with the square: 3·10⁻⁶ of them lie beyond those that are summed.
+    np.testing.assert_allclose(found, folded[1:] / folded[0], rtol=2e-5)
+
+
+def test_nothing_depends_on_an_absent_response():
+    levels, _ = single_coefficients(N)
+    found = components.response(levels, jnp.array([0.0, 0.0]), jnp.asarray(components.NONE))
+    np.testing.assert_array_equal(np.asarray(found), 1.0)
+
+
+def test_means_of_segments_are_averages_of_readings():
+    """An oscillator averaged over five readings before the transform: the covariance of such means."""
+    M, n, w0, Q = 5, 120, 0.4, 4.0
+    decay = w0 / (2.0 * Q)
+    wd = np.sqrt(w0**2 - decay**2)
+    d = lags(M * n)
+    readings = np.exp(-decay * d) * (np.cos(wd * d) + decay / wd * np.sin(wd * d))
+    means = np.kron(np.eye(n), np.full((1, M), 1.0 / M))
+    expected = by_all_pairs(means @ readings @ means.T)
+    levels, m = single_coefficients(n)
+    levels = levels._replace(angle=levels.angle / M, interval=np.full_like(levels.interval, M))
+    shape = jnp.array([np.log(w0), np.log(Q - 0.5)])
+    found = np.asarray(components.oscillator(levels, shape, jnp.asarray(False)))[0, :m]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
