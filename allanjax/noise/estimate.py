@@ -201,6 +201,9 @@ class Estimate(ByValue):
         return f"{amount}; {self.remark}" if self.remark else amount
 
 
+#: A fit's estimates are its coefficients.
+Coefficient = Estimate
+
 #: The fields of an estimate that are in its `unit`.
 _NUMBERS = ("value", "std", "interval", "interval_68", "upper_limit", "lower_limit", "excess")
 

@@ -2,6 +2,8 @@
 
 import importlib
 import pkgutil
+import subprocess
+import sys
 from operator import attrgetter
 
 import pytest
@@ -54,6 +56,34 @@ def test_no_name_of_a_package_hides_a_module():
         if getattr(importlib.import_module(package), name) is not found:
             hidden.append(module)
     assert hidden == []
+
+
+# Each takes a good part of the time that `import jax` takes.
+SLOW = ("matplotlib", "pandas", "scipy.signal", "scipy.stats")
+
+
+@pytest.mark.parametrize(
+    "program",
+    ["import allanjax", "import allanjax as aj; [getattr(aj, name) for name in aj.__all__]"],
+    ids=["the package", "all of its names"],
+)
+def test_slow_libraries_are_imported_where_they_are_used_only(program):
+    program += f"; import sys; sys.exit(' '.join(name for name in {SLOW} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
+    assert done.stderr.strip() == ""
+
+
+def test_importing_the_package_loads_no_room_that_works():
+    """Each of its names loads what it needs."""
+    program = "import sys, allanjax as aj; {}; print('allanjax.record.recording' in sys.modules)"
+    for use, loaded in (("aj", "False"), ("aj.Recording", "True")):
+        done = subprocess.run([sys.executable, "-c", program.format(use)], capture_output=True, text=True)
+        assert done.stdout.strip() == loaded
+
+
+def test_a_name_that_there_is_not_is_an_error():
+    with pytest.raises(AttributeError, match="module 'allanjax' has no attribute 'unheard_of'"):
+        aj.unheard_of  # noqa: B018
 
 
 AUTHORS = {
