@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jax.scipy.special import gammaln
 from jaxtyping import Array, ArrayLike, Float
+
+from allanjax.base.arrays import namespace, special_functions
 
 # Normal score of p = 10⁻⁶: beyond it a misfit is no matter of chance.
 _BEYOND_DOUBT = 4.75
@@ -16,8 +16,9 @@ def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...
     The usual approximation to the moments of the cube root, mean 1 − variance/9 and variance/9: for few
     degrees of freedom see `exact_cube_root_score`.
     """
-    g = jnp.asarray(variance) / 9.0
-    return (jnp.cbrt(ratio) - 1.0 + g) / jnp.sqrt(g)
+    xp = namespace(ratio, variance)
+    g = xp.asarray(variance) / 9.0
+    return (xp.cbrt(ratio) - 1.0 + g) / xp.sqrt(g)
 
 
 def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[Array, ...]:
@@ -26,18 +27,21 @@ def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ..
     They are E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2), of which the usual approximation is 15 % off at one degree
     of freedom; beyond a thousand the approximation is exact enough.
     """
-    dof = jnp.maximum(jnp.asarray(dof), 1e-3)
-    few = jnp.minimum(dof, 1e3) / 2.0
+    xp = namespace(ratio, dof)
+    gammaln = special_functions(xp).gammaln
+    nu = xp.maximum(xp.asarray(dof), 1e-3)
+    few = xp.minimum(nu, 1e3) / 2.0
     first, second = (
-        jnp.exp(gammaln(few + p) - gammaln(few) - p * jnp.log(few)) for p in (1.0 / 3.0, 2.0 / 3.0)
+        xp.exp(gammaln(few + p) - gammaln(few) - p * xp.log(few)) for p in (1.0 / 3.0, 2.0 / 3.0)
     )
-    g = 2.0 / (9.0 * dof)
-    mean = jnp.where(dof < 1e3, first, 1.0 - g)
-    return (jnp.cbrt(jnp.asarray(ratio)) - mean) / jnp.sqrt(jnp.where(dof < 1e3, second - first**2, g))
+    g = 2.0 / (9.0 * nu)
+    mean = xp.where(nu < 1e3, first, 1.0 - g)
+    return (xp.cbrt(xp.asarray(ratio)) - mean) / xp.sqrt(xp.where(nu < 1e3, second - first**2, g))
 
 
 def beyond_doubt(dof: Float[ArrayLike, ""]) -> Float[Array, ""]:
     """χ² that a model which is right exceeds with a probability of 10⁻⁶ only."""
-    dof = jnp.asarray(dof)
+    xp = namespace(dof)
+    dof = xp.asarray(dof)
     g = 2.0 / (9.0 * dof)
-    return dof * (1.0 - g + _BEYOND_DOUBT * jnp.sqrt(g)) ** 3
+    return dof * (1.0 - g + _BEYOND_DOUBT * xp.sqrt(g)) ** 3

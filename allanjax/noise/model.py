@@ -22,8 +22,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
-from scipy.fft import next_fast_len
 
+from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.numerics import gaussian_sequence, increment_autocovariance, sampled_density
 from allanjax.noise.parameter import Parameter, Value
@@ -75,6 +75,8 @@ class NoiseTerm(eqx.Module):
         of θ, by circulant embedding (Davies & Harte 1987), and adds them up from zero: the level itself has
         no law when the term is not stationary.
         """
+        from scipy.fft import next_fast_len
+
         half = next_fast_len(max(n, 2), real=True)
         increments = gaussian_sequence(key, increment_autocovariance(self.phase_covariance, half + 1, rate))[
             :n
@@ -103,12 +105,13 @@ class NoiseTerm(eqx.Module):
         over a dozen periods, enough for a covariance that is smooth or has ended by then; narrow-band terms
         and those with a closed form override it. Zero for a deterministic term.
         """
-        f = jnp.asarray(frequency, float)
+        xp = namespace(self, frequency, rate)
+        f = xp.asarray(frequency, float)
         if self.deterministic:
-            return jnp.zeros(f.shape)
-        return jax.vmap(lambda f: sampled_density(self.phase_covariance, 2.0 * jnp.pi * f / rate, rate))(
-            f.ravel()
-        ).reshape(f.shape)
+            return xp.zeros(f.shape)
+        # With derivatives of G, which are JAX's.
+        density = jax.vmap(lambda a: sampled_density(self.phase_covariance, a, rate))
+        return density(2.0 * np.pi * f.ravel() / rate).reshape(f.shape)
 
     def at_low_frequencies(self) -> NoiseTerm | None:
         """Smooth term that an oscillating one becomes at low frequencies; None if that is white noise."""
@@ -120,7 +123,7 @@ class NoiseTerm(eqx.Module):
         It spreads over all frequencies, and matters for terms whose own density falls off towards low ones.
         Zero unless overridden; see `cosine` for the lowest frequencies, where it is never neglected.
         """
-        return jnp.zeros(np.shape(frequency))
+        return namespace(self, frequency).zeros(np.shape(frequency))
 
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
@@ -130,16 +133,22 @@ class NoiseTerm(eqx.Module):
         """Hadamard variance [rate²] at cluster times [s]: [20G(0) − 30G(T) + 12G(2T) − 2G(3T)]/(6T²)."""
         return self._filter_variance(cluster_time, (20.0, -30.0, 12.0, -2.0), 6.0)
 
+    @np.errstate(divide="ignore", invalid="ignore")
     def _filter_variance(
         self, cluster_time: Float[ArrayLike, ...], weights: Sequence[float], divisor: float
     ) -> Float[Array, ...]:
         """Weighted sum of G at 0, 1, … cluster times, over divisor·T²."""
-        T = jnp.asarray(cluster_time, float)
+        xp = namespace(self, cluster_time)
+        T = xp.asarray(cluster_time, float)
+        G, steps, w = self.phase_covariance, xp.arange(len(weights)), xp.asarray(weights)
 
         def at(t: Float[Array, ""]) -> Float[Array, ""]:
-            covariance = self.phase_covariance(jnp.arange(len(weights)) * t)
-            return jnp.dot(jnp.asarray(weights), covariance) / (divisor * t**2)
+            # A call a cluster time, since G is known up to a multiple of t² that each call may choose.
+            return G(steps * t) @ w / (divisor * t**2)
 
+        # A term of the user's own may be JAX's only.
+        if xp is np and T.size and not isinstance(at(T.flat[0]), jax.Array):
+            return xp.array([at(t) for t in T.flat]).reshape(T.shape)
         return jax.vmap(at)(T.ravel()).reshape(T.shape)
 
     # ------------------------------------------------------------------ parameters
@@ -230,6 +239,11 @@ class NoiseTerm(eqx.Module):
 def _shown(value: Value) -> str:
     """Value to six digits; an array inside a compiled function as JAX prints it."""
     return f"{value:.6g}" if isinstance(value, int | float | np.floating) else str(value)
+
+
+def _zeros(like: ArrayLike) -> Float[Array, ...]:
+    """Zeros in the shape of the argument, NumPy's unless that is JAX's."""
+    return namespace(like).zeros(np.shape(like))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -346,27 +360,28 @@ class Model(eqx.Module):
     def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Generalized covariance of the integrated rate [rad² or (m/s)²] at lags [s]."""
         self.check_complete()
-        return sum((t.phase_covariance(jnp.asarray(lag)) for t in self.terms), jnp.zeros(np.shape(lag)))
+        lags: Any = namespace(lag).asarray(lag)
+        return sum((t.phase_covariance(lags) for t in self.terms), _zeros(lag))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided rate PSD, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]; lines have no density."""
         self.check_complete()
-        return sum((t.psd(frequency) for t in self.terms), jnp.zeros(np.shape(frequency)))
+        return sum((t.psd(frequency) for t in self.terms), _zeros(frequency))
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Two-sided PSD of samples at `rate` [Hz], aliases included; lines and ramps have none."""
         self.check_complete()
-        return sum((t.sampled_psd(frequency, rate) for t in self.terms), jnp.zeros(np.shape(frequency)))
+        return sum((t.sampled_psd(frequency, rate) for t in self.terms), _zeros(frequency))
 
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]."""
         self.check_complete()
-        return sum((t.allan_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time)))
+        return sum((t.allan_variance(cluster_time) for t in self.terms), _zeros(cluster_time))
 
     def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]."""
         self.check_complete()
-        return sum((t.hadamard_variance(cluster_time) for t in self.terms), jnp.zeros(np.shape(cluster_time)))
+        return sum((t.hadamard_variance(cluster_time) for t in self.terms), _zeros(cluster_time))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples of the sum, n means of the rate, each term drawn with a key of its own."""

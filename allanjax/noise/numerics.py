@@ -11,6 +11,8 @@ import numpy as np
 from jax.scipy.special import erfc
 from jaxtyping import Array, Float, Num, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
+
 #: G at lags ≥ 0 [s].
 PhaseCovariance: TypeAlias = Callable[[Float[Array, "..."]], Float[Array, "..."]]
 
@@ -49,7 +51,10 @@ def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array,
     The two must differ by c0 + c1·x² only. Near zero that difference would swallow the digits that
     survive the second difference, far out it would dominate them; so the whole call takes one side.
     """
-    is_small = jnp.max(jnp.abs(x)) < 1.0
+    xp = namespace(x)
+    is_small = xp.max(xp.abs(x)) < 1.0
+    if xp is np:
+        return small(x) if is_small else large(x)
     return jnp.where(is_small, small(jnp.where(is_small, x, jnp.zeros_like(x))), large(x))
 
 

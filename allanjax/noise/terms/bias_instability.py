@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import jax.numpy as jnp
-from jax.scipy.special import sici, zeta
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.base.arrays import namespace, special_functions
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 
@@ -36,29 +36,34 @@ class BiasInstability(NoiseTerm):
         return not self._has_no_cutoff()
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        xp = namespace(self, lag)
         B2 = self.coefficient**2
         if self._has_no_cutoff():
-            t = jnp.where(lag > 0.0, lag, 1.0)
-            return B2 / (2.0 * jnp.pi) * t**2 * jnp.log(t) * (lag > 0.0)
-        w0 = 2.0 * jnp.pi * self.cutoff_frequency
-        return B2 / (jnp.pi * w0**2) * _cutoff_flicker(w0 * lag)
+            t = xp.where(lag > 0.0, lag, 1.0)
+            return B2 / (2.0 * np.pi) * t**2 * xp.log(t) * (lag > 0.0)
+        w0 = 2.0 * np.pi * self.cutoff_frequency
+        return B2 / (np.pi * w0**2) * _cutoff_flicker(w0 * lag)
 
+    @np.errstate(divide="ignore")
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        f = jnp.abs(jnp.asarray(frequency))
-        return jnp.where(f <= self.cutoff_frequency, self.coefficient**2 / (2.0 * jnp.pi * f), 0.0)
+        xp = namespace(self, frequency)
+        f = xp.abs(xp.asarray(frequency, float))
+        return xp.where(f <= self.cutoff_frequency, self.coefficient**2 / (2.0 * np.pi * f), 0.0)
 
     def at_low_frequencies(self) -> BiasInstability:
         return self.replace(cutoff_frequency=math.inf)
 
+    @np.errstate(divide="ignore", invalid="ignore")
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD with aliases, Σ_m psd(f + m·rate)·sinc²: without a cutoff a sum of Hurwitz's zeta."""
-        u = jnp.asarray(frequency, float) / rate
-        sine = (jnp.sin(jnp.pi * u) / jnp.pi) ** 2 * self.coefficient**2 / (2.0 * jnp.pi * rate)
+        xp = namespace(self, frequency, rate)
+        u = xp.asarray(frequency, float) / rate
+        sine = (xp.sin(np.pi * u) / np.pi) ** 2 * self.coefficient**2 / (2.0 * np.pi * rate)
         if self._has_no_cutoff():
+            zeta = special_functions(xp).zeta
             return sine * (zeta(3.0, u) + zeta(3.0, 1.0 - u))
-        m = jnp.arange(-_ALIASES, _ALIASES + 1)
-        f = jnp.abs(u[..., None] + m)
-        return sine * jnp.sum(jnp.where(f * rate <= self.cutoff_frequency, f**-3.0, 0.0), axis=-1)
+        f = xp.abs(u[..., None] + np.arange(-_ALIASES, _ALIASES + 1))
+        return sine * xp.sum(xp.where(f * rate <= self.cutoff_frequency, f**-3.0, 0.0), axis=-1)
 
 
 def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:
@@ -68,12 +73,13 @@ def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:
 
     Cin(x) = ∫₀ˣ (1 − cos t)/t dt = γ + ln x − Ci(x). Power series: ½ Σ_{k≥2} (−1)^k x^{2k}/((k−1)(2k)!).
     """
+    xp = namespace(x)
     near = x < 3.0
-    y = jnp.where(near, x, 0.0) ** 2
-    series = jnp.zeros_like(x)
+    y = xp.where(near, x, 0.0) ** 2
+    series = xp.zeros_like(x)
     for k in range(16, 1, -1):
         series = series * y + (-1) ** k / ((k - 1) * math.factorial(2 * k))
-    far = jnp.where(near, 3.0, x)
-    cin = jnp.euler_gamma + jnp.log(far) - sici(far)[1]
-    closed = 0.5 - jnp.cos(far) / 2.0 + far * jnp.sin(far) / 2.0 + far**2 * (cin / 2.0 - 0.75)
-    return jnp.where(near, 0.5 * series * y**2, closed)
+    far = xp.where(near, 3.0, x)
+    cin = np.euler_gamma + xp.log(far) - special_functions(xp).sici(far)[1]
+    closed = 0.5 - xp.cos(far) / 2.0 + far * xp.sin(far) / 2.0 + far**2 * (cin / 2.0 - 0.75)
+    return xp.where(near, 0.5 * series * y**2, closed)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.terms.transient import Transient
 
@@ -19,4 +19,4 @@ class BiasStep(Transient):
     time: Value = parameter("t_s", "time")
 
     def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
-        return jnp.where(time >= self.time, 1.0, 0.0)
+        return namespace(self, time).where(time >= self.time, 1.0, 0.0)

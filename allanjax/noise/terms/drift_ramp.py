@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 
@@ -25,9 +27,11 @@ class DriftRamp(NoiseTerm):
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return self.coefficient**2 * lag**4 / 24.0
 
+    @np.errstate(divide="ignore")
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Flicker-acceleration spectrum R²/(2πf)³, which has the same slope in the Allan plot (4.58)."""
-        return self.coefficient**2 / jnp.abs(2.0 * jnp.pi * jnp.asarray(frequency)) ** 3
+        xp = namespace(self, frequency)
+        return self.coefficient**2 / xp.abs(2.0 * np.pi * xp.asarray(frequency, float)) ** 3
 
     def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
         return time

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Num
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.numerics import in_gauge
 
 
 def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
     """Remainder e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
 
+    xp = namespace(z)
+
     def series(z: Num[Array, ...]) -> Num[Array, ...]:
-        total = jnp.zeros_like(z)
+        total = xp.zeros_like(z)
         for k in range(19, 2, -1):
             total = total * z + 1.0 / math.factorial(k)
         return total * z**3
 
-    return in_gauge(series, lambda z: jnp.expm1(z) - z, z)
+    return in_gauge(series, lambda z: xp.expm1(z) - z, z)
 
 
 def exponential_covariance(
@@ -30,13 +33,14 @@ def exponential_covariance(
     G is −R integrated twice, or, with a sample interval [s], summed twice: its second difference at multiples
     of that is −sample_interval²·R exactly.
     """
+    xp = namespace(pole, weight, lag)
     remainder = exponential_remainder(pole * lag)
     t0 = sample_interval
     if t0 == 0.0:
-        return -jnp.real(weight / pole**2 * remainder)
-    kappa = weight * t0**2 / (4.0 * jnp.sinh(pole * t0 / 2.0) ** 2)
-    slope = jnp.real(kappa * (jnp.expm1(pole * t0) - pole * t0)) / t0 - t0 * jnp.real(weight) / 2.0
-    return slope * lag - jnp.real(kappa * remainder)
+        return -xp.real(weight / pole**2 * remainder)
+    kappa = weight * t0**2 / (4.0 * xp.sinh(pole * t0 / 2.0) ** 2)
+    slope = xp.real(kappa * (xp.expm1(pole * t0) - pole * t0)) / t0 - t0 * xp.real(weight) / 2.0
+    return slope * lag - xp.real(kappa * remainder)
 
 
 def exponential_density(
@@ -53,15 +57,16 @@ def exponential_density(
     r_d = q^{M(d−1)}·q(1 − q^M)²/(M(1 − q))², q = e^{pole·interval}: a geometric series. M is 1 at the
     readings' own rate, and for a sample interval of 0.
     """
+    xp = namespace(pole, weight, frequency, rate, sample_interval)
     M = 1.0 if sample_interval == 0.0 else 1.0 / (rate * sample_interval)
     x = pole / rate / M
-    q, y, z = jnp.exp(x), -jnp.expm1(x), -jnp.expm1(M * x)
+    q, y, z = xp.exp(x), -xp.expm1(x), -xp.expm1(M * x)
     # A series where the terms of r_0 would cancel.
     series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
-    r_0 = jnp.where(jnp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
+    r_0 = xp.where(xp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
     r_1 = q * (z / (M * y)) ** 2
     # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, by what is small near Q = 1.
-    s = jnp.sin(jnp.pi * jnp.asarray(frequency) / rate) ** 2
+    s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2
     below = z**2 + 4.0 * (1.0 - z) * s
-    both = 2.0 * (z - 2.0 * s) * jnp.conj(below) / (jnp.real(below) ** 2 + jnp.imag(below) ** 2)
-    return jnp.real(weight * (r_0 + r_1 * both)) / rate
+    both = 2.0 * (z - 2.0 * s) * xp.conj(below) / (xp.real(below) ** 2 + xp.imag(below) ** 2)
+    return xp.real(weight * (r_0 + r_1 * both)) / rate

@@ -7,8 +7,10 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
@@ -41,7 +43,7 @@ class LowPass(NoiseTerm):
 
     def _pole(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         """Pole λ and weight c of the autocovariance R(t) = Re[c·e^{λt}]."""
-        w = 2.0 * jnp.pi * jnp.asarray(self.bandwidth, float)
+        w = 2.0 * np.pi * namespace(self).asarray(self.bandwidth, float)
         power = self.coefficient**2 * w
         if self.order == 1:
             return -w, power / 2.0
@@ -51,7 +53,7 @@ class LowPass(NoiseTerm):
         return exponential_covariance(*self._pole(), lag, self.sample_interval)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        ratio = jnp.asarray(frequency) / self.bandwidth
+        ratio = namespace(self, frequency).asarray(frequency, float) / self.bandwidth
         return self.coefficient**2 / (1.0 + ratio ** (2 * self.order))
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:

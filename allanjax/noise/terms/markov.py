@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
@@ -26,22 +28,23 @@ class Markov(NoiseTerm):
         return -(self.amplitude**2) * T_c**3 / 2.0 * exponential_remainder(-lag / T_c)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        w = 2.0 * jnp.pi * jnp.asarray(frequency) * self.correlation_time
+        w = 2.0 * np.pi * namespace(self, frequency).asarray(frequency) * self.correlation_time
         return (self.amplitude * self.correlation_time) ** 2 / (1.0 + w**2)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD of means over the sample interval, whose autocovariance is geometric from the first lag on."""
-        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
+        xp = namespace(self, frequency, rate)
+        a = 2.0 * np.pi * xp.asarray(frequency) / rate
         x = 1.0 / (rate * self.correlation_time)
         # (e^{-x} − 1 + x)/x² and ((1 − e^{-x})/x)²; their series where the first would cancel.
-        at_zero = jnp.where(
-            x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + jnp.expm1(-x)) / jnp.maximum(x, 1e-3) ** 2
+        at_zero = xp.where(
+            x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + xp.expm1(-x)) / xp.maximum(x, 1e-3) ** 2
         )
-        at_one = (jnp.expm1(-x) / x) ** 2
+        at_one = (xp.expm1(-x) / x) ** 2
         # cos a − e^{-x} and 1 − 2e^{-x} cos a + e^{-2x}, without cancellation where both are small.
-        s = 2.0 * jnp.sin(a / 2.0) ** 2
-        numerator = -s - jnp.expm1(-x)
-        denominator = jnp.expm1(-x) ** 2 + 2.0 * jnp.exp(-x) * s
+        s = 2.0 * xp.sin(a / 2.0) ** 2
+        numerator = -s - xp.expm1(-x)
+        denominator = xp.expm1(-x) ** 2 + 2.0 * xp.exp(-x) * s
         variance = self.amplitude**2 * self.correlation_time / 2.0
         return variance / rate * (at_zero + 2.0 * at_one * numerator / denominator)
 

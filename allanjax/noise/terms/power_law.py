@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jax.scipy.special import gammaln
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.base.arrays import namespace, special_functions
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 
@@ -29,37 +29,44 @@ class PowerLaw(NoiseTerm):
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         """Phase covariance −A²(2π)^α·t^(α+1)/[2Γ(α+2) cos(πα/2)], less a multiple of t² infinite at α = 1."""
         # cos(πα/2) = −sin(πε/2), ε = α − 1, and ε/sin(πε/2) = 2Γ(1 + ε/2)Γ(1 − ε/2)/π, smooth at zero.
-        e = jnp.asarray(self.exponent, float) - 1.0
+        xp = namespace(self, lag)
+        gammaln = special_functions(xp).gammaln
+        e = xp.asarray(self.exponent, float) - 1.0
         reflected = gammaln(1.0 + e / 2.0) + gammaln(1.0 - e / 2.0)
-        scale = 2.0 * jnp.exp(e * jnp.log(2.0 * jnp.pi) + reflected - gammaln(3.0 + e))
-        log = jnp.log(jnp.where(lag > 0.0, lag, 1.0))
-        near = jnp.abs(e) < _NEAR
+        scale = 2.0 * xp.exp(e * np.log(2.0 * np.pi) + reflected - gammaln(3.0 + e))
+        log = xp.log(xp.where(lag > 0.0, lag, 1.0))
+        near = xp.abs(e) < _NEAR
         # t^ε/ε, or (t^ε − 1)/ε. Far from α = 1 the t² of the second would dominate the digits of t^(α+1).
-        power = jnp.where(near, log * _relative_expm1(jnp.where(near, e, 0.0) * log), 0.0)
-        power += jnp.where(near, 0.0, jnp.exp(e * log) / jnp.where(near, 1.0, e))
+        power = xp.where(near, log * _relative_expm1(xp.where(near, e, 0.0) * log), 0.0)
+        power += xp.where(near, 0.0, xp.exp(e * log) / xp.where(near, 1.0, e))
         return self.amplitude**2 * scale * power * lag**2 * (lag > 0.0)
 
+    @np.errstate(divide="ignore")
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return self.amplitude**2 * jnp.abs(jnp.asarray(frequency, float)) ** -self.exponent
+        xp = namespace(self, frequency)
+        return self.amplitude**2 * xp.abs(xp.asarray(frequency, float)) ** -self.exponent
 
+    @np.errstate(divide="ignore", invalid="ignore")
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD with aliases: A²·rate^−α·sin²(πu)/π²·[ζ(α+2, u) + ζ(α+2, 1−u)], u = f/rate."""
-        u = jnp.asarray(frequency, float) / rate
+        xp = namespace(self, frequency, rate)
+        u = xp.asarray(frequency, float) / rate
         aliases = _hurwitz(2.0 + self.exponent, u) + _hurwitz(2.0 + self.exponent, 1.0 - u)
-        return self.amplitude**2 * rate**-self.exponent * (jnp.sin(jnp.pi * u) / jnp.pi) ** 2 * aliases
+        return self.amplitude**2 * rate**-self.exponent * (xp.sin(np.pi * u) / np.pi) ** 2 * aliases
 
 
 def _relative_expm1(x: Float[Array, ...]) -> Float[Array, ...]:
     """Quotient (e^x − 1)/x, smooth at zero."""
-    small = jnp.abs(x) < 1e-2
+    xp = namespace(x)
+    small = xp.abs(x) < 1e-2
     series = 1.0 + x / 2.0 * (1.0 + x / 3.0 * (1.0 + x / 4.0 * (1.0 + x / 5.0 * (1.0 + x / 6.0))))
-    far = jnp.where(small, 1.0, x)
-    return jnp.where(small, series, jnp.expm1(far) / far)
+    far = xp.where(small, 1.0, x)
+    return xp.where(small, series, xp.expm1(far) / far)
 
 
 def _hurwitz(s: Value, q: Float[Array, ...]) -> Float[Array, ...]:
     """Hurwitz's zeta Σ_k (q + k)^(−s), s > 1, by Euler–Maclaurin: JAX's has no derivative by s."""
-    k = jnp.arange(_SINGLE)
+    k = np.arange(_SINGLE)
     x = q + _SINGLE
     tail = x / (s - 1.0) + 0.5 + s / (12.0 * x) * (1.0 - (s + 1.0) * (s + 2.0) / (60.0 * x**2))
-    return jnp.sum((q[..., None] + k) ** -s, axis=-1) + tail * x**-s
+    return namespace(s, q).sum((q[..., None] + k) ** -s, axis=-1) + tail * x**-s

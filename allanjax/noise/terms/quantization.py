@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 
@@ -24,20 +26,21 @@ class Quantization(NoiseTerm):
         return self.replace(sample_interval=1.0 / rate)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        return jnp.where(lag == 0.0, self.coefficient**2, 0.0)
+        return namespace(self, lag).where(lag == 0.0, self.coefficient**2, 0.0)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided PSD of sampled data, 4Q² sin²(πfT_z)/T_z ≈ (2πf)² T_z Q² (4.28)."""
-        T_z = self.sample_interval
-        return 4.0 * self.coefficient**2 / T_z * jnp.sin(jnp.pi * jnp.asarray(frequency) * T_z) ** 2
+        xp, T_z = namespace(self, frequency), self.sample_interval
+        return 4.0 * self.coefficient**2 / T_z * xp.sin(np.pi * xp.asarray(frequency) * T_z) ** 2
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         return self.sampled(rate).psd(frequency)
 
     def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power of the first and last reading's errors, which no neighbouring increment takes back."""
-        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
-        return 2.0 * (self.coefficient * rate) ** 2 * (1.0 + jnp.cos(a))
+        xp = namespace(self, frequency, rate)
+        a = 2.0 * np.pi * xp.asarray(frequency) / rate
+        return 2.0 * (self.coefficient * rate) ** 2 * (1.0 + xp.cos(a))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * rate * jnp.diff(jax.random.normal(key, (n + 1,)))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
@@ -24,7 +25,7 @@ class AngleRandomWalk(NoiseTerm):
         return -(self.coefficient**2) * lag / 2.0
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return jnp.full(np.shape(frequency), self.coefficient**2)
+        return namespace(self, frequency).full(np.shape(frequency), self.coefficient**2)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         return self.psd(frequency)
@@ -44,13 +45,17 @@ class RateRandomWalk(NoiseTerm):
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return self.coefficient**2 * lag**3 / 12.0
 
+    @np.errstate(divide="ignore")
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return (self.coefficient / (2.0 * jnp.pi * jnp.asarray(frequency))) ** 2
+        xp = namespace(self, frequency)
+        return (self.coefficient / (2.0 * np.pi * xp.asarray(frequency))) ** 2
 
+    @np.errstate(divide="ignore")
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD of the samples, K²/rate²·(2 + cos a)/(12 sin²(a/2)), a = 2πf/rate."""
-        a = 2.0 * jnp.pi * jnp.asarray(frequency) / rate
-        return (self.coefficient / rate) ** 2 * (2.0 + jnp.cos(a)) / (12.0 * jnp.sin(a / 2.0) ** 2)
+        xp = namespace(self, frequency, rate)
+        a = 2.0 * np.pi * xp.asarray(frequency) / rate
+        return (self.coefficient / rate) ** 2 * (2.0 + xp.cos(a)) / (12.0 * xp.sin(a / 2.0) ** 2)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated means of a Brownian path over sample intervals: from its end points and bridges."""

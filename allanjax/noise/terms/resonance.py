@@ -6,8 +6,10 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
@@ -39,10 +41,11 @@ class Resonance(NoiseTerm):
 
     def _poles(self) -> tuple[Complex[Array, ""], Complex[Array, ""]]:
         """Pole λ and weight c of the autocovariance R(t) = σ² Re[c·e^{λt}]."""
-        w0 = 2.0 * jnp.pi * self.frequency
+        xp = namespace(self)
+        w0 = 2.0 * np.pi * xp.asarray(self.frequency, float)
         a = w0 / (2.0 * self.quality_factor)
-        wd = w0 * jnp.sqrt(1.0 - 1.0 / (4.0 * self.quality_factor**2))
-        return -a + 1j * wd, 1.0 - 1j * a / wd
+        wd = w0 * xp.sqrt(1.0 - 1.0 / (4.0 * self.quality_factor**2))
+        return -a + wd * 1j, 1.0 - a / wd * 1j
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         pole, c = self._poles()
@@ -50,12 +53,12 @@ class Resonance(NoiseTerm):
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """Relative variance 2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
-        return self.quality_factor / (jnp.pi * self.frequency * jnp.asarray(duration))
+        return self.quality_factor / (np.pi * self.frequency * namespace(self, duration).asarray(duration))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided PSD 2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""
-        w0 = 2.0 * jnp.pi * self.frequency
-        w = 2.0 * jnp.pi * jnp.asarray(frequency)
+        w0 = 2.0 * np.pi * self.frequency
+        w = 2.0 * np.pi * namespace(self, frequency).asarray(frequency)
         shape = (w0**2 - w**2) ** 2 + (w0 * w / self.quality_factor) ** 2
         return 2.0 * self.amplitude**2 * w0**3 / self.quality_factor / shape
 
@@ -63,8 +66,9 @@ class Resonance(NoiseTerm):
         """PSD of the oscillator at the sample instants, or of its means between them."""
         if self.sample_interval == 0.0:
             # For means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
-            aliases = jnp.asarray(frequency, float)[..., None] + rate * jnp.arange(-_ALIASES, _ALIASES + 1)
-            return jnp.sum(self.psd(aliases) * jnp.sinc(aliases / rate) ** 2, axis=-1)
+            xp = namespace(self, frequency, rate)
+            aliases = xp.asarray(frequency, float)[..., None] + rate * np.arange(-_ALIASES, _ALIASES + 1)
+            return xp.sum(self.psd(aliases) * xp.sinc(aliases / rate) ** 2, axis=-1)
         pole, c = self._poles()
         return self.amplitude**2 * exponential_density(pole, c, frequency, rate, self.sample_interval)
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.numerics import in_gauge
 from allanjax.noise.parameter import Value, parameter
@@ -41,24 +42,23 @@ class Sinusoid(NoiseTerm):
 
     def _damping(self) -> Float[Array, ""]:
         """Ratio of the samples' amplitude to that of the continuous line that they are means of."""
-        y = jnp.pi * self.frequency * self.sample_interval
-        return jnp.sinc(y / jnp.pi)
+        return namespace(self).sinc(self.frequency * self.sample_interval)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        w = 2.0 * jnp.pi * self.frequency
+        xp, w = namespace(self, lag), 2.0 * np.pi * self.frequency
 
         def series(x: Float[Array, ...]) -> Float[Array, ...]:
-            total = jnp.zeros_like(x)
+            total = xp.zeros_like(x)
             for k in range(10, 1, -1):
                 total = total * x**2 + (-1) ** k / math.factorial(2 * k)
             return total * x**4
 
-        wave = in_gauge(series, lambda x: -2.0 * jnp.sin(x / 2.0) ** 2, w * lag)
+        wave = in_gauge(series, lambda x: -2.0 * xp.sin(x / 2.0) ** 2, w * lag)
         return self.amplitude**2 / (2.0 * w**2) * wave / self._damping() ** 2
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Zero density: a line's power Ω0²/2 is all at its own frequency."""
-        return jnp.zeros(np.shape(frequency))
+        return namespace(self, frequency).zeros(np.shape(frequency))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated line with a random phase."""

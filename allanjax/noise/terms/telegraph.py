@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.terms.exponential import exponential_covariance, exponential_density
@@ -28,16 +30,16 @@ class Telegraph(NoiseTerm):
         return self.replace(sample_interval=1.0 / rate)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        pole = jnp.asarray(-2.0 / self.dwell_time)
+        pole = -2.0 / namespace(self).asarray(self.dwell_time, float)
         return self.amplitude**2 / 4.0 * exponential_covariance(pole, 1.0, lag, self.sample_interval)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided PSD (amplitude²/4)·T_d/(1 + (πf·T_d)²)."""
-        x = jnp.pi * jnp.asarray(frequency) * self.dwell_time
+        x = np.pi * namespace(self, frequency).asarray(frequency) * self.dwell_time
         return self.amplitude**2 / 4.0 * self.dwell_time / (1.0 + x**2)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        pole = jnp.asarray(-2.0 / self.dwell_time)
+        pole = -2.0 / namespace(self).asarray(self.dwell_time, float)
         return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate, self.sample_interval)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value
 
@@ -25,10 +26,10 @@ class Transient(NoiseTerm):
     deterministic: ClassVar[bool] = True
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        return jnp.zeros(np.shape(lag))
+        return namespace(self, lag).zeros(np.shape(lag))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return jnp.zeros(np.shape(frequency))
+        return namespace(self, frequency).zeros(np.shape(frequency))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.amplitude * self.column((jnp.arange(n) + 0.5) / rate)

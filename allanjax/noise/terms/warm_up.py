@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.terms.transient import Transient
 
@@ -20,4 +20,4 @@ class WarmUp(Transient):
     time_constant: Value = parameter("τ", "time")
 
     def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
-        return jnp.exp(-time / self.time_constant)
+        return namespace(self, time).exp(-time / self.time_constant)
