@@ -1,4 +1,9 @@
-"""Compiled programs are forgotten before the operating system has no room for more."""
+"""Compiled programs are kept for later processes, and forgotten before the system has no room for more."""
+
+import os
+import subprocess
+import sys
+import warnings
 
 import jax
 import numpy as np
@@ -41,6 +46,99 @@ def test_the_cache_is_where_it_is_said_to_be_or_nowhere(monkeypatch, tmp_path, w
         assert folder.is_dir()
         assert set_to["jax_compilation_cache_dir"] == str(folder)
     assert aj.enable_compilation_cache(tmp_path / "given") == tmp_path / "given"
+
+
+@pytest.fixture
+def homeless(monkeypatch, tmp_path):
+    """A folder for temporary files of a user who cannot write to the home, and what JAX was told."""
+    told = {}
+    (tmp_path / "file").write_text("")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("ALLANJAX_CACHE", "")
+    monkeypatch.setattr(jax.config, "update", told.__setitem__)
+    monkeypatch.setattr(cache, "_user_cache", lambda: tmp_path / "file")
+    monkeypatch.setattr(cache.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield tmp_path / "temporary", told
+
+
+def test_a_home_that_cannot_be_written_to_is_nobodys_mistake(homeless, monkeypatch):
+    temporary, told = homeless
+    folder = aj.enable_compilation_cache()
+    assert folder.parent == temporary
+    assert told["jax_compilation_cache_dir"] == str(folder)
+    assert aj.enable_compilation_cache() == folder
+    with pytest.raises(UserWarning, match="ALLANJAX_CACHE"):
+        aj.enable_compilation_cache(temporary.parent / "file" / "cache")
+
+    def nowhere():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(cache, "_user_cache", nowhere)
+    assert aj.enable_compilation_cache() == folder
+
+
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere each user has temporary files of their own")
+@pytest.mark.parametrize("what", ["writable by others", "somebody else's", "a link", "a file"])
+def test_programs_that_another_may_have_written_are_not_used(homeless, monkeypatch, what):
+    temporary, told = homeless
+    folder = temporary / f"allanjax-{os.getuid()}"
+    if what == "writable by others":
+        folder.mkdir()
+        folder.chmod(0o777)
+    elif what == "somebody else's":
+        folder.mkdir()
+        uid = os.getuid() + 1
+        folder.rename(temporary / f"allanjax-{uid}")
+        monkeypatch.setattr(os, "getuid", lambda: uid)
+    elif what == "a link":
+        (temporary / "elsewhere").mkdir()
+        folder.symlink_to(temporary / "elsewhere")
+    else:
+        folder.write_text("")
+    assert aj.enable_compilation_cache() is None
+    assert told == {}
+
+
+PROGRAM = """
+import sys
+from collections import Counter
+from jax import monitoring
+seen = Counter()
+monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))
+from allanjax.cli.app import main
+sys.argv[0] = "allanjax"
+try:
+    main()
+finally:
+    print(seen["compile_requests_use_cache"], seen["cache_hits"])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where home and temporary files are")
+def test_commands_find_all_that_an_earlier_one_compiled_also_without_a_home(tmp_path):
+    (tmp_path / "home").write_text("")
+    (tmp_path / "temporary").mkdir()
+    others = {"ALLANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME"}
+    environment = {key: value for key, value in os.environ.items() if key not in others}
+    environment |= {"HOME": str(tmp_path / "home"), "TMPDIR": str(tmp_path / "temporary")}
+    arguments = ["simulate", "--terms", "N=1 deg/√h + K=1 deg/h/√h", "--duration", "60", "--out", "a.csv"]
+    counts = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, *arguments],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        counts.append(tuple(map(int, done.stdout.split()[-2:])))
+    (asked, hits), again = counts
+    assert asked > hits
+    assert again == (asked, asked)
 
 
 @pytest.mark.skipif(cache._mapped()[0] == 0, reason="only Linux has such a limit")

@@ -18,7 +18,6 @@ from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import allanjax as aj
-from allanjax.base import cache
 from allanjax.base.plain import printable
 from allanjax.cli import app as cli
 from allanjax.cli import characterize
@@ -239,17 +238,6 @@ def test_figures_do_not_pile_up(small_fit):
 
 
 # --- Places -------------------------------------------------------------------------------------------------
-
-
-def test_a_home_that_can_not_be_written_to_is_nobodys_mistake(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("ALLANJAX_CACHE", "")
-    monkeypatch.setattr(cache, "_user_cache", lambda: tmp_path / "file")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert aj.enable_compilation_cache() is None
-        with pytest.raises(UserWarning, match="ALLANJAX_CACHE"):
-            aj.enable_compilation_cache(tmp_path / "file" / "cache")
 
 
 @pytest.mark.parametrize("command", ["characterize", "critique", "fleet", "demo"])
