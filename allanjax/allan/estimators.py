@@ -63,9 +63,11 @@ def allan_variance_estimates(
         sums = _sums_of_axes(values, sizes, rate, kind=kind, overlapping=overlapping, data_type=data_type)
     else:
         sums = _shared_sums_of_axes(values, sizes, rate, kind, overlapping, data_type)
+    if not isinstance(sums, jax.core.Tracer):
+        sums = np.asarray(sums)
     sizes = np.asarray(sizes)
     scale = 6.0 if kind == "hadamard" else 2.0
-    return jnp.asarray(sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None])
+    return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping", "data_type"))

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -313,7 +312,7 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
     y = x - x.mean()
     t = (np.arange(len(x)) + 0.5) / rate
     columns = [
-        np.asarray(term.column(jnp.asarray(t)))
+        np.asarray(term.column(t))
         for k, term in enumerate(model.terms)
         if term.deterministic and k not in lines
     ]

@@ -106,7 +106,7 @@ def _misfits(
 ) -> list[Misfit | None]:
     """Misfit of each axis's curve; None where the model suffices."""
     found: list[Misfit | None] = [None] * len(variance)
-    incomplete = np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.discrepancy) > 0.0))
+    incomplete = np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0))
     if len(incomplete):
         place = (solution.power, solution.shape)
         mean, scatter = (np.asarray(of(design, *place)) for of in (_means, _variances))

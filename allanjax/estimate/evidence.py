@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.base.arrays import namespace
 from allanjax.base.linalg import inverse, whiten
 from allanjax.spectrum.cosine import SpectralStatistics
 
@@ -77,10 +78,11 @@ def without_ramp(
     statistics: SpectralStatistics, size: ArrayLike, mean: ArrayLike, ramp: ArrayLike
 ) -> tuple[Array, Array]:
     """Sums of squares and degrees of freedom in each bin with the ramp, if there is one, projected out."""
-    u = jnp.sum(statistics.gram / mean)
-    beta = jnp.where(ramp, jnp.sum(statistics.cross / mean) / u, 0.0)
+    xp = namespace(statistics, size, mean, ramp)
+    u = xp.sum(statistics.gram / mean)
+    beta = xp.where(ramp, xp.sum(statistics.cross / mean) / u, 0.0)
     squares = statistics.squares - 2.0 * beta * statistics.cross + beta**2 * statistics.gram
-    return jnp.maximum(squares, 0.0), jnp.asarray(size) - jnp.where(ramp, statistics.gram / (mean * u), 0.0)
+    return xp.maximum(squares, 0.0), xp.asarray(size) - xp.where(ramp, statistics.gram / (mean * u), 0.0)
 
 
 def _log_likelihood(

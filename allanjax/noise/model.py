@@ -40,6 +40,8 @@ class NoiseTerm(eqx.Module):
                 return -(self.coefficient**2) * jnp.log(jnp.maximum(lag, 1e-3))
 
     and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional.
+    Where an argument or a parameter is an array of JAX, so are the results of allanjax's own terms; else they
+    are NumPy's, and nothing is compiled.
     """
 
     held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
@@ -61,7 +63,7 @@ class NoiseTerm(eqx.Module):
         """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
         raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
 
-    def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
+    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
         """Values of a deterministic term of unit amplitude at times [s] since the record's start.
 
         For terms that are known but for their amplitude; lines of unknown phase are not.

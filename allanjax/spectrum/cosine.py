@@ -302,7 +302,7 @@ def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1
     Raises:
         FitError: it does not vary within the record, and so is part of the bias.
     """
-    column = np.asarray(term.column((jnp.arange(n) + 0.5) / rate))
+    column = np.asarray(term.column((np.arange(n) + 0.5) / rate))
     if not np.ptp(column) > 0.0:
         raise FitError(
             f"{term.name()} does not vary within the record of {n / rate:g} s; leave it out, or give times "

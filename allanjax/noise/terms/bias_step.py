@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from allanjax.base.arrays import namespace
@@ -18,5 +19,5 @@ class BiasStep(Transient):
     amplitude: Value = parameter("Δ", time_exponent=0.0)
     time: Value = parameter("t_s", "time")
 
-    def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
+    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
         return namespace(self, time).where(time >= self.time, 1.0, 0.0)

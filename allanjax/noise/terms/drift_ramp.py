@@ -33,8 +33,8 @@ class DriftRamp(NoiseTerm):
         xp = namespace(self, frequency)
         return self.coefficient**2 / xp.abs(2.0 * np.pi * xp.asarray(frequency, float)) ** 3
 
-    def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
-        return time
+    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
+        return namespace(self, time).asarray(time)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * self.column((jnp.arange(n) + 0.5) / rate)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from allanjax.base.arrays import namespace
@@ -19,5 +20,5 @@ class WarmUp(Transient):
     amplitude: Value = parameter("W", time_exponent=0.0)
     time_constant: Value = parameter("τ", "time")
 
-    def column(self, time: Float[Array, " n"]) -> Float[Array, " n"]:
+    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
         return namespace(self, time).exp(-time / self.time_constant)
