@@ -17,6 +17,7 @@ from allanjax.allan.clusters import Kind, Spacing, check_member, cluster_sizes, 
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.estimators import DataType, allan_variance_estimates
 from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
+from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
@@ -123,12 +124,10 @@ class AllanDeviation(ByValue):
         Raises:
             AllanjaxError: `level` not between 0 and 1.
         """
-        from scipy.stats import chi2
-
         if not 0 < level < 1:
             raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
-        lower = self.deviation * np.sqrt(self.edf / chi2.ppf((1 + level) / 2, self.edf))
-        upper = self.deviation * np.sqrt(self.edf / chi2.ppf((1 - level) / 2, self.edf))
+        lower = self.deviation * np.sqrt(self.edf / quantile((1 + level) / 2, self.edf))
+        upper = self.deviation * np.sqrt(self.edf / quantile((1 - level) / 2, self.edf))
         return lower, upper
 
     @property

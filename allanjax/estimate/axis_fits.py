@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.chi_squared import upper_tail
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
 from allanjax.estimate.design import AllanDesign
 from allanjax.estimate.deterministic import lines_of, take_out_lines
@@ -174,8 +175,6 @@ def _axis_fit(
     dof: int,
 ) -> AxisFit:
     """Result of one axis from its solution and coefficients."""
-    from scipy.stats import chi2
-
     inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
     return AxisFit(
         axis=axis,
@@ -183,7 +182,7 @@ def _axis_fit(
         reason="" if solution.converged else "the fit did not converge; try fewer terms or other starts",
         chi2=float(solution.chi2),
         dof=dof,
-        p_value=float(chi2.sf(solution.chi2, dof)),
+        p_value=float(upper_tail(solution.chi2, dof)),
         discrepancy=float(solution.discrepancy),
         _coefficients=coefficients.values,
         _covariance=coefficients.covariance,

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.allan.clusters import Spacing
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.base.chi_squared import upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import text_table
@@ -241,8 +242,6 @@ def _bulk_fit(
     near: Bool[np.ndarray, " axes"],
 ) -> BulkFit:
     """The result made of solutions and inferences."""
-    from scipy.stats import chi2
-
     active = np.ones((len(solution.power), len(template)), bool)
     estimates = estimates_of(template, active, solution, inference)
     converged = np.asarray(solution.converged)
@@ -267,7 +266,7 @@ def _bulk_fit(
         converged=converged,
         chi2=np.asarray(solution.chi2),
         dof=dof,
-        p_value=chi2.sf(solution.chi2, dof),
+        p_value=upper_tail(solution.chi2, dof),
         discrepancy=np.asarray(solution.discrepancy),
         measured=measured,
     )

@@ -217,7 +217,7 @@ def deterministic_coefficients(
         n: samples of the record: a line that was searched for competes with n/2 frequencies without one.
         active: whether the term is in the model.
     """
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     searched = line is not None and line.frequency_std > 0.0
     chance = np.exp(-square / 2.0) * n if searched else 0.0
@@ -232,7 +232,7 @@ def deterministic_coefficients(
             detected = True
         elif p.parameter.is_amplitude:
             levels = np.array([TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95, 0.0])
-            ends = [unit * amplitude_quantile(square, components, float(level)) for level in norm.cdf(levels)]
+            ends = [unit * amplitude_quantile(square, components, float(level)) for level in ndtr(levels)]
             interval, interval_68, limit = (ends[0], ends[1]), (ends[2], ends[3]), ends[4]
             value = ends[5] if active else 0.0
             detected = active and interval[0] > 0.0 and chance < _FALSE_LINE

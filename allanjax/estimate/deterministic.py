@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
@@ -315,18 +316,16 @@ def amplitude_quantile(square: float, degrees: int, probability: float) -> float
     power than noise say nothing about an amplitude.
     """
     from scipy.optimize import brentq
-    from scipy.stats import chi2, ncx2, norm
+    from scipy.special import chndtr, ndtri
 
     if not np.isfinite(square):
         return float("nan")
     if probability < 0.5:
-        square = max(square, float(chi2.ppf(0.5, degrees)))
+        square = max(square, float(quantile(0.5, degrees)))
     if square > 400.0:
         # Here the law is normal, and the mean of the estimate exceeds the amplitude by (degrees −
         # 1)/(2·amplitude).
-        return float(np.sqrt(square) - norm.ppf(probability) - (degrees - 1) / (2.0 * np.sqrt(square)))
-    if ncx2.cdf(square, degrees, 1e-12) <= probability:
+        return float(np.sqrt(square) - ndtri(probability) - (degrees - 1) / (2.0 * np.sqrt(square)))
+    if chndtr(square, degrees, 1e-12) <= probability:
         return 0.0
-    return float(
-        brentq(lambda a: ncx2.cdf(square, degrees, a**2) - probability, 1e-6, np.sqrt(square) + 10.0)
-    )
+    return float(brentq(lambda a: chndtr(square, degrees, a**2) - probability, 1e-6, np.sqrt(square) + 10.0))

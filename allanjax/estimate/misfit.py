@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.chi_squared import quantile
 from allanjax.base.wording import plain
 
 if TYPE_CHECKING:
@@ -97,10 +98,8 @@ def misfit_of(
         edf: degrees of freedom of the estimates' squares under the model.
         unit: of the places.
     """
-    from scipy.stats import chi2
-
     log = np.log(np.maximum(ratio, 1e-300))
-    ends = chi2.ppf([[(1.0 + _SURE) / 2.0], [(1.0 - _SURE) / 2.0]], edf)
+    ends = quantile(np.array([[1.0 + _SURE], [1.0 - _SURE]]) / 2.0, edf)
     low, high = log + 0.5 * np.log(edf / np.maximum(ends, 1e-300))
     certain = np.maximum(np.maximum(low, -high), 0.0)
     k = int(np.argmax(certain))

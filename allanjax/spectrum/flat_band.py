@@ -8,6 +8,7 @@ alone can tell. So a rough sum of white and other noise is fitted to the whole s
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
+from allanjax.base.chi_squared import quantile, upper_tail
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import AngleRandomWalk
@@ -75,7 +76,6 @@ def flattest(
     The logarithm of χ² over its ν degrees of freedom has the mean ψ(ν/2) − ln(ν/2) and the variance ψ'(ν/2).
     """
     from scipy.special import digamma, polygamma
-    from scipy.stats import chi2
 
     x = np.log(frequency / frequency[-1])
     y = np.log(density) - digamma(dof / 2.0) + np.log(dof / 2.0)
@@ -101,7 +101,7 @@ def flattest(
     slope = (right[:, 1] - moments[:, 1] * right[:, 0] / moments[:, 0]) / spread
     flat = abs(slope) + 2.0 / np.sqrt(spread) < _STEEPEST
     flat &= around_level - around_parabola <= _BENT
-    flat &= chi2.sf(around_level, last - first) > _SCATTER_P_VALUE
+    flat &= upper_tail(around_level, last - first) > _SCATTER_P_VALUE
     if not flat.any():
         return None
     error = 2.0 / sums(share) + (sums(count * coloured) / sums(count * density)) ** 2
@@ -123,14 +123,14 @@ def spectral_random_walk(
         axis: whose it is.
         band: lowest and highest frequency [Hz] averaged.
     """
-    from scipy.stats import norm
+    from scipy.special import ndtri
 
     value = float(np.sqrt(density / 2.0))
     excess = value * (1.0 - float(np.sqrt(max(1.0 - coloured / density, 0.0))))
 
     def interval(level: float) -> tuple[float, float]:
         lower, upper = (value * float(np.sqrt(factor)) for factor in chi_squared_factors(dof, level))
-        uncertainty = norm.ppf((1.0 + level) / 2.0) * excess / 2.0
+        uncertainty = ndtri((1.0 + level) / 2.0) * excess / 2.0
         return max(value - excess - float(np.hypot(value - lower, uncertainty)), 0.0), upper
 
     return Estimate(
@@ -153,8 +153,7 @@ def chi_squared_factors(
     dof: ArrayLike, level: float
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Confidence limits of a variance relative to its estimate, by the χ² law."""
-    from scipy.stats import chi2
-
     if not 0 < level < 1:
         raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
-    return dof / chi2.ppf((1 + level) / 2, dof), dof / chi2.ppf((1 - level) / 2, dof)
+    nu = np.asarray(dof)
+    return nu / quantile((1 + level) / 2, nu), nu / quantile((1 - level) / 2, nu)
