@@ -29,14 +29,14 @@ scatter from record to record.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.terms import AngleRandomWalk
@@ -51,6 +51,8 @@ _LONG_SUM = 256
 # Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
 # in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
 _TAIL = (2, 5, 20, 80, 320)
+# Pairs of cluster sizes that are computed together: what they need stays in a core's cache.
+_FEW_PAIRS = 256
 
 
 def discrete_gauss(
@@ -115,21 +117,28 @@ def _pairs_at_lag(
 class AllanCovariance(eqx.Module):
     """Quadrature for the covariance of Allan variance estimates: all of it that no model enters.
 
+    All of it is data: what is compiled for one record serves every record of as many cluster sizes, or of
+    any number of them up to `room`, to which the arrays are padded.
+
     Attributes:
         sample_interval: t0 [s].
         duration: length of the record [s].
+        count: number of cluster sizes; what pads the arrays comes after these.
         sizes: cluster sizes in samples, increasing.
         pairs: row and column of each pair with i ≤ j.
+        place: index of the pair of each two estimates.
         lags: distances u of the quadrature nodes, in samples.
         weights: weights of the nodes, which include w_ij and the factors before the sum.
     """
 
     sample_interval: Float[np.ndarray, ""]
     duration: Float[np.ndarray, ""]
+    count: Int[np.ndarray, ""]
     sizes: Float[np.ndarray, " m"]
-    pairs: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]
-    lags: Float[np.ndarray, "pairs lags"]
-    weights: Float[np.ndarray, "pairs lags"]
+    pairs: Int[np.ndarray, "2 pairs"]
+    place: Int[np.ndarray, "m m"]
+    lags: Float[np.ndarray, "lags pairs"]
+    weights: Float[np.ndarray, "lags pairs"]
 
     @classmethod
     def of(
@@ -139,6 +148,7 @@ class AllanCovariance(eqx.Module):
         sizes: Int[np.ndarray, " m"],
         order: int = _ORDER,
         strides: Int[np.ndarray, " m"] | None = None,
+        room: int = 0,
     ) -> AllanCovariance:
         """Quadrature for estimates at these cluster sizes of n rate samples at `rate` [Hz].
 
@@ -148,6 +158,7 @@ class AllanCovariance(eqx.Module):
             strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
                 of the strides after it, and an eighth of the size at least where these are larger; 1 for
                 overlapping estimates, if there are none.
+            room: number of cluster sizes that arrays are padded to, if there are fewer.
         """
         sizes = np.asarray(sizes, np.int64)
         strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
@@ -162,31 +173,74 @@ class AllanCovariance(eqx.Module):
         sides = [_pairs_at_lag(u, *(x[:, None] for x in (mi, mj, si, sj, Mj, d))) for d in (0 * shift, shift)]
         factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
         weights = factor[:, None] * w * sum(sides) / 2.0
-        return cls(np.asarray(1.0 / rate), np.asarray(n / rate), sizes.astype(float), (i, j), u, weights)
+        place = np.full((max(room, len(sizes)),) * 2, len(i))
+        place[i, j] = place[j, i] = np.arange(len(i))
+        more, pairs = len(place) - len(sizes), len(place) * (len(place) + 1) // 2 - len(i)
+        return cls(
+            np.asarray(1.0 / rate),
+            np.asarray(n / rate),
+            np.asarray(len(sizes)),
+            np.pad(sizes.astype(float), (0, more), constant_values=1.0),
+            np.pad(np.stack([i, j]), ((0, 0), (0, pairs))),
+            place,
+            np.pad(u.T, ((0, 0), (0, pairs))),
+            np.pad(weights.T, ((0, 0), (0, pairs))),
+        )
 
     @property
     def cluster_time(self) -> Float[Array, " m"]:
         """Cluster times [s]."""
         return jnp.asarray(self.sizes) * self.sample_interval
 
-    def kernel(self, term: NoiseTerm) -> Float[Array, "pairs lags"]:
+    def known(self, values: Float[Array, " m"], otherwise: float) -> Float[Array, " m"]:
+        """Values of the estimates, and another where there is none."""
+        return jnp.where(jnp.arange(len(self.place)) < self.count, values, otherwise)
+
+    def over_pairs(self, function: Callable[..., Any], *more: Float[Array, "... pairs"]) -> Any:
+        """What a function makes of the pairs, [..., pairs], a few of them at a time, as many as there are.
+
+        Args:
+            function: takes the quadrature for a few pairs, and of each array its part for these.
+            more: arrays that are divided among the pairs, too.
+        """
+        total = self.lags.shape[-1]
+        few = min(_FEW_PAIRS, total)
+        arrays = tuple(map(jnp.asarray, (self.pairs, self.lags, self.weights, *more)))
+
+        def of_part(first: ArrayLike) -> Any:
+            some = [jax.lax.dynamic_slice_in_dim(x, first, few, x.ndim - 1) for x in arrays]
+            part = eqx.tree_at(lambda of: (of.pairs, of.lags, of.weights), self, tuple(some[:3]))
+            return function(part, *some[3:])
+
+        def add(k: Array, found: Any) -> Any:
+            # The last part begins earlier where it would not be whole.
+            return jax.tree.map(
+                lambda x, part: jax.lax.dynamic_update_slice_in_dim(x, part, k * few, x.ndim - 1),
+                found,
+                of_part(k * few),
+            )
+
+        nothing = jax.tree.map(
+            lambda x: jnp.zeros((*x.shape[:-1], total)), jax.eval_shape(of_part, jnp.asarray(0))
+        )
+        real = jnp.asarray(self.count) * (self.count + 1) // 2
+        return jax.lax.fori_loop(0, -(-real // few), add, nothing)
+
+    def kernel(self, term: NoiseTerm) -> Float[Array, "lags pairs"]:
         """C_ij(u) of one noise term at the quadrature's lags."""
+        mi, mj = jnp.asarray(self.sizes)[jnp.asarray(self.pairs)]
+        offsets = jnp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj])
         coefficient = jnp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
-        i, j = self.pairs
-        sizes = jnp.asarray(self.sizes)
 
-        def of_pair(mi: Array, mj: Array, u: Array) -> Array:
-            offset = jnp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj])
-            G = term.phase_covariance(jnp.abs(u[:, None] + offset) * self.sample_interval)
-            return G @ coefficient
+        def of_pair(u: Array, offset: Array) -> Array:
+            G = term.phase_covariance(jnp.abs(u + offset[:, None]) * self.sample_interval)
+            return jnp.sum(coefficient[:, None] * G, axis=0)
 
-        return jax.vmap(of_pair)(sizes[i], sizes[j], jnp.asarray(self.lags))
+        return jax.vmap(of_pair, in_axes=1, out_axes=1)(jnp.asarray(self.lags), offsets)
 
     def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
-        """Symmetric matrix with these values for the pairs."""
-        i, j = self.pairs
-        full = jnp.zeros((len(self.sizes),) * 2).at[i, j].set(values)
-        return full + jnp.triu(full, 1).T
+        """Symmetric matrix with these values for the pairs; zero where there is no estimate."""
+        return jnp.asarray(values).at[jnp.asarray(self.place)].get(mode="fill", fill_value=0.0)
 
     def of_terms(self, terms: Sequence[NoiseTerm]) -> Float[Array, "m m"]:
         """Covariance [rate⁴] of the estimates for a sum of terms, as sampled."""
@@ -194,7 +248,7 @@ class AllanCovariance(eqx.Module):
         nothing = jnp.zeros(self.lags.shape)
         total = sum((k for _, k in kernels), nothing)
         deterministic = sum((k for is_deterministic, k in kernels if is_deterministic), nothing)
-        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=1))
+        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=0))
 
 
 # Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.

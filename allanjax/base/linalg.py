@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 
 class CholeskyWhitened(NamedTuple):
@@ -21,11 +21,14 @@ class CholeskyWhitened(NamedTuple):
     log_det: Float[Array, ""]
 
 
-def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> CholeskyWhitened:
+def whiten(
+    C: Float[Array, "m m"], X: Float[Array, "m k"], rows: Int[ArrayLike, ""] | None = None
+) -> CholeskyWhitened:
     """Whiten the columns of X by C = LL', positive definite: L⁻¹X and ln det L, NaN if it is not.
 
     Row k of [L' | L⁻¹X] is that of [C | X] less what the rows above it explain: one pass over memory a row,
-    several times faster than eliminating it from all rows below.
+    several times faster than eliminating it from all rows below. Of `rows`, if there are fewer than C has,
+    the others of L⁻¹X are zero.
     """
     m = C.shape[0]
     both = jnp.concatenate([C, X], axis=1)
@@ -36,7 +39,9 @@ def whiten(C: Float[Array, "m m"], X: Float[Array, "m k"]) -> CholeskyWhitened:
         pivot = jnp.sqrt(rest[k])
         return done.at[k].set(rest / pivot), log_det + jnp.log(pivot)
 
-    done, log_det = jax.lax.fori_loop(0, m, row, (jnp.zeros_like(both), jnp.zeros(())))
+    done, log_det = jax.lax.fori_loop(
+        0, m if rows is None else rows, row, (jnp.zeros_like(both), jnp.zeros(()))
+    )
     return CholeskyWhitened(done[:, m:], log_det)
 
 
@@ -61,6 +66,8 @@ def non_negative_least_squares(
     is fast; Murty's rule, only the last of them, always ends, and takes over after a few rounds.
     """
     size = jnp.sqrt(jnp.sum(A**2, axis=0))
+    # Columns of zeros are those of no term at all.
+    size = jnp.where(size > 0.0, size, 1.0)
     A = A / size
     normal, target = A.T @ A, A.T @ b
 

@@ -13,8 +13,9 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import upper_tail
+from allanjax.estimate.allan_design import AllanDesign
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
-from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.design import free_powers, free_shapes
 from allanjax.estimate.deterministic import lines_of, take_out_lines
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import Inference, infer
@@ -25,6 +26,9 @@ from allanjax.estimate.whittle import WhittleFit, fit_axis
 from allanjax.noise.model import Model
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
+
+# Cluster sizes that the arrays of a fit have room for: with four an octave, those of 6·10⁷ samples.
+ROOM = 96
 
 
 def fit_allan(
@@ -43,40 +47,36 @@ def fit_allan(
         active: the terms that each axis has.
         values: the record, without which lines and resonances cannot be found.
     """
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
-    variance = curve.variance.T
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ROOM)
     records = [None] * len(axes) if values is None else values.T
-    starts = find_starts(design, variance, active, records, curve.n, curve.rate)
-    free = design.free
     # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
-    lines = [
-        {}
-        if x is None
-        else dict(zip(indices, take_out_lines(x - x.mean(), curve.rate, wanted)[1], strict=True))
-        for x in records
-    ]
-    for k, of_axis in enumerate(lines):
-        for i, line in of_axis.items():
-            if free[i]:
-                starts.power[k, :, i] = line.amplitude**2
-            for column, p in enumerate(design.shapes):
-                if p.term == i:
-                    starts.shape[k, :, column] = np.log(line.frequency)
-    free = free & ~np.isin(np.arange(len(template)), indices)
-    solution, inference, misfits = solve_and_infer(design, variance, free, active, starts)
-    results = []
-    found = coefficients_of(template, axes, active, solution, inference, curve.n, curve.rate)
-    for k, (axis, coefficients) in enumerate(zip(axes, found, strict=True)):
-        for i, line in lines[k].items():
+    free = free_powers(template) & ~np.isin(np.arange(len(template)), indices)
+    results, scatter = [], []
+    for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
+        here = active[[k]]
+        variance = curve.variance[:, [k]].T
+        starts = find_starts(template, design, variance, here, [x], curve.n, curve.rate)
+        found = () if x is None else take_out_lines(x - x.mean(), curve.rate, wanted)[1]
+        lines = dict(zip(indices, found, strict=x is not None))
+        for i, line in lines.items():
+            if template.terms[i].has_free_amplitude:
+                starts.power[:, :, i] = line.amplitude**2
+            of_line = [p.term == i for p in free_shapes(template)]
+            starts.shape[:, :, of_line] = np.log(line.frequency)
+        solution, inference, (misfit,) = solve_and_infer(design, variance, free, here, starts)
+        (coefficients,) = coefficients_of(template, [axis], here, solution, inference, curve.n, curve.rate)
+        for i, line in lines.items():
             square = (line.amplitude / line.amplitude_std) ** 2
-            of_line = (square, line.amplitude_std, 2, line, curve.n)
-            coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_line))
+            of_square = (square, line.amplitude_std, 2, line, curve.n)
+            coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_square))
         dof = len(curve.cluster_size) - estimated(template, active[k])
-        of_axis = jax.tree.map(lambda x, k=k: x[k], solution)
-        result = _axis_fit(axis, template, active[k], coefficients, of_axis, dof)
-        results.append(with_misfit(result, misfits[k]))
-    return tuple(results), _with_model_edf(curve, design, results, np.asarray(inference.estimate_variance))
+        solution = jax.tree.map(lambda x: x[0], solution)
+        result = _axis_fit(axis, template, active[k], coefficients, solution, dof)
+        results.append(with_misfit(result, misfit))
+        scatter.append(np.asarray(inference.estimate_variance)[0])
+    means = [_moments_of(design, template, result, len(curve.cluster_size))[0] for result in results]
+    return tuple(results), _with_model_edf(curve, results, means, scatter)
 
 
 def solve_and_infer(
@@ -87,19 +87,37 @@ def solve_and_infer(
     starts: Starts,
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
     """Best solution from the starts of each axis, the inference around it, and its misfit."""
-    solution = solve(design, variance, free, active, starts.power[:, 0], starts.shape[:, 0])
+    V, powers = design.padded_estimates(variance), design.padded_terms(starts.power)
+    of_terms = (design.padded_terms(free), design.padded_terms(active))
+    solution = solve(design, V, *of_terms, powers[:, 0], starts.shape[:, 0])
     # The cost may have several minima in a correlation time: all starts are tried.
-    for k in range(1, starts.power.shape[1]):
+    for k in range(1, powers.shape[1]):
         doubtful = ~np.asarray(solution.converged) | design.movable.any()
         if not doubtful.any():
             break
-        other = solve(design, variance, free, active, starts.power[:, k], starts.shape[:, k])
+        other = solve(design, V, *of_terms, powers[:, k], starts.shape[:, k])
         better = np.asarray(other.converged & ~(other.cost >= solution.cost) | ~solution.converged)
         solution = _choose(doubtful & better, other, solution)
     misfits = _misfits(design, variance, solution)
     solution = widened(solution, misfits)
-    inference = infer(design, variance, free, active, solution)
-    return *jax.device_get((solution, inference)), misfits
+    inference = infer(design, V, *of_terms, solution)
+    solution, inference = jax.device_get((solution, inference))
+    return *_without_padding(solution, inference, variance.shape[1], active.shape[1]), misfits
+
+
+def _without_padding(
+    solution: Solution, inference: Inference, m: int, terms: int
+) -> tuple[Solution, Inference]:
+    """Solution and inference of so many estimates and terms, by a design with room for more."""
+    parameters = np.arange(inference.covariance.shape[-1])
+    own = parameters[(parameters < terms) | (parameters >= solution.power.shape[1])]
+    return solution._replace(power=solution.power[:, :terms]), Inference(
+        inference.covariance[:, own[:, None], own],
+        inference.estimate_variance[:, :m],
+        inference.power_at[:, :terms],
+        inference.pivot_at[:, :terms],
+        inference.ceiling[:, :terms],
+    )
 
 
 def _misfits(
@@ -107,17 +125,11 @@ def _misfits(
 ) -> list[Misfit | None]:
     """Misfit of each axis's curve; None where the model suffices."""
     found: list[Misfit | None] = [None] * len(variance)
-    incomplete = np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0))
-    if len(incomplete):
-        place = (solution.power, solution.shape)
-        mean, scatter = (np.asarray(of(design, *place)) for of in (_means, _variances))
-    for k in incomplete:
-        found[k] = misfit_of(
-            np.asarray(design.geometry.cluster_time),
-            np.sqrt(variance[k] / mean[k]),
-            2.0 * mean[k] ** 2 / scatter[k],
-            "s",
-        )
+    incomplete = np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0)
+    for k in np.flatnonzero(incomplete):
+        mean, scatter = _moments(design, solution.power[k], solution.shape[k], variance.shape[1])
+        time = np.asarray(design.geometry.cluster_time)[: len(mean)]
+        found[k] = misfit_of(time, np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter, "s")
     return found
 
 
@@ -194,17 +206,18 @@ def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
     """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
-    place = _parameters(design, results)
-    curve = _with_model_edf(curve, design, results, np.asarray(_variances(design, *place)))
-    mean = np.asarray(_means(design, *place))
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ROOM)
+    means, scatter = zip(
+        *(_moments_of(design, template, result, len(curve.cluster_size)) for result in results), strict=True
+    )
+    curve = _with_model_edf(curve, results, means, scatter)
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
     found = []
     for k, result in enumerate(results):
         misfit = None
         if result.misfit is not None and result.measured and not (profiled or result.regression):
-            ratio = curve.deviation[:, k] / np.sqrt(mean[k])
+            ratio = curve.deviation[:, k] / np.sqrt(means[k])
             misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
         # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
         # excessive.
@@ -214,50 +227,42 @@ def with_curve(
 
 def _with_model_edf(
     curve: AllanDeviation,
-    design: AllanDesign,
     results: Sequence[AxisFit],
-    variance: Float[np.ndarray, "axes m"],
+    means: Sequence[Float[np.ndarray, " m"]],
+    variances: Sequence[Float[np.ndarray, " m"]],
 ) -> AllanDeviation:
     """Curve with degrees of freedom 2μ²/Var under the fitted models."""
-    mean = np.asarray(_means(design, *_parameters(design, results)))
     edf = np.array(curve.edf)
     for k, result in enumerate(results):
         if result.converged:
-            edf[:, k] = 2.0 * mean[k] ** 2 / variance[k]
+            edf[:, k] = 2.0 * means[k] ** 2 / variances[k]
     return dataclasses.replace(curve, edf=edf)
 
 
-def _parameters(
-    design: AllanDesign, results: Sequence[AxisFit]
-) -> tuple[Float[np.ndarray, "axes terms"], Float[np.ndarray, "axes shapes"]]:
-    """Powers and transformed shapes of the fitted models; zero for axes without a fit."""
-    power = np.zeros((len(results), len(design.model)))
-    shape = np.zeros((len(results), len(design.shapes)))
-    amplitudes = [p for p in design.model.parameters if p.parameter.is_amplitude]
-    for k, result in enumerate(results):
-        if result.converged:
-            values = {label: c.value for label, c in result.coefficients.items()}
-            power[k] = [float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes]
-            shape[k] = [np.log(values[p.label] - p.parameter.lower) for p in design.shapes]
+def _moments_of(
+    design: AllanDesign, template: Model, result: AxisFit, m: int
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Expectation and variance of m Allan variances under a fitted model; of no meaning without a fit."""
+    values = {label: c.value for label, c in result.coefficients.items()} if result.converged else {}
+    amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
+    power = np.array([float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes])
     # The shape of an absent term does not matter.
-    return power, np.nan_to_num(shape)
+    places = [values.get(p.label, np.nan) - p.parameter.lower for p in free_shapes(template)]
+    return _moments(design, design.padded_terms(power), np.nan_to_num(np.log(places)), m)
+
+
+def _moments(
+    design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"], m: int
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Expectation and variance of the m Allan variance estimates of an axis."""
+    mean, variance = _compiled_moments(design, power, shape)
+    return np.asarray(mean)[:m], np.asarray(variance)[:m]
 
 
 @eqx.filter_jit
-def _means(
-    design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
-) -> Float[Array, "axes m"]:
-    """Expected Allan variances of every axis."""
-    return jax.vmap(lambda v, u: v @ design.means(u))(jnp.asarray(power), jnp.asarray(shape))
-
-
-@eqx.filter_jit
-def _variances(
-    design: AllanDesign, power: Float[ArrayLike, "axes terms"], shape: Float[ArrayLike, "axes shapes"]
-) -> Float[Array, "axes m"]:
-    """Variances of the Allan variance estimates of every axis."""
-
-    def of_axis(power: Array, shape: Array) -> Array:
-        return design.variances(design.covariance(power, design.products(shape)))
-
-    return jax.vmap(of_axis)(jnp.asarray(power), jnp.asarray(shape))
+def _compiled_moments(
+    design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"]
+) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    power, shape = jnp.asarray(power), jnp.asarray(shape)
+    covariance = design.covariance(power, design.products(shape))
+    return design.mean(power, design.means(shape)), design.variances(covariance)

@@ -23,9 +23,10 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import text_table
 from allanjax.base.wording import significant
+from allanjax.estimate.allan_design import AllanDesign
 from allanjax.estimate.axis_fits import estimated, solve_and_infer
 from allanjax.estimate.coefficients import estimates_of, reported
-from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.design import free_powers
 from allanjax.estimate.deterministic import needs_record
 from allanjax.estimate.fit import check_length
 from allanjax.estimate.gls import Solution
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 # Axes of a block: what the compiled programs hold for so many stays in a core's cache.
 _BLOCK = 64
+# Cluster sizes that the arrays have room for: at octaves, those of any record.
+_ROOM = 32
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -215,8 +218,8 @@ def _in_blocks(
     curve: AllanDeviation, template: Model
 ) -> tuple[Solution, Inference, Bool[np.ndarray, " axes"]]:
     """Solution and inference of every axis, and whether the curve is near enough to the data."""
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides)
-    free = np.array([term.has_free_amplitude for term in template.terms])
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _ROOM)
+    free = free_powers(template)
     active = np.ones((_BLOCK, len(template)), bool)
     variance = curve.variance.T
 
@@ -224,7 +227,7 @@ def _in_blocks(
         V = variance[first : first + _BLOCK]
         # The last block is filled up with its last axis.
         V = np.pad(V, ((0, _BLOCK - len(V)), (0, 0)), mode="edge")
-        starts = find_starts(design, V, active, [None] * _BLOCK, curve.n, curve.rate)
+        starts = find_starts(template, design, V, active, [None] * _BLOCK, curve.n, curve.rate)
         solution, inference, misfits = solve_and_infer(design, V, free, active, starts)
         return solution, inference, np.array([m is None or not m.excessive for m in misfits])
 

@@ -8,64 +8,65 @@ at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`Spectr
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from allanjax.allan.covariance import AllanCovariance
-from allanjax.base.linalg import CholeskyWhitened, whiten
+from allanjax.base.linalg import CholeskyWhitened
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.terms import NoiseTerm
-
-# Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
-# no direction of the data is trusted more. Oscillating terms need more quadrature nodes, and have larger
-# errors.
-_RIDGE = 1e-4
-_OSCILLATING_RIDGE = 5e-3
-_OSCILLATING_ORDER = 32
+from allanjax.noise.terms import NoiseTerm, Parameter
 
 
-class _Constants(eqx.Module):
-    """Parts of the terms without a free shape, computed once for all iterations."""
+class FreeShape(NamedTuple):
+    """Free parameter that is no amplitude: of which of the terms, its declaration, and whether it is fitted.
 
-    means: tuple[Float[Array, " m"] | None, ...]
-    kernels: tuple[Float[Array, "pairs lags"] | None, ...]
-    products: Float[Array, "pairs terms terms"] | None
+    Those of lines are not: their frequencies are known from the record.
+    """
+
+    term: int
+    parameter: Parameter
+    moves: bool
 
 
 class Design(eqx.Module):
-    """Model of the estimates as the solver and the inference see it: see the module's docstring."""
+    """Model of the estimates as the solver and the inference see it: see the module's docstring.
 
-    model: eqx.AbstractVar[Model]
+    Attributes:
+        shapes: the free parameters that are not amplitudes.
+        owner: the term that each of these is of.
+        terms: number of terms.
+        rows: number of estimates.
+    """
 
-    @property
-    def shapes(self) -> tuple[ModelParameter, ...]:
-        """Free parameters that are not amplitudes."""
-        return free_shapes(self.model)
-
-    @property
-    def free(self) -> Bool[np.ndarray, " terms"]:
-        """Which terms have an amplitude to be estimated."""
-        return np.array([term.has_free_amplitude for term in self.model.terms])
+    shapes: tuple[FreeShape, ...] = eqx.field(static=True)
+    owner: Int[np.ndarray, " shapes"]
+    terms: Int[np.ndarray, ""]
+    rows: Int[np.ndarray, ""]
 
     @property
     def movable(self) -> Bool[np.ndarray, " shapes"]:
-        """Which shapes are fitted to these estimates: frequencies of lines are known from the record."""
-        return np.array([not self.model.terms[p.term].deterministic for p in self.shapes], bool)
+        """Which shapes are fitted to these estimates."""
+        return np.array([shape.moves for shape in self.shapes], bool)
 
-    def units(self, shape: Float[Array, " shapes"]) -> list[NoiseTerm]:
-        """Terms of unit amplitude with these shapes."""
-        terms = [t.with_unit_amplitude() for t in self.model.terms]
-        for p, u in zip(self.shapes, shape, strict=True):
-            value = p.parameter.lower + jnp.exp(u)
-            terms[p.term] = terms[p.term].replace(**{p.parameter.name: value})
-        return terms
+    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes room"]:
+        """Estimates in arrays of the design's length."""
+        return V
+
+    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
+        """Values of terms in arrays of the design's length."""
+        return values
 
     @abc.abstractmethod
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
         """Expectation of the estimates for each term of unit amplitude."""
+
+    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
+        """Expectation of the estimates for these powers of the terms."""
+        return power @ means
 
     @abc.abstractmethod
     def products(self, shape: Float[Array, " shapes"]) -> Array:
@@ -112,98 +113,7 @@ class Design(eqx.Module):
     @property
     @abc.abstractmethod
     def count(self) -> Float[Array, ""]:
-        """Number of estimates."""
-
-
-class AllanDesign(Design):
-    """Model of the Allan variances at the cluster sizes of `geometry`."""
-
-    model: Model = eqx.field(static=True)
-    geometry: AllanCovariance
-    octaves: Float[np.ndarray, "m m"]
-    ridge: Float[np.ndarray, ""]
-    constants: _Constants
-
-    @classmethod
-    def of(
-        cls,
-        model: Model,
-        n: int,
-        rate: float,
-        sizes: Int[np.ndarray, " m"],
-        strides: Int[np.ndarray, " m"] | None = None,
-    ) -> AllanDesign:
-        """Design of a noise model for Allan variances at these cluster sizes of n samples.
-
-        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`.
-        """
-        model = model.sampled(rate)
-        oscillates = any(term.oscillates for term in model.terms)
-        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
-        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, **order)
-        distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
-        ridge = np.asarray(_OSCILLATING_RIDGE if oscillates else _RIDGE)
-        return cls(model, geometry, np.exp(-distance), ridge, _constants(model, geometry))
-
-    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        """Allan variance of each term of unit amplitude."""
-        T = self.geometry.cluster_time
-        pairs = zip(self.units(shape), self.constants.means, strict=True)
-        return jnp.stack([t.allan_variance(T) if b is None else b for t, b in pairs])
-
-    def products(self, shape: Float[Array, " shapes"]) -> Float[Array, "pairs terms terms"]:
-        """Covariance of the estimates as a bilinear form in the powers, for each pair of estimates."""
-        if self.constants.products is not None:
-            return self.constants.products
-        units = self.units(shape)
-        pairs = zip(units, self.constants.kernels, strict=True)
-        kernels = [self.geometry.kernel(t) if k is None else k for t, k in pairs]
-        return _products(units, self.geometry, kernels)
-
-    def covariance(
-        self, power: Float[Array, " terms"], products: Float[Array, "pairs terms terms"]
-    ) -> Float[Array, "m m"]:
-        """Covariance of the estimates for these powers of the terms."""
-        return self.geometry.symmetric(jnp.einsum("pkj,k,j->p", products, power, power))
-
-    def variances(self, covariance: Array) -> Float[Array, " m"]:
-        return jnp.diag(covariance)
-
-    def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
-        """Relative residuals as they are: normal scores of each would not be jointly normal."""
-        return ratio - 1.0
-
-    def whiten(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> CholeskyWhitened:
-        """Whitened columns, with a model error that is correlated over about an octave."""
-        relative = covariance / (mean[:, None] * mean)
-        relative += self.ridge * jnp.diag(jnp.diag(relative)) + power_error**2 * self.octaves
-        return whiten(relative, X)
-
-    def cost(
-        self,
-        V: Float[Array, " m"],
-        mean: Float[Array, " m"],
-        covariance: Array,
-        power_error: Float[Array, ""],
-        misfit: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """Minus twice the log-likelihood of a normal law."""
-        return misfit + 2.0 * jnp.sum(jnp.log(mean))
-
-    @property
-    def weight(self) -> Float[Array, " m"]:
-        """Weight proportional to the number of clusters."""
-        return 1.0 / self.geometry.cluster_time
-
-    @property
-    def count(self) -> Float[Array, ""]:
-        return jnp.asarray(float(len(self.geometry.sizes)))
+        """Number of estimates, as far as they have degrees of freedom."""
 
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
@@ -211,44 +121,17 @@ def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
     return tuple(p for p in model.parameters if p.free and not p.parameter.is_amplitude)
 
 
-def _products(
-    terms: list[NoiseTerm], geometry: AllanCovariance, kernels: list[Float[Array, "pairs lags"]]
-) -> Float[Array, "pairs terms terms"]:
-    """Covariance of the estimates as a bilinear form in the powers, from the kernels of the terms."""
-    # A line or a ramp is the same in every record: its own square does not scatter. That of a narrow-band
-    # term does, but its kernel oscillates too fast for the quadrature.
-    own_scatter = np.array([not (t.deterministic or t.narrow_band) for t in terms])
-    stacked = jnp.stack(kernels)
-    products = jnp.einsum("kpl,pl,jpl->pkj", stacked, geometry.weights, stacked)
-    products = products * (own_scatter[:, None] | own_scatter)
-    for k, term in enumerate(terms):
-        if term.narrow_band:
-            products = products.at[:, k, k].set(_narrow_band_scatter(term, geometry))
-    return products
+def free_powers(model: Model) -> Bool[np.ndarray, " terms"]:
+    """Which terms of a model have an amplitude to be estimated."""
+    return np.array([term.has_free_amplitude for term in model.terms])
 
 
-def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Array, " pairs"]:
-    """Covariance of the estimates of a narrow-band term alone.
-
-    Its power fluctuates as one, which all estimates share; an estimate's own overlaps of differences add as
-    much once more (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
-    """
-    i, j = geometry.pairs
-    mean = term.allan_variance(geometry.cluster_time)
-    common = term.power_scatter(geometry.duration)
-    clusters = geometry.cluster_time[i] / geometry.duration
-    return mean[i] * mean[j] * (common + jnp.where(i == j, common + 1.5 * clusters, 0.0))
-
-
-@eqx.filter_jit
-def _constants(model: Model, geometry: AllanCovariance) -> _Constants:
-    """Means, kernels and products of the terms without a free shape."""
-    with_shape = {p.term for p in free_shapes(model)}
-    units = [t.with_unit_amplitude() for t in model.terms]
-    steady = [k not in with_shape for k in range(len(units))]
-    T = geometry.cluster_time
-    means = tuple(t.allan_variance(T) if s else None for t, s in zip(units, steady, strict=True))
-    if all(steady):
-        return _Constants(means, (), _products(units, geometry, [geometry.kernel(t) for t in units]))
-    kernels = tuple(geometry.kernel(t) if s else None for t, s in zip(units, steady, strict=True))
-    return _Constants(means, kernels, None)
+def with_shapes(
+    terms: Sequence[NoiseTerm], shapes: Sequence[FreeShape], values: Float[Array, " shapes"]
+) -> list[NoiseTerm]:
+    """Terms with these transformed shapes."""
+    found = list(terms)
+    for shape, u in zip(shapes, values, strict=True):
+        value = shape.parameter.lower + jnp.exp(u)
+        found[shape.term] = found[shape.term].replace(**{shape.parameter.name: value})
+    return found

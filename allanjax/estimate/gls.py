@@ -77,14 +77,20 @@ class Solution(NamedTuple):
         return self.power_error / 2.0
 
 
-class _State(NamedTuple):
-    """State of the iteration: the current estimate, the last one, and the phase."""
+class _Place(NamedTuple):
+    """An estimate, and the expectation and covariance of the data there."""
 
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
     mean: Float[Array, " m"]
     covariance: Array
-    robust: tuple[Array, Array, Array, Array]
+
+
+class _State(NamedTuple):
+    """State of the iteration: the estimate, where it was robust, its last move, and the phase."""
+
+    here: _Place
+    robust: _Place
     last: tuple[Array, Array]
     last_step: tuple[Array, Array]
     power_error: Float[Array, ""]
@@ -95,162 +101,194 @@ class _State(NamedTuple):
     at_rest: Bool[Array, ""]
 
 
-def _solve(
-    design: Design,
-    V: Float[Array, " m"],
-    free: Bool[Array, " terms"],
-    active: Bool[Array, " terms"],
-    power: Float[Array, " terms"],
-    shape: Float[Array, " shapes"],
-) -> Solution:
-    """Estimate of one axis from one start; inactive terms have zero power, held ones keep theirs."""
-    owner = jnp.asarray([p.term for p in design.shapes], int)
-    power = jnp.where(active, power, 0.0)
-    start = shape
-    reach = jnp.asarray([_SHAPE_BOUND[p.parameter.kind] for p in design.shapes])
-    end = jnp.asarray([np.log(p.parameter.upper - p.parameter.lower) for p in design.shapes]) - _INSIDE
-    moves = active[owner] & design.movable
-    dof = jnp.maximum(design.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
-    # The tail is heavier than that of χ² where few clusters remain.
-    limit = beyond_doubt(dof)
+class _Problem(NamedTuple):
+    """Data of one axis, what of the model is to be fitted to them, and from where.
 
-    def within(u: Array) -> Array:
+    Attributes:
+        design, V, free, active: as in `solve`.
+        power, shape: where the fit starts; inactive terms have zero power, held ones keep theirs.
+        moves: which shapes are fitted; the others stay at their start.
+        lower, upper: bounds of these.
+        still: means and products where no shape moves, computed once.
+        dof: degrees of freedom of χ².
+    """
+
+    design: Design
+    V: Float[Array, " m"]
+    free: Bool[Array, " terms"]
+    active: Bool[Array, " terms"]
+    power: Float[Array, " terms"]
+    shape: Float[Array, " shapes"]
+    moves: Bool[Array, " shapes"]
+    lower: Float[Array, " shapes"]
+    upper: Float[Array, " shapes"]
+    still: tuple[Array, Array] | None
+    dof: Float[Array, ""]
+
+    @classmethod
+    def of(cls, design: Design, V: Array, free: Array, active: Array, power: Array, shape: Array) -> _Problem:
+        declared = [s.parameter for s in design.shapes]
+        reach = jnp.asarray([_SHAPE_BOUND[p.kind] for p in declared])
+        end = jnp.asarray([np.log(p.upper - p.lower) for p in declared]) - _INSIDE
+        moves = active[jnp.asarray(design.owner)] & design.movable
+        dof = jnp.maximum(design.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
+        still = None if design.movable.any() else (design.means(shape), design.products(shape))
+        bounds = (shape - reach, jnp.minimum(shape + reach, end))
+        return cls(design, V, free, active, jnp.where(active, power, 0.0), shape, moves, *bounds, still, dof)
+
+    def within(self, u: Array) -> Float[Array, " shapes"]:
         """Shapes clipped to their bounds; those that are not fitted stay at their start."""
-        return jnp.where(moves, jnp.clip(u, start - reach, jnp.minimum(start + reach, end)), start)
+        return jnp.where(self.moves, jnp.clip(u, self.lower, self.upper), self.shape)
 
-    # Where no shape moves, what depends on shapes alone is computed once.
-    moving = design.movable.any()
-    still = (design.means(start), design.products(start)) if not moving else None
+    def means(self, shape: Array) -> Float[Array, "terms m"]:
+        """Expectations for unit powers."""
+        return self.design.means(shape) if self.still is None else self.still[0]
 
-    def means(shape: Array) -> Array:
-        return design.means(shape) if still is None else still[0]
+    def place(self, power: Array, shape: Array) -> _Place:
+        """What the data are expected to be with these parameters."""
+        products = self.design.products(shape) if self.still is None else self.still[1]
+        mean = self.design.mean(power, self.means(shape))
+        return _Place(power, shape, mean, self.design.covariance(power, products))
 
-    def products(shape: Array) -> Array:
-        return design.products(shape) if still is None else still[1]
-
-    def scatter(power: Array, shape: Array) -> tuple[Array, Array]:
-        return power @ means(shape), design.covariance(power, products(shape))
-
-    def misfit(mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
+    def misfit(self, place: _Place, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
-        score = design.residual(V / mean, design.variances(covariance) / mean**2)
-        residual, log_det = design.whiten(covariance, mean, power_error, score[:, None])
+        variance = self.design.variances(place.covariance) / place.mean**2
+        score = self.design.residual(self.V / place.mean, variance)
+        residual, log_det = self.design.whiten(place.covariance, place.mean, power_error, score[:, None])
         return jnp.sum(residual**2), log_det
 
-    def best_powers(shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
+    def project_powers(self, shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
         """Powers for a shape, and the whitened residual they leave (variable projection)."""
-        A = W @ (means(shape) / reference).T
-        target = W @ (V / reference) - A @ jnp.where(free, 0.0, power)
-        v = jnp.where(free, non_negative_least_squares(A, target, active & free), power)
-        return v, target - A @ jnp.where(free, v, 0.0)
+        A = W @ (self.means(shape) / reference).T
+        target = W @ (self.V / reference) - A @ jnp.where(self.free, 0.0, self.power)
+        v = non_negative_least_squares(A, target, self.active & self.free)
+        v = jnp.where(self.free, v, self.power)
+        return v, target - A @ jnp.where(self.free, v, 0.0)
 
-    def improve(state: _State) -> tuple[Array, Array, Array, tuple[Array, Array]]:
-        """One generalized least squares fit, and by how many standard deviations it moved the curve."""
-        reference, covariance = state.mean, state.covariance
-        W = design.whiten(covariance, reference, state.power_error, jnp.eye(len(V))).values
-        shape = state.shape
-        if moving:
 
-            def residual(u: Array, _: None) -> Array:
-                return best_powers(within(u), W, reference)[1]
+def _reweighted(problem: _Problem, state: _State, W: Array) -> tuple[Array, Array]:
+    """One generalized least squares fit with the weights of the present estimate: powers and shapes."""
+    here = state.here
+    shape = here.shape
+    if problem.still is None:
 
-            # Not the default QR: see `linalg` about batches of LAPACK calls.
-            linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
-            solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
-                rtol=1e-6, atol=1e-6, linear_solver=linear
-            )
-            found: optx.Solution = optx.least_squares(
-                residual, solver, shape, max_steps=_INNER_STEPS, throw=False
-            )
-            shape = jnp.where(jnp.isfinite(found.value), within(found.value), shape)
-            late = state.step - _DAMPING_AFTER_STEP
-            longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
-            shape = state.shape + jnp.clip(shape - state.shape, -longest, longest)
-        step = (best_powers(shape, W, reference)[0] - state.power, shape - state.shape)
-        # Reweighting converges linearly, sometimes slowly or with alternating sign. Anderson's (1965)
-        # acceleration
-        # remedies that, with one step of memory and steps measured by how far they move the curve.
-        to_curve = W @ (means(state.shape) / reference).T
-        here_step, last_step = to_curve @ step[0], to_curve @ state.last_step[0]
-        change = here_step - last_step
-        gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
-        # Steps that grow in one direction lead away from what is almost a solution: extrapolate, do not
-        # return.
-        leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
-        gamma = jnp.where(leaving, -_MAX_EXTRAPOLATION, gamma)
-        # No extrapolation while warming up, when each step solves another problem, nor after many steps, when
-        # the iteration cycles.
-        steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _DAMPING_AFTER_STEP)
-        gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
-        here = (state.power, state.shape)
-        power, shape = (
-            x + f - gamma * (x - x_last + f - f_last)
-            for x, f, x_last, f_last in zip(here, step, state.last, state.last_step, strict=True)
-        )
-        power, shape = jnp.where(free, jnp.maximum(power, 0.0), state.power), within(shape)
-        moved = W @ (power @ means(shape) / reference - 1.0)
-        return power, shape, jnp.linalg.norm(moved), step
+        def residual(u: Array, _: None) -> Array:
+            return problem.project_powers(problem.within(u), W, here.mean)[1]
 
-    def step(state: _State) -> _State:
-        power, shape, moved, last_step = improve(state)
-        k = state.step + 1
-        at_rest = moved < jnp.where(k == _OUTER_STEPS, _CLOSE, _TOLERANCE)
-        reference, covariance = scatter(power, shape)
-        (chi2, with_error), (_, log_det) = jax.vmap(lambda s: misfit(reference, covariance, s))(
-            jnp.stack([jnp.zeros(()), state.power_error])
+        # Not the default QR: see `linalg` about batches of LAPACK calls.
+        linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
+        solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
+            rtol=1e-6, atol=1e-6, linear_solver=linear
         )
-        # Minus twice the Gaussian log-likelihood, to choose among starts.
-        cost = design.cost(V, reference, covariance, state.power_error, with_error + 2.0 * log_det)
-        # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
-        excess = with_error / dof
-        s = jnp.clip(state.power_error * jnp.sqrt(excess), 1e-4, 10.0)
-        warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_ERROR))
-        # A model that is far off is not iterated further without an error.
-        hopeless = (chi2 > 4.0 * limit) & (k >= 5)
-        plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
-        incomplete = plain_ends & ~(at_rest & (chi2 < limit))
-        settled = at_rest & (jnp.abs(excess - 1.0) < 0.02)
-        last_ends = (state.phase == _WITH_ERROR) & (settled | (k == _OUTER_STEPS))
-        phase = jnp.select(
-            [warmed, incomplete, plain_ends | last_ends], [_PLAIN, _WITH_ERROR, _DONE], state.phase
+        found: optx.Solution = optx.least_squares(
+            residual, solver, shape, max_steps=_INNER_STEPS, throw=False
         )
-        power_error = jnp.select(
-            [phase == _WARM_UP, phase == _WITH_ERROR, phase == _DONE],
-            [
-                jnp.asarray(_WARM_UP_ERROR)[k % 4],
-                jnp.where(incomplete, _FIRST_ERROR, s),
-                state.power_error,
-            ],
-            0.0,
-        )
-        new = (power, shape, reference, covariance)
-        robust = jax.tree.map(lambda new, old: jnp.where(warmed, new, old), new, state.robust)
-        new = jax.tree.map(lambda new, old: jnp.where(incomplete, old, new), new, robust)
-        return _State(
-            power=new[0],
-            shape=new[1],
-            mean=new[2],
-            covariance=new[3],
-            robust=robust,
-            last=(state.power, state.shape),
-            last_step=last_step,
-            power_error=power_error,
-            phase=phase,
-            step=jnp.where(phase == state.phase, k, 0),
-            chi2=chi2,
-            cost=cost,
-            at_rest=jnp.where(state.phase == _WITH_ERROR, settled, at_rest),
-        )
+        shape = jnp.where(jnp.isfinite(found.value), problem.within(found.value), shape)
+        late = state.step - _DAMPING_AFTER_STEP
+        longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
+        shape = here.shape + jnp.clip(shape - here.shape, -longest, longest)
+    return problem.project_powers(shape, W, here.mean)[0], shape
 
-    first = (power, shape, *scatter(power, shape))
-    state = _State(
-        power=first[0],
-        shape=first[1],
-        mean=first[2],
-        covariance=first[3],
+
+def _accelerated(
+    problem: _Problem, state: _State, W: Array, step: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Powers and shapes after a step that is longer or shorter than this one, by Anderson's (1965) method.
+
+    Reweighting converges linearly, sometimes slowly or with alternating sign. The acceleration remedies that,
+    with one step of memory and steps measured by how far they move the curve.
+    """
+    here = state.here
+    to_curve = W @ (problem.means(here.shape) / here.mean).T
+    here_step, last_step = to_curve @ step[0], to_curve @ state.last_step[0]
+    change = here_step - last_step
+    gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
+    # Steps that grow in one direction lead away from what is almost a solution: extrapolate, do not return.
+    leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
+    gamma = jnp.where(leaving, -_MAX_EXTRAPOLATION, gamma)
+    # No extrapolation while warming up, when each step solves another problem, nor after many steps, when the
+    # iteration cycles.
+    steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _DAMPING_AFTER_STEP)
+    gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
+    power, shape = (
+        x + f - gamma * (x - x_last + f - f_last)
+        for x, f, x_last, f_last in zip(here[:2], step, state.last, state.last_step, strict=True)
+    )
+    return jnp.where(problem.free, jnp.maximum(power, 0.0), here.power), problem.within(shape)
+
+
+def _next(problem: _Problem, state: _State) -> _State:
+    """State after one step, and the phase that it leads to."""
+    here, k = state.here, state.step + 1
+    W = problem.design.whiten(here.covariance, here.mean, state.power_error, jnp.eye(len(problem.V))).values
+    power, shape = _reweighted(problem, state, W)
+    step = (power - here.power, shape - here.shape)
+    new = problem.place(*_accelerated(problem, state, W, step))
+    # By how many standard deviations the curve was moved.
+    moved = jnp.linalg.norm(W @ (new.mean / here.mean - 1.0))
+    at_rest = moved < jnp.where(k == _OUTER_STEPS, _CLOSE, _TOLERANCE)
+    (chi2, with_error), (_, log_det) = jax.vmap(lambda s: problem.misfit(new, s))(
+        jnp.stack([jnp.zeros(()), state.power_error])
+    )
+    # Minus twice the Gaussian log-likelihood, to choose among starts.
+    cost = problem.design.cost(
+        problem.V, new.mean, new.covariance, state.power_error, with_error + 2.0 * log_det
+    )
+    # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
+    excess = with_error / problem.dof
+    settled = at_rest & (jnp.abs(excess - 1.0) < 0.02)
+    phase, warmed, incomplete = _phase_after(problem, state, at_rest, settled, chi2)
+    power_error = jnp.select(
+        [phase == _WARM_UP, phase == _WITH_ERROR, phase == _DONE],
+        [
+            jnp.asarray(_WARM_UP_ERROR)[k % 4],
+            jnp.where(incomplete, _FIRST_ERROR, jnp.clip(state.power_error * jnp.sqrt(excess), 1e-4, 10.0)),
+            state.power_error,
+        ],
+        0.0,
+    )
+    robust = jax.tree.map(lambda new, old: jnp.where(warmed, new, old), new, state.robust)
+    return _State(
+        here=jax.tree.map(lambda new, old: jnp.where(incomplete, old, new), new, robust),
+        robust=robust,
+        last=here[:2],
+        last_step=step,
+        power_error=power_error,
+        phase=phase,
+        step=jnp.where(phase == state.phase, k, 0),
+        chi2=chi2,
+        cost=cost,
+        at_rest=jnp.where(state.phase == _WITH_ERROR, settled, at_rest),
+    )
+
+
+def _phase_after(
+    problem: _Problem, state: _State, at_rest: Array, settled: Array, chi2: Array
+) -> tuple[Array, Array, Array]:
+    """Phase after a step, and whether it ended the warming up, or showed that the model is incomplete."""
+    k = state.step + 1
+    # The tail is heavier than that of χ² where few clusters remain.
+    limit = beyond_doubt(problem.dof)
+    warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_ERROR))
+    # A model that is far off is not iterated further without an error.
+    hopeless = (chi2 > 4.0 * limit) & (k >= 5)
+    plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
+    incomplete = plain_ends & ~(at_rest & (chi2 < limit))
+    last_ends = (state.phase == _WITH_ERROR) & (settled | (k == _OUTER_STEPS))
+    phase = jnp.select(
+        [warmed, incomplete, plain_ends | last_ends], [_PLAIN, _WITH_ERROR, _DONE], state.phase
+    )
+    return phase, warmed, incomplete
+
+
+def _solve(problem: _Problem) -> Solution:
+    """Estimate of one axis from one start."""
+    first = problem.place(problem.power, problem.shape)
+    start = _State(
+        here=first,
         robust=first,
-        last=(power, shape),
-        last_step=(power, shape),
+        last=first[:2],
+        last_step=first[:2],
         power_error=jnp.asarray(_WARM_UP_ERROR[0]),
         phase=jnp.asarray(_WARM_UP),
         step=jnp.asarray(0),
@@ -258,9 +296,9 @@ def _solve(
         cost=jnp.asarray(jnp.inf),
         at_rest=jnp.asarray(False),
     )
-    state = jax.lax.while_loop(lambda state: state.phase != _DONE, step, state)
-    converged = state.at_rest & jnp.isfinite(state.cost)
-    return Solution(state.power, state.shape, state.chi2, state.power_error, converged, state.cost)
+    end = jax.lax.while_loop(lambda state: state.phase != _DONE, lambda s: _next(problem, s), start)
+    converged = end.at_rest & jnp.isfinite(end.cost)
+    return Solution(*end.here[:2], end.chi2, end.power_error, converged, end.cost)
 
 
 @eqx.filter_jit
@@ -281,6 +319,6 @@ def solve(
         active: the terms in use, for each axis.
         power, shape: start values.
     """
-    return jax.vmap(lambda *of_axis: _solve(design, of_axis[0], jnp.asarray(free), *of_axis[1:]))(
+    return jax.vmap(lambda V, *of_axis: _solve(_Problem.of(design, V, jnp.asarray(free), *of_axis)))(
         V, active, power, shape
     )

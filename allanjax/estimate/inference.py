@@ -105,12 +105,14 @@ def _infer(
     alone = jnp.eye(terms, dtype=bool)
     own_shape = alone[:, owner]
     tested = jnp.concatenate([(active & free) | alone, axis.has_shape & ~own_shape], axis=1).astype(float)
-    every = jnp.concatenate([is_active[None], tested])
-    around = jax.vmap(lambda estimated: axis.linearized(s.power, estimated))(every)
-    found = jax.tree.map(lambda x: x[0], around)
-    power_at, pivot_at = jax.vmap(lambda *of_term: axis.hypotheses(active & free, *of_term))(
-        jnp.arange(terms), alone, own_shape, tested, around.covariance[1:]
-    )
+
+    def of_term(k: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+        power_at, pivot_at = axis.hypotheses(active & free, k, alone[k], own_shape[k], tested[k])
+        return found[0].at[k].set(power_at), found[1].at[k].set(pivot_at)
+
+    nothing = jnp.full((terms, len(_BELOW) + len(_ABOVE)), jnp.nan)
+    power_at, pivot_at = jax.lax.fori_loop(0, design.terms, of_term, (nothing, nothing))
+    found = axis.linearized(s.power, is_active)
     highest = ceiling(design, V, axis.means, axis.products, s.power_error)
     return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
 
@@ -138,7 +140,7 @@ class _Axis(NamedTuple):
 
     @classmethod
     def of(cls, design: Design, V: Float[Array, " m"], active: Bool[Array, " terms"], s: Solution) -> _Axis:
-        owner = jnp.asarray([p.term for p in design.shapes], int)
+        owner = jnp.asarray(design.owner)
         means, products = design.means(s.shape), design.products(s.shape)
         moving = design.movable.any()
         by_shape = jax.jacfwd(design.means)(s.shape) if moving else jnp.zeros((*means.shape, len(s.shape)))
@@ -148,7 +150,7 @@ class _Axis(NamedTuple):
     def linearized(self, power: Float[Array, " terms"], estimated: Float[Array, " params"]) -> _Linearized:
         """One-step estimates at a hypothesis of those parameters that are estimated."""
         design, V = self.design, self.V
-        mean = power @ self.means
+        mean = design.mean(power, self.means)
         covariance = design.covariance(power, self.products)
         moved = jnp.einsum("k,kms->ms", power, self.by_shape)
         raw = jnp.concatenate([self.means.T, moved], axis=1) / mean[:, None]
@@ -182,14 +184,15 @@ class _Axis(NamedTuple):
 
     def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
         """Powers of which the allowed ones are fitted to the data, weighted by the covariance at `power`."""
-        mean, covariance = power @ self.means, self.design.covariance(power, self.products)
+        mean = self.design.mean(power, self.means)
+        covariance = self.design.covariance(power, self.products)
         W = self.design.whiten(covariance, mean, self.s.power_error, jnp.eye(len(self.V))).values
         A = W @ (self.means / mean).T
         target = W @ (self.V / mean) - A @ jnp.where(allowed, 0.0, power)
         return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
 
     def hypotheses(
-        self, fitted_too: Array, term: Array, alone: Array, own_shape: Array, estimated: Array, local: Array
+        self, fitted_too: Array, term: Array, alone: Array, own_shape: Array, estimated: Array
     ) -> tuple[Float[Array, " grid"], Float[Array, " grid"]]:
         """Hypothetical powers of a term, and the data's distance from each.
 
@@ -197,10 +200,10 @@ class _Axis(NamedTuple):
             fitted_too: terms that are fitted anew above the estimate.
             term: the term's index, and `alone`, `own_shape` the same as flags of terms and of shapes.
             estimated: flags of the parameters that are estimated with it.
-            local: covariance of these around the solution.
         """
         s, active, owner = self.s, self.active, self.owner
         terms = len(s.power)
+        local = self.linearized(s.power, estimated).covariance
         sd = jnp.sqrt(local[term, term])
         # A term that is alone cannot vanish altogether.
         least = 1e-9 * s.power[term]
@@ -246,6 +249,6 @@ def ceiling(
     """
     each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
     relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
-    half, chance = 1.0 / jnp.maximum(relative, 1e-9), _CHANCE / (2.0 * len(V))
+    half, chance = 1.0 / jnp.maximum(relative, 1e-9), _CHANCE / (2.0 * design.rows)
     least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + power_error * ndtri(chance)
     return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from allanjax.base.chi_squared import exact_cube_root_score
 from allanjax.base.linalg import CholeskyWhitened
-from allanjax.estimate.design import Design, free_shapes
+from allanjax.estimate.design import Design, FreeShape, free_shapes, with_shapes
 from allanjax.noise.model import Model
 from allanjax.spectrum.cosine import Bins
 
@@ -32,10 +32,21 @@ class SpectralDesign(Design):
     def of(cls, model: Model, bins: Bins, dof: Float[np.ndarray, " m"]) -> SpectralDesign:
         """Design of a noise model of random terms only."""
         model = model.sampled(bins.rate)
-        return cls(model, bins, dof, bins_per_octave(bins), _constants(model, bins))
+        return cls(
+            shapes=tuple(FreeShape(p.term, p.parameter, True) for p in free_shapes(model)),
+            owner=np.array([p.term for p in free_shapes(model)], int),
+            terms=np.asarray(len(model)),
+            rows=np.asarray(len(dof)),
+            model=model,
+            bins=bins,
+            dof=dof,
+            per_octave=bins_per_octave(bins),
+            constants=_constants(model, bins),
+        )
 
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        pairs = zip(self.units(shape), self.constants, strict=True)
+        units = with_shapes([t.with_unit_amplitude() for t in self.model.terms], self.shapes, shape)
+        pairs = zip(units, self.constants, strict=True)
         return jnp.stack([self.bins.expected(t) if b is None else b for t, b in pairs])
 
     def products(self, shape: Float[Array, " shapes"]) -> Array:

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from allanjax.estimate.design import Design
-from allanjax.noise.model import ModelParameter
+from allanjax.estimate.design import Design, free_shapes
+from allanjax.noise.model import Model, ModelParameter
 
 # Shapes that are evaluated roughly, those from which a fit may start, and frequencies that are tried for
 # lines.
@@ -32,6 +32,7 @@ class Starts(NamedTuple):
 
 
 def find_starts(
+    model: Model,
     design: Design,
     V: Float[np.ndarray, "axes m"],
     active: Bool[np.ndarray, "axes terms"],
@@ -43,13 +44,15 @@ def find_starts(
 
     Shape parameters without a value of their own are tried on a grid (`shape_candidates`); see `best_starts`.
     """
-    searched = any(p.parameter.kind == "line" and p.start is None for p in design.shapes)
+    shapes = free_shapes(model)
+    searched = any(p.parameter.kind == "line" and p.start is None for p in shapes)
     peaks = (find_lines(x, rate) if searched and x is not None else () for x in records)
-    shape = [shape_candidates(design.shapes, n / rate, rate, of_axis) for of_axis in peaks]
-    return best_starts(design, V, active, np.stack(shape))
+    candidates = [shape_candidates(shapes, n / rate, rate, of_axis) for of_axis in peaks]
+    return best_starts(model, design, V, active, np.stack(candidates))
 
 
 def best_starts(
+    model: Model,
     design: Design,
     V: Float[np.ndarray, "axes m"],
     active: Bool[np.ndarray, "axes terms"],
@@ -61,12 +64,12 @@ def best_starts(
     """
     from scipy.ndimage import median_filter
 
-    given = [getattr(t, t.amplitude_parameter().name) for t in design.model.terms]
+    given = [getattr(t, t.amplitude_parameter().name) for t in model.terms]
     # A single estimate that is small by chance must not lower all powers.
     smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
-    rough, misfit = _rough_powers(design, smooth, active, shape)
-    power = np.array(rough)
-    for k, (term, value) in enumerate(zip(design.model.terms, given, strict=True)):
+    rough, misfit = _rough_powers(design, design.padded_estimates(smooth), design.padded_terms(active), shape)
+    power = np.array(rough)[..., : len(model)]
+    for k, (term, value) in enumerate(zip(model.terms, given, strict=True)):
         if value is not None and not term.has_free_amplitude:
             power[:, :, k] = value**2
     apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in design.shapes])
@@ -107,10 +110,10 @@ def _rough_powers(
 
         # Lee & Seung's (2001) multiplicative steps keep powers positive and never increase the misfit.
         def step(_: int, v: Array) -> Array:
-            return v * target / (normal @ v)
+            return jnp.where(active, v * target / (normal @ v), 0.0)
 
         # The start is low enough for no term alone to exceed the curve.
-        start = jnp.where(active, 1.0 / jnp.max(A, axis=1) / len(A), 0.0)
+        start = jnp.where(active, 1.0 / jnp.max(A, axis=1) / design.terms, 0.0)
         v = jax.lax.fori_loop(0, 500, step, start)
         return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import FitError
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
-from allanjax.estimate.design import Design
+from allanjax.estimate.design import Design, free_powers, free_shapes
 from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import infer
@@ -130,7 +130,7 @@ def fit_spectrum(
         variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof)
         solution = widened(solution, [misfit])
-    inference = infer(design, V, design.free, active[random][None], solution)
+    inference = infer(design, V, free_powers(noise), active[random][None], solution)
     (noise_found,) = coefficients_of(
         noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
     )
@@ -168,7 +168,7 @@ def _fit_noise(
     """Fit the random terms, alternating with the projection of the deterministic parts in use."""
     bins = spectrum.bins
     solution: Solution | None = None
-    variance = _smoothed(spectrum)
+    variance, free = _smoothed(spectrum), free_powers(noise)
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)
         design = SpectralDesign.of(noise, bins, projection.dof)
@@ -176,15 +176,15 @@ def _fit_noise(
         if solution is None:
             # Single coefficients scatter too much for start values.
             rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
-            shapes = shape_candidates(design.shapes, float(bins.n / bins.rate), bins.rate, peaks)
-            starts = best_starts(design, rough[None], active[None], shapes[None])
+            shapes = shape_candidates(free_shapes(noise), float(bins.n / bins.rate), bins.rate, peaks)
+            starts = best_starts(noise, design, rough[None], active[None], shapes[None])
             # The cost may have several minima in a correlation time: all starts are tried.
             for k in range(starts.power.shape[1] if design.movable.any() else 1):
-                other = solve(design, V, design.free, active[None], starts.power[:, k], starts.shape[:, k])
+                other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])
                 if solution is None or _better(other, solution):
                     solution = other
         else:
-            solution = solve(design, V, design.free, active[None], solution.power, solution.shape)
+            solution = solve(design, V, free, active[None], solution.power, solution.shape)
         assert solution is not None
         variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
     assert solution is not None

@@ -19,7 +19,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import whiten
-from allanjax.estimate.design import AllanDesign, Design
+from allanjax.estimate.allan_design import AllanDesign
+from allanjax.estimate.design import Design, free_shapes
 from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
@@ -100,16 +101,17 @@ class _ParameterLayout(eqx.Module):
     held_shape: Float[np.ndarray, " shapes"]
 
     @classmethod
-    def of(cls, design: Design, parameters: Sequence[ModelParameter], result: AxisFit) -> _ParameterLayout:
-        """Layout of these free parameters for a design, the others as in the fit."""
+    def of(cls, model: Model, parameters: Sequence[ModelParameter], result: AxisFit) -> _ParameterLayout:
+        """Layout of these free parameters of a model, the others as in the fit."""
         labels = [p.label for p in parameters]
-        amplitudes = [p for p in design.model.parameters if p.parameter.is_amplitude]
+        shapes = free_shapes(model)
+        amplitudes = [p for p in model.parameters if p.parameter.is_amplitude]
         return cls(
             np.array([labels.index(p.label) if p.free else -1 for p in amplitudes], int),
             np.array([0.0 if p.free else float(p.start or 0.0) for p in amplitudes]),
-            np.array([labels.index(p.label) if p.label in labels else -1 for p in design.shapes], int),
-            np.array([p.parameter.lower for p in design.shapes]),
-            np.array([0.0 if p.label in labels else result[p.label].value for p in design.shapes]),
+            np.array([labels.index(p.label) if p.label in labels else -1 for p in shapes], int),
+            np.array([p.parameter.lower for p in shapes]),
+            np.array([0.0 if p.label in labels else result[p.label].value for p in shapes]),
         )
 
     def power(self, values: Float[Array, " params"]) -> Float[Array, " terms"]:
@@ -195,7 +197,7 @@ class AllanLikelihood(Likelihood):
     design: AllanDesign
     layout: _ParameterLayout
     variance: Float[np.ndarray, " m"]
-    products: Float[np.ndarray, "pairs terms terms"]
+    products: Float[np.ndarray, "terms terms pairs"]
     power_error: Float[np.ndarray, ""]
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
@@ -220,7 +222,7 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     assert spectrum is not None
     noise = Model(tuple(term for term in fit.template.terms if not term.deterministic))
     design = SpectralDesign.of(noise, spectrum.bins, spectrum.bins.size.astype(float))
-    layout = _ParameterLayout.of(design, parameters, result)
+    layout = _ParameterLayout.of(noise, parameters, result)
     labels = [p.label for p in parameters]
     share = 1.0 / (1.0 + 2.0 * spectrum.bins.size * design.per_octave * result.discrepancy**2)
     columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
@@ -292,7 +294,7 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     chosen = slice(0, None, _THINNED)
     sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
     design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
-    layout = _ParameterLayout.of(design, parameters, result)
+    layout = _ParameterLayout.of(fit.template, parameters, result)
     start, scatter = _estimates(result, parameters)
     values = jnp.asarray(start)
     products = design.products(layout.shapes(values))

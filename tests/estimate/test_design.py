@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import allanjax as aj
-from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.allan_design import AllanDesign
 
 
 def test_the_models_own_error_is_correlated_over_an_octave():

@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib
-import types
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,9 @@ import numpy as np
 import pytest
 
 import allanjax as aj
+from allanjax.estimate.allan_design import AllanDesign
 from allanjax.estimate.gls import Solution
+from allanjax.estimate.inference import Inference
 from allanjax.estimate.starts import Starts
 
 RATE = 100.0
@@ -175,9 +176,10 @@ def test_of_several_starts_the_best_solution_is_taken(monkeypatch) -> None:
         return Solution(power, shape, zero, zero, converged[k], cost[k])
 
     monkeypatch.setattr(module, "solve", solve)
-    monkeypatch.setattr(module, "infer", lambda *_: None)
+    monkeypatch.setattr(module, "infer", lambda *_: Inference(*np.zeros((5, 3, 2, 2))))
     starts = Starts(np.tile(np.arange(4.0)[:, None], (3, 1, 1)), np.zeros((3, 4, 1)))
-    design = types.SimpleNamespace(movable=np.array([True]))
+    sizes = np.array([1, 2, 4, 8, 16])
+    design = AllanDesign.of(aj.Model((aj.PowerLaw(),)), 64, 1.0, sizes)
     solution, *_ = module.solve_and_infer(
         design, np.ones((3, 5)), np.ones(1, bool), np.ones((3, 1), bool), starts
     )

@@ -5,7 +5,7 @@ from scipy.stats import chi2, norm
 
 import allanjax as aj
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
-from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.allan_design import AllanDesign
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import infer
 

@@ -7,9 +7,9 @@ from scipy.stats import ncx2, norm
 from white_and_walk import RATE, N, records, walk
 
 import allanjax as aj
+from allanjax.estimate.allan_design import AllanDesign
 from allanjax.estimate.axis_fits import solve_and_infer
 from allanjax.estimate.coefficients import deterministic_coefficients, estimates_of
-from allanjax.estimate.design import AllanDesign
 from allanjax.estimate.deterministic import Line
 from allanjax.estimate.inference import ceiling, infer
 from allanjax.estimate.starts import find_starts
@@ -69,7 +69,7 @@ def test_a_model_that_is_far_off_has_a_limit_where_nothing_is_refused() -> None:
     curve = aj.allan_deviation(recording, cluster_times=4)
     design = AllanDesign.of(FIVE, curve.n, curve.rate, curve.cluster_size, curve.strides)
     active = np.ones((1, len(FIVE)), bool)
-    starts = find_starts(design, curve.variance.T, active, [None], N, RATE)
+    starts = find_starts(FIVE, design, curve.variance.T, active, [None], N, RATE)
     solution, *_ = solve_and_infer(design, curve.variance.T, active[0], active, starts)
     assert solution.power_error[0] > 0.6
     for wild in (solution, solution._replace(power_error=np.array([10.0]))):
