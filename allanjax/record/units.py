@@ -5,10 +5,11 @@ accelerometer's, and `g` is the standard acceleration of gravity, not the gram.
 """
 
 import functools
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -23,8 +24,9 @@ Sensor = Literal["gyro", "accel"]
 Quantity = Literal["rate", "increment"]
 Value = TypeVar("Value", float, np.ndarray)
 
-#: Sensors whose noise is analysed.
+#: Sensors whose noise is analysed, and their names with an article.
 SENSORS: tuple[Sensor, ...] = ("gyro", "accel")
+_A: dict[Sensor, str] = {"gyro": "a gyro", "accel": "an accelerometer"}
 
 #: Units of samples, those of rates and those of increments, as messages list and displays write them.
 SAMPLE_UNITS: dict[Sensor, dict[Quantity, tuple[str, ...]]] = {
@@ -62,14 +64,10 @@ standard_gravity = 9.80665 * meter / second ** 2 = g
 gal = 0.01 * meter / second ** 2 = Gal
 """
 
-# Dimensions of rates and of increments, and the base dimension that a sensor's units never have.
-_RATE_DIMENSION: dict[Sensor, dict[str, float]] = {
-    "gyro": {"[angle]": 1, "[time]": -1},
-    "accel": {"[length]": 1, "[time]": -2},
-}
-_INCREMENT_DIMENSION: dict[Sensor, dict[str, float]] = {
-    "gyro": {"[angle]": 1},
-    "accel": {"[length]": 1, "[time]": -1},
+# SI units of rates and of increments, and the base dimension that a sensor's units never have.
+_SI: dict[Sensor, dict[Quantity, str]] = {
+    "gyro": {"rate": "rad/s", "increment": "rad"},
+    "accel": {"rate": "m/s²", "increment": "m/s"},
 }
 _FOREIGN_DIMENSION: dict[Sensor, str] = {"gyro": "[length]", "accel": "[angle]"}
 
@@ -119,8 +117,7 @@ class SampleUnit:
     quantity: Quantity
 
 
-@dataclass(frozen=True)
-class _Unit:
+class _Unit(NamedTuple):
     """Unit with its factor to SI and its exponents of the base dimensions."""
 
     scale: float
@@ -135,9 +132,15 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
         UnitError: the unit is unknown or does not fit the sensor; the message lists those that do.
     """
     unit = _parse(text)
-    quantity = None if unit is None else _quantity(unit, sensor)
+    quantity = _quantity(unit, sensor)
     if unit is None or quantity is None:
-        raise UnitError(_unknown_sample_unit(text, sensor, unit))
+        accepted = SAMPLE_UNITS[sensor]
+        other: Sensor = "accel" if sensor == "gyro" else "gyro"
+        hint = f" {text!r} is a unit of {_A[other]}." if _quantity(unit, other) else ""
+        raise UnitError(
+            f"unknown unit {text!r} for {_A[sensor]}.{hint} Accepted: {', '.join(accepted['rate'])} (rates); "
+            f"{', '.join(accepted['increment'])} (increments)"
+        )
     return SampleUnit(_display_name(text, unit.scale, SAMPLE_UNITS[sensor][quantity]), unit.scale, quantity)
 
 
@@ -147,8 +150,7 @@ def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
     For increments it is rad/s or m/s².
     """
     own = parse_sample_unit(unit, sensor)
-    name = own.name if own.quantity == "rate" else {"gyro": "rad/s", "accel": "m/s²"}[sensor]
-    return name, unit_scale(name, sensor)
+    return (own.name, own.scale) if own.quantity == "rate" else (_SI[sensor]["rate"], 1.0)
 
 
 def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
@@ -209,9 +211,13 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
     """
     source, target = _known(from_unit, sensor), _known(to_unit, sensor)
     if source.dimension != target.dimension:
+        labels = (
+            "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
+            for unit in (source, target)
+        )
         raise UnitError(
-            f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are "
-            f"{_dimension_label(source)} and {_dimension_label(target)}; give units of the same dimension"
+            f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are {' and '.join(labels)}; give "
+            "units of the same dimension"
         )
     return value * (source.scale / target.scale)
 
@@ -225,9 +231,9 @@ def _known(text: str, sensor: Sensor | None) -> _Unit:
             "rad/s/√Hz"
         )
     if sensor is not None and _FOREIGN_DIMENSION[sensor] in unit.dimension:
-        other = "an accelerometer" if sensor == "gyro" else "a gyro"
+        other: Sensor = "accel" if sensor == "gyro" else "gyro"
         raise UnitError(
-            f"unit {text!r} is not one of {_a(sensor)}: it looks like a unit of {other}; "
+            f"unit {text!r} is not one of {_A[sensor]}: it looks like a unit of {_A[other]}; "
             f"write for instance {', '.join(_COEFFICIENT_UNITS[sensor].values())}"
         )
     return unit
@@ -285,43 +291,18 @@ def _is_product(expression: str) -> bool:
     return re.fullmatch(product, expression) is not None
 
 
-def _quantity(unit: _Unit, sensor: Sensor) -> Quantity | None:
+def _quantity(unit: _Unit | None, sensor: Sensor) -> Quantity | None:
     """Quantity of samples in this unit, or None if it does not fit the sensor."""
-    if unit.dimension == _RATE_DIMENSION[sensor]:
-        return "rate"
-    if unit.dimension == _INCREMENT_DIMENSION[sensor]:
-        return "increment"
-    return None
+    if unit is None:
+        return None
+    of_dimension = (
+        quantity for quantity, si in _SI[sensor].items() if _known(si, None).dimension == unit.dimension
+    )
+    return next(of_dimension, None)
 
 
 def _display_name(text: str, scale: float, labels: tuple[str, ...]) -> str:
     """Label for display: one of the usual ones if the unit is the same, else the text."""
-    spelling = _expression(text)
-    for label in labels:
-        if _expression(label) == spelling:
-            return label
-    for label in labels:
-        if np.isclose(unit_scale(label), scale, rtol=1e-12, atol=0.0):
-            return label
-    return text.strip()
-
-
-def _unknown_sample_unit(text: str, sensor: Sensor, unit: _Unit | None) -> str:
-    """Error message for a unit that does not fit a sensor's samples."""
-    accepted = SAMPLE_UNITS[sensor]
-    other: Sensor = "accel" if sensor == "gyro" else "gyro"
-    hint = f" {text!r} is a unit of {_a(other)}." if unit is not None and _quantity(unit, other) else ""
-    return (
-        f"unknown unit {text!r} for {_a(sensor)}.{hint} Accepted: {', '.join(accepted['rate'])} (rates); "
-        f"{', '.join(accepted['increment'])} (increments)"
-    )
-
-
-def _dimension_label(unit: _Unit) -> str:
-    """Dimension of a unit as text."""
-    return "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
-
-
-def _a(sensor: Sensor) -> str:
-    """Name of a sensor with its article."""
-    return "a gyro" if sensor == "gyro" else "an accelerometer"
+    spelled = (label for label in labels if _expression(label) == _expression(text))
+    equal = (label for label in labels if np.isclose(unit_scale(label), scale, rtol=1e-12, atol=0.0))
+    return next(itertools.chain(spelled, equal), text.strip())
