@@ -362,7 +362,7 @@ def _axes(given: Sequence[Axis | str]) -> tuple[Axis, ...]:
     if isinstance(given, str):
         raise AllanjaxError(f"axes= takes a list of names: [{given!r}]")
     columns = [recognise(axis if isinstance(axis, str) else axis.name) for axis in given]
-    named, _ = axes_of(columns, "rad/s", "m/s^2", Source("axes="))
+    named, _ = axes_of(columns, {"gyro": "rad/s", "accel": "m/s²"}, Source("axes="))
     return tuple(a if isinstance(a, Axis) else b for a, b in zip(given, named, strict=True))
 
 

@@ -1,6 +1,6 @@
 """Axes of a recording: their columns and units, and those that are dead."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import Column
-from allanjax.record.units import SENSORS, Sensor, parse_sample_unit
-from allanjax.record.validation import Source, dead_reason
+from allanjax.record.units import SampleUnit, Sensor, parse_sample_unit
+from allanjax.record.validation import Source
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class DeadAxis:
-    """Axis without noise, for which there is no result: constant, or without a single number.
-
-    Attributes:
-        axis: the axis.
-        reason: why it is dead, in words.
-    """
+    """Axis without noise, for which there is no result, and the reason: constant, or without a number."""
 
     axis: Axis
     reason: str
@@ -42,31 +37,30 @@ class DeadAxis:
     @classmethod
     def of(cls, axis: Axis, value: float) -> "DeadAxis":
         """Dead axis with this value [its own unit] throughout; nan for no number."""
-        return cls(axis, dead_reason(value, axis.unit))
+        if np.isnan(value):
+            return cls(axis, "not a single number in it, as of a sensor that is not connected")
+        held = f"constant, {value:.6g} {axis.unit} throughout"
+        return cls(axis, f"{held}, as of a sensor that is stuck or not connected")
 
 
 def axes_of(
-    columns: Sequence[Column], gyro_unit: str | None, accel_unit: str | None, source: Source
+    columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Axes from columns, and notes on them.
+    """Axes from columns, given each sensor's unit where the labels have none, and notes on them.
 
     Raises:
         RecordingError: there are none, or two columns are the same axis.
         UnitError: a unit is missing, unknown, or given twice and differently.
     """
     check_axes(columns, source)
-    units = [
-        _unit_of(column, gyro_unit if column.sensor == "gyro" else accel_unit, source) for column in columns
-    ]
-    axes = tuple(
-        Axis(column.name, column.sensor, unit)
-        for column, unit in zip(columns, units, strict=True)
-        if column.sensor is not None
-    )
-    increments = [
-        axis.name for axis in axes if parse_sample_unit(axis.unit, axis.sensor).quantity == "increment"
-    ]
-    return axes, (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
+    axes, increments = [], []
+    for column in columns:
+        assert column.sensor is not None
+        unit = _unit_of(column, column.sensor, units[column.sensor], source)
+        axes.append(Axis(column.name, column.sensor, unit.name))
+        if unit.quantity == "increment":
+            increments.append(column.name)
+    return tuple(axes), (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
 
 
 def names_of(axes: Sequence[Axis] | None, count: int) -> tuple[str, ...]:
@@ -76,19 +70,19 @@ def names_of(axes: Sequence[Axis] | None, count: int) -> tuple[str, ...]:
 
 def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
-    return np.array([_scale(axis.unit, axis.sensor, rate) for axis in axes])
+    units = [parse_sample_unit(axis.unit, axis.sensor) for axis in axes]
+    return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
 
 
 def default_names(
-    count: int, gyro_unit: str | None, accel_unit: str | None, remedy: str, source: Source
+    count: int, units: Mapping[Sensor, str | None], remedy: str, source: Source
 ) -> tuple[str, ...]:
-    """Default names of `count` columns, as implied by the units that are given.
+    """Default names of `count` columns, as implied by the sensors whose units are given.
 
     Raises:
         RecordingError: the units do not imply names; the message says to use `remedy`.
     """
-    given = (gyro_unit, accel_unit)
-    sensors = [sensor for sensor, unit in zip(SENSORS, given, strict=True) if unit is not None]
+    sensors = [sensor for sensor, unit in units.items() if unit is not None]
     if len(sensors) == 1 and count == 1:
         return (sensors[0],)
     if sensors and count == 3 * len(sensors):
@@ -114,13 +108,12 @@ def check_axes(columns: Sequence[Column], source: Source) -> None:
             )
 
 
-def _unit_of(column: Column, given: str | None, source: Source) -> str:
-    """Display label of the column's unit, from its label or the argument."""
-    sensor = column.sensor or "gyro"
+def _unit_of(column: Column, sensor: Sensor, given: str | None, source: Source) -> SampleUnit:
+    """Unit of the column, from its label or the argument."""
     option = f"{sensor}_unit= (--{sensor}-unit)"
-    example = "deg/s" if sensor == "gyro" else "m/s^2"
     text = column.unit or given
     if text is None:
+        example = "deg/s" if sensor == "gyro" else "m/s^2"
         raise UnitError(
             f"{source.label}: column {column.label!r} has no unit; pass {option}, "
             f"or write it in the header as `{column.name} [{example}]`"
@@ -141,10 +134,4 @@ def _unit_of(column: Column, given: str | None, source: Source) -> str:
             f"a unit of rates; give the increments' unit in {option}, or rename the column by columns= "
             "(--columns)"
         )
-    return unit.name
-
-
-def _scale(unit: str, sensor: Sensor, rate: float) -> float:
-    """Factor from a unit of samples to the SI rate, at a sample rate [Hz]."""
-    sample_unit = parse_sample_unit(unit, sensor)
-    return sample_unit.scale * (rate if sample_unit.quantity == "increment" else 1.0)
+    return unit

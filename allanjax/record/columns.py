@@ -39,9 +39,6 @@ _UNIT_SUFFIXES = {
 # Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and nanoseconds.
 _TIME = re.compile(r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)|t|\w*timestamp")
 _TIME_SUFFIX = re.compile(r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds)")
-_TIME_SUFFIX_UNITS = {"secs": "s", "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns"} | {
-    "nanoseconds": "ns"
-}
 _TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
 
 
@@ -57,6 +54,7 @@ class Column:
         unit: unit that the label states, if any.
         increment: whether the label says that the samples are increments (`delta_angle_x`).
         time_part: for stamps split over two columns, (common prefix, `s` or `ns`).
+        index: place in the file, from 0.
     """
 
     label: str
@@ -66,6 +64,7 @@ class Column:
     unit: str | None = None
     increment: bool = False
     time_part: tuple[str, str] | None = None
+    index: int = 0
 
 
 def recognise(label: str) -> Column:
@@ -120,12 +119,10 @@ def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     """Column of time stamps, or None if the name is not that of one."""
     if _TIME.fullmatch(words):
         return Column(label, "time", stem, unit=unit)
-    suffix = _TIME_SUFFIX.fullmatch(words)
-    part = _TIME_PART.fullmatch(words)
-    part_key = None if part is None else (part[1], "ns" if part[2].startswith("n") else "s")
+    suffix, part = _TIME_SUFFIX.fullmatch(words), _TIME_PART.fullmatch(words)
+    time_part = None if part is None else (part[1], "ns" if part[2].startswith("n") else "s")
     if suffix is not None and _TIME.fullmatch(suffix[1]):
-        own = unit or _TIME_SUFFIX_UNITS.get(suffix[2], suffix[2])
-        return Column(label, "time", stem, unit=own, time_part=part_key)
-    if part_key is not None:
-        return Column(label, "time", stem, unit=unit or part_key[1], time_part=part_key)
+        return Column(label, "time", stem, unit=unit or suffix[2], time_part=time_part)
+    if time_part is not None:
+        return Column(label, "time", stem, unit=unit or time_part[1], time_part=time_part)
     return None

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
@@ -16,6 +16,7 @@ from allanjax.base.plain import printable
 from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
+from allanjax.record.units import Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ class Recording(ByValue):
             UnitError: a unit is missing or unknown.
         """
         source = Source(name or "array")
+        units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
         table = np.asarray(values, dtype=float)
         if table.ndim == 1:
             table = table[:, None]
@@ -96,7 +98,7 @@ class Recording(ByValue):
             )
         notes: tuple[str, ...] = ()
         if names is None:
-            names = default_names(table.shape[1], gyro_unit, accel_unit, "names=", source)
+            names = default_names(table.shape[1], units, "names=", source)
             notes = (f"column order taken as {', '.join(names)}",)
         if len(names) != table.shape[1]:
             raise source.error(
@@ -109,14 +111,14 @@ class Recording(ByValue):
                     f"names= has {column.label!r}, which is no axis of a gyro or an accelerometer; use "
                     "names such as gyro_x, accel_z, and pass other columns as auxiliary="
                 )
-        extra = {} if auxiliary is None else {key: np.asarray(column) for key, column in auxiliary.items()}
+        extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
         for key, column_values in extra.items():
             if column_values.shape != table.shape[:1]:
                 raise source.error(
                     f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
                     f"({len(table)},)"
                 )
-        return build(table, rate, columns, gyro_unit, accel_unit, extra, name, notes, source)
+        return build(table, rate, columns, units, extra, name, notes, source)
 
     @property
     def n(self) -> int:
@@ -171,16 +173,15 @@ class Recording(ByValue):
             RecordingError: there is no such axis, or it is dead.
         """
         chosen: list[int] = []
+        source = Source(self.name or "recording")
         for key in keys:
             for dead in self.dead:
                 if key == dead.axis.name:
-                    raise RecordingError(f"{self.name or 'recording'}: {key} was left out: {dead.reason}")
+                    raise source.error(f"{key} was left out: {dead.reason}")
             found = [i for i, axis in enumerate(self.axes) if axis.name == key]
             found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
             if not found:
-                raise RecordingError(
-                    f"{self.name or 'recording'}: no axis {key!r}; there are {', '.join(self.names)}"
-                )
+                raise source.error(f"no axis {key!r}; there are {', '.join(self.names)}")
             chosen += [i for i in found if i not in chosen]
         if not chosen:
             raise RecordingError(f"select at least one of {', '.join(self.names)}")
@@ -205,14 +206,15 @@ class Recording(ByValue):
         check_length(rows.stop - rows.start, source)
         note = f"samples {rows.start} to {rows.stop - 1} of {self.n} taken"
         values = self.values[rows]
-        living = check_values(values, self.names, source)
-        dead = _dead(self.axes, values[0] / self.own_scales, living)
+        values, axes, dead, left_out = _living(
+            values, self.axes, values[0] / self.own_scales, self.names, source
+        )
         return replace(
             self,
-            values=values if living.all() else values[:, living],
-            axes=tuple(itertools.compress(self.axes, living)),
+            values=values,
+            axes=axes,
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
-            notes=(*self.notes, note, *_left_out(dead)),
+            notes=(*self.notes, note, *left_out),
             dead=(*self.dead, *dead),
         )
 
@@ -243,8 +245,7 @@ def build(
     values: Float[np.ndarray, "samples axes"],
     rate: float,
     columns: Sequence[Column],
-    gyro_unit: str | None,
-    accel_unit: str | None,
+    units: Mapping[Sensor, str | None],
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]],
     name: str,
     notes: Sequence[str],
@@ -256,33 +257,37 @@ def build(
         RecordingError: see `Recording.from_array`.
         UnitError: a unit is missing, unknown, or given twice and differently.
     """
-    axes, own_notes = axes_of(columns, gyro_unit, accel_unit, source)
+    axes, own_notes = axes_of(columns, units, source)
     rate = check_rate(rate, source)
-    living = check_values(values, [column.label for column in columns], source)
-    dead = _dead(axes, values[0], living)
-    axes = tuple(itertools.compress(axes, living))
+    labels = [column.label for column in columns]
+    values, axes, dead, left_out = _living(values, axes, values[:1].ravel(), labels, source)
     return Recording(
-        (values if living.all() else values[:, living]) * scales_of(axes, rate),
+        values * scales_of(axes, rate),
         rate,
         axes,
         MappingProxyType(dict(auxiliary)),
         name,
-        (*notes, *own_notes, *_left_out(dead)),
+        (*notes, *own_notes, *left_out),
         dead,
     )
 
 
-def _dead(
-    axes: Sequence[Axis], values: Float[np.ndarray, " axes"], living: Bool[np.ndarray, " axes"]
-) -> tuple[DeadAxis, ...]:
-    """Dead axes, with the values [their own units] that they have throughout."""
-    every = zip(axes, values, living, strict=True)
-    return tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
+def _living(
+    values: Float[np.ndarray, "samples axes"],
+    axes: Sequence[Axis],
+    first: Float[np.ndarray, " axes"],
+    labels: Sequence[str],
+    source: Source,
+) -> tuple[Float[np.ndarray, "samples living"], tuple[Axis, ...], tuple[DeadAxis, ...], tuple[str, ...]]:
+    """Samples of the axes that live, these axes, the dead ones, and notes on them.
 
-
-def _left_out(dead: Sequence[DeadAxis]) -> tuple[str, ...]:
-    """Notes on the axes that were left out."""
-    return tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
+    `first` are the first samples, in the axes' own units.
+    """
+    living = check_values(values, labels, source)
+    every = zip(axes, first, living, strict=True)
+    dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
+    notes = tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
+    return values[:, living] if dead else values, tuple(itertools.compress(axes, living)), dead, notes
 
 
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:

@@ -28,7 +28,7 @@ class Source:
 
     def after(self, rows: int) -> "Source":
         """Source of the samples that are left when the first `rows` are dropped."""
-        return replace(self, locate=lambda row: self.locate(row + rows)) if rows else self
+        return replace(self, locate=lambda row: self.locate(row + rows))
 
     def error(self, message: str) -> RecordingError:
         """RecordingError whose message begins with the label."""
@@ -77,13 +77,6 @@ def check_values(
     if not living.any():
         raise constant_error(labels[0], float(values[0, 0]), source)
     return living
-
-
-def dead_reason(value: float, unit: str) -> str:
-    """Reason why an axis with this value throughout is dead, in words."""
-    if np.isnan(value):
-        return "not a single number in it, as of a sensor that is not connected"
-    return f"constant, {value:.6g} {unit} throughout, as of a sensor that is stuck or not connected"
 
 
 def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:

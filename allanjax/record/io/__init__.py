@@ -10,6 +10,7 @@ from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.options import ReadOptions, TimeChoice
 from allanjax.record.io.writers import write
 from allanjax.record.recording import Recording
+from allanjax.record.validation import Source
 
 __all__ = ["ChunkedRecording", "ReadOptions", "read", "read_chunks", "read_recording", "write"]
 
@@ -62,5 +63,5 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: st
         RecordingError, UnitError: as `read`.
     """
     path = Path(path)
-    label = str(path) if label is None else label
-    return assemble(format_of(path, label).read(path, label), name_of(path), options)
+    source = Source(label or str(path))
+    return assemble(format_of(path, source).open(path, source), name_of(path), options)

@@ -7,12 +7,7 @@ from allanjax.record.columns import Column
 from allanjax.record.io.layout import find_layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Table, as_float, is_numeric
-from allanjax.record.io.timestamps import (
-    MAX_RATE_DIFFERENCE,
-    gap_in_record,
-    rate_from_times,
-    seconds_from_first,
-)
+from allanjax.record.io.timestamps import MAX_RATE_DIFFERENCE, rate_from_times, seconds_from_first
 from allanjax.record.recording import Recording, build, rows_between
 from allanjax.record.validation import Source, check_length, check_rate
 
@@ -23,22 +18,21 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     Raises:
         RecordingError, UnitError: the table or the arguments are not usable.
     """
-    source = table.source
-    layout = find_layout(table, options)
+    source, columns = table.source, table.columns()
+    layout = find_layout(table, columns, options)
     notes = [*table.notes, *layout.notes]
     rate = stated_rate(table, options.rate)
-    samples = len(table.columns[0])
+    samples = len(columns[0])
     check_length(samples, source)
     if layout.time:
-        stamps = [(column, table.columns[i]) for i, column in layout.time]
+        stamps = [(column, columns[column.index]) for column in layout.time]
         times, _, time_notes = seconds_from_first(stamps, options.time_unit, rate, source)
         notes += time_notes
         rows = rows_of_times(times, options.start, options.stop)
         check_stretch(rows, float(times[-1]), source)
         source = source.after(rows.start)
         check_length(rows.stop - rows.start, source)
-        label = " + ".join(column.label for column, _ in stamps)
-        rate, note = rate_from_times(times[rows], label, rate, source, gap_in_record)
+        rate, note = rate_from_times(times[rows], layout.time_label, rate, source)
         notes.append(note)
     elif rate is None:
         raise no_rate_error(source)
@@ -48,25 +42,14 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         source = source.after(rows.start)
     if rows != slice(0, samples):
         notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} taken")
-    values = np.column_stack(
-        [as_float(table.columns[i][rows], column.label, source) for i, column in layout.axes]
-    )
+    values = np.column_stack([as_float(columns[c.index][rows], c.label, source) for c in layout.axes])
     auxiliary = {}
-    for i, column in layout.auxiliary:
-        numbers = _auxiliary(column, table.columns[i][rows], source, notes)
+    for column in layout.auxiliary:
+        numbers, note = _auxiliary(column, columns[column.index][rows], source)
+        notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    return build(
-        values,
-        rate,
-        [column for _, column in layout.axes],
-        options.gyro_unit,
-        options.accel_unit,
-        auxiliary,
-        name,
-        notes,
-        source,
-    )
+    return build(values, rate, layout.axes, options.units, auxiliary, name, notes, source)
 
 
 def no_rate_error(source: Source) -> RecordingError:
@@ -86,20 +69,17 @@ def check_stretch(rows: slice, duration: float, source: Source) -> None:
         )
 
 
-def stated_rate(table: Table, rate: float | None) -> float | None:
+def stated_rate(table: Table, given: float | None) -> float | None:
     """Sample rate [Hz] that is given or that the file states; if both, they must agree."""
-    if rate is None:
+    if given is None:
         return None if table.rate is None else check_rate(table.rate, table.source)
-    if (
-        table.rate is not None
-        and abs(table.rate / check_rate(rate, table.source) - 1.0) > MAX_RATE_DIFFERENCE
-    ):
+    rate = check_rate(given, table.source)
+    if table.rate is not None and abs(table.rate / rate - 1.0) > MAX_RATE_DIFFERENCE:
         raise table.source.error(
             f"rate {rate:g} Hz contradicts the file, which states {table.rate:g} Hz; leave out rate= "
-            "(--rate) "
-            "or correct the file"
+            "(--rate) or correct the file"
         )
-    return check_rate(rate, table.source)
+    return rate
 
 
 def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
@@ -116,16 +96,12 @@ def _first_at(times: np.ndarray, moment: float) -> int:
     return int(np.argmax(late)) if late.any() else len(times)
 
 
-def _auxiliary(column: Column, values: np.ndarray, source: Source, notes: list[str]) -> np.ndarray | None:
-    """Auxiliary column as floats, or None with a note if it is text."""
-    unit = f" [{column.unit}]" if column.unit else ""
+def _auxiliary(column: Column, values: np.ndarray, source: Source) -> tuple[np.ndarray | None, str]:
+    """Auxiliary column as floats, or None if it is text, and a note on it."""
     if not is_numeric(values):
-        notes.append(
-            f"column {column.label!r} skipped: not numeric, {str(values[0])[:40]!r} at {source.locate(0)}"
-        )
-        return None
+        cell = str(values[0])[:40]
+        return None, f"column {column.label!r} skipped: not numeric, {cell!r} at {source.locate(0)}"
     numbers = values.astype(float)
-    missing = int(np.count_nonzero(~np.isfinite(numbers)))
-    lacking = f" ({missing} values missing)" if missing else ""
-    notes.append(f"auxiliary: {column.name}{unit}{lacking}")
-    return numbers
+    unit = f" [{column.unit}]" if column.unit else ""
+    missing = np.count_nonzero(~np.isfinite(numbers))
+    return numbers, f"auxiliary: {column.name}{unit}{f' ({missing} values missing)' if missing else ''}"

@@ -3,14 +3,14 @@
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from allanjax.base.errors import RecordingError
 from allanjax.record.columns import split_unit
-from allanjax.record.io.table import ChunkedTable, Format, Table
+from allanjax.record.io.table import Columns, Format, Table
 from allanjax.record.validation import Source
 
 # Names of scalars that state the sample rate, or the sample interval.
@@ -20,49 +20,41 @@ _INTERVALS = re.compile(r"dt|(?:sample|sampling)_?(?:interval|period|time)", re.
 _FEW_AXES = 12
 
 
-def read_npy(path: Path, label: str) -> Table:
-    """Read an array of shape [samples] or [samples, columns], or a structured array with named columns.
+def open_npy(path: Path, source: Source) -> Table:
+    """Array of shape [samples] or [samples, columns], or structured with named columns, as a memory map.
 
     Raises:
         RecordingError: unreadable, of another shape, or seemingly transposed.
     """
-    return _npy_table(path, label, None)
+    columns, labels = _npy_columns(path, source)
+    n = len(columns[0])
 
-
-def chunked_npy(path: Path, label: str) -> ChunkedTable:
-    """Open an .npy file, as `read_npy` reads it, to read it through a memory map."""
-    table = _npy_table(path, label, "r")
-    n, labels = len(table.columns[0]), table.labels
-
-    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+    def rows(chunk: int) -> Iterator[Columns]:
         for first in range(0, n, chunk):
             # A new map for each chunk, because the pages of a map stay in memory as long as the map.
-            columns = _npy_table(path, label, "r").columns
+            columns, _ = _npy_columns(path, source)
             yield tuple(np.array(column[first : first + chunk]) for column in columns)
 
-    return ChunkedTable(rows, n, labels, table.source)
+    return Table(rows, labels, source, n)
 
 
-def _npy_table(path: Path, label: str, mmap_mode: Literal["r"] | None) -> Table:
-    """Table of an .npy file, in memory or through a memory map."""
-    source = Source(label)
+def _npy_columns(path: Path, source: Source) -> tuple[Columns, tuple[str, ...] | None]:
+    """Columns of an .npy file through a memory map, and their names if it has any."""
     try:
-        array = np.load(path, mmap_mode, allow_pickle=False)
+        array = np.load(path, "r", allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
-        raise source.error(f"can not be read as .npy: {error}; save a plain array of numbers") from error
-    if array.dtype.names:
-        names = tuple(array.dtype.names)
-        return Table(tuple(array[name] for name in names), names, source)
-    return Table(_columns_of(array, "the array", source), None, source)
+        remedy = "save a plain array of numbers, and copy the whole file"
+        raise source.error(f"can not be read as .npy: {error}; {remedy}") from error
+    names = array.dtype.names
+    return tuple(array[name] for name in names) if names else _columns_of(array, "the array", source), names
 
 
-def read_npz(path: Path, label: str) -> Table:
+def read_npz(path: Path, source: Source) -> Table:
     """Read named arrays: columns, `gyro` and `accel` of shape [samples, 3], scalars `rate`, `fs` or `dt`.
 
     Raises:
         RecordingError: unreadable, or the arrays do not fit together.
     """
-    source = Source(label)
     if not zipfile.is_zipfile(path):
         raise source.error("a damaged .npz file; save it again")
     with zipfile.ZipFile(path) as archive:
@@ -76,7 +68,7 @@ def read_npz(path: Path, label: str) -> Table:
     return from_named(named, source)
 
 
-def read_mat(path: Path, label: str) -> Table:
+def read_mat(path: Path, source: Source) -> Table:
     """Read a MATLAB file (up to -v7) of named arrays, as `read_npz`; the fields of a struct count as arrays.
 
     Raises:
@@ -85,65 +77,44 @@ def read_mat(path: Path, label: str) -> Table:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
-    source = Source(label)
     try:
         contents = loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
         raise source.error("a MATLAB -v7.3 file without its header; save it again") from error
     except (MatReadError, ValueError, TypeError, OSError) as error:
         raise source.error(f"can not be read as a MATLAB file: {error}; save it with -v7") from error
-    return from_named(
-        _flat({key: value for key, value in contents.items() if not key.startswith("__")}), source
-    )
+    arrays = {key: value for key, value in contents.items() if not key.startswith("__")}
+    return from_named(_flat(arrays), source)
 
 
-def read_parquet(path: Path, label: str) -> Table:
-    """Read all columns of a Parquet file.
-
-    Raises:
-        RecordingError: unreadable.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    source = Source(label)
-    try:
-        table = pq.ParquetFile(path).read()
-    except (pa.ArrowException, OSError) as error:
-        raise _parquet_error(error, source) from error
-    return Table(tuple(column.to_numpy() for column in table.columns), tuple(table.column_names), source)
-
-
-def chunked_parquet(path: Path, label: str) -> ChunkedTable:
-    """Open a Parquet file to read it in batches of rows.
+def open_parquet(path: Path, source: Source) -> Table:
+    """All columns of a Parquet file.
 
     Raises:
         RecordingError: unreadable.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    source = Source(label)
+    with _parquet_errors(source), pq.ParquetFile(path) as file:
+        n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
+
+    def rows(chunk: int) -> Iterator[Columns]:
+        with _parquet_errors(source), pq.ParquetFile(path) as file:
+            for batch in file.iter_batches(chunk):
+                yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
+
+    return Table(rows, labels, source, n)
+
+
+@contextmanager
+def _parquet_errors(source: Source) -> Iterator[None]:
+    """Context that turns errors of pyarrow into RecordingErrors."""
+    import pyarrow as pa
+
     try:
-        with pq.ParquetFile(path) as file:
-            n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
+        yield
     except (pa.ArrowException, OSError) as error:
-        raise _parquet_error(error, source) from error
-
-    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
-        try:
-            with pq.ParquetFile(path) as file:
-                for batch in file.iter_batches(chunk):
-                    yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
-        except (pa.ArrowException, OSError) as error:
-            raise _parquet_error(error, source) from error
-
-    return ChunkedTable(rows, n, labels, source)
-
-
-def _parquet_error(error: Exception, source: Source) -> RecordingError:
-    """RecordingError for a Parquet file that cannot be read."""
-    return source.error(f"can not be read as Parquet: {error}; write the file again")
+        raise source.error(f"can not be read as Parquet: {error}; write the file again") from error
 
 
 def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
@@ -193,7 +164,7 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
         matrices == 1 and len(arrays) - (rate is not None) == 1 and not next(iter(columns)).endswith("_x")
     )
     labels = None if unnamed else tuple(columns)
-    return Table(tuple(columns.values()), labels, source, rate, tuple(notes))
+    return Table.of(tuple(columns.values()), labels, source, rate, tuple(notes))
 
 
 def _labels(name: str, count: int) -> tuple[str, ...]:
@@ -205,7 +176,7 @@ def _labels(name: str, count: int) -> tuple[str, ...]:
     return tuple(f"{stem}_{end}" + (f" [{unit}]" if unit else "") for end in ends)
 
 
-def _columns_of(array: np.ndarray, name: str, source: Source) -> tuple[np.ndarray, ...]:
+def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:
     """Columns of a vector (also [n, 1] or [1, n]) or of a matrix [samples, columns]."""
     if array.dtype.kind not in "fiubM":
         raise source.error(f"{name} has the dtype {array.dtype}; save an array of real numbers")
@@ -223,9 +194,12 @@ def _columns_of(array: np.ndarray, name: str, source: Source) -> tuple[np.ndarra
     return tuple(array.T)
 
 
-PARQUET = Format("parquet", lambda magic, path: magic.startswith(b"PAR1"), read_parquet, chunked_parquet)
-NPY = Format("npy", lambda magic, path: magic.startswith(b"\x93NUMPY"), read_npy, chunked_npy)
-NPZ = Format("npz", lambda magic, path: magic.startswith(b"PK\x03\x04"), read_npz)
+PARQUET = Format("parquet", lambda magic, path: magic.startswith(b"PAR1"), open_parquet)
+NPY = Format("npy", lambda magic, path: magic.startswith(b"\x93NUMPY"), open_npy)
+NPZ = Format("npz", lambda magic, path: magic.startswith(b"PK\x03\x04"), read_npz, in_chunks=False)
 MAT = Format(
-    "mat", lambda magic, path: magic.startswith(b"MATLAB") or path.suffix.lower() == ".mat", read_mat
+    "mat",
+    lambda magic, path: magic.startswith(b"MATLAB") or path.suffix.lower() == ".mat",
+    read_mat,
+    in_chunks=False,
 )

@@ -3,26 +3,26 @@
 import dataclasses
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 
 from allanjax.record.axes import Axis, axes_of, scales_of
 from allanjax.record.io.assembly import check_stretch, no_rate_error, rows_of_times, stated_rate
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.layout import Layout, find_layout
-from allanjax.record.io.options import ReadOptions, TimeChoice
-from allanjax.record.io.table import ChunkedTable, as_float
-from allanjax.record.io.timestamps import gap_in_stream, rate_from_times, seconds_from_first
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.table import Columns, Table, as_float
+from allanjax.record.io.timestamps import rate_from_times, seconds_from_first
 from allanjax.record.recording import rows_between
 from allanjax.record.validation import (
     Source,
     bad_cells_message,
     check_finite,
     check_length,
-    check_rate,
     constant_error,
 )
 
@@ -70,12 +70,12 @@ class ChunkedRecording:
         return scales_of(self.axes, self.rate)
 
     def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
-        labels = [column.label for _, column in self._stretch.layout.axes]
+        labels = [column.label for column in self._stretch.layout.axes]
         place, count = self._stretch.table.source, 0
         first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
-        for piece in self._stretch.pieces(self.rate):
-            pairs = zip(piece.axes, labels, strict=True)
-            values = np.column_stack([as_float(x, label, piece.source) for x, label in pairs])
+        for axes, _, source in self._stretch.pieces(self.rate):
+            pairs = zip(axes, labels, strict=True)
+            values = np.column_stack([as_float(x, label, source) for x, label in pairs])
             numbers = np.isfinite(values)
             for k, label in enumerate(labels):
                 if silent[k] and not numbers[:, k].any():
@@ -84,10 +84,10 @@ class ChunkedRecording:
                 if silent[k] and count:
                     raise place.error(bad_cells_message(label, count, place.locate(0), place.missing))
                 if not numbers[:, k].all():
-                    check_finite(values[:, k], label, piece.source)
+                    check_finite(values[:, k], label, source)
             silent &= ~numbers.any(axis=0)
             if not count:
-                place, first = piece.source, values[0].copy()
+                place, first = source, values[0].copy()
             count += len(values)
             if not varies.all():
                 varies |= ((values != first) & numbers).any(axis=0)
@@ -101,19 +101,7 @@ class ChunkedRecording:
             raise constant_error(labels[k], float(first[k]), place)
 
 
-def read_chunks(
-    path: str | os.PathLike[str],
-    *,
-    rate: float | None = None,
-    gyro_unit: str | None = None,
-    accel_unit: str | None = None,
-    columns: str | Sequence[str] | None = None,
-    time: TimeChoice = None,
-    time_unit: str | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    chunk: int = 2**20,
-) -> ChunkedRecording:
+def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: Any) -> ChunkedRecording:
     """Open a static recording to read it a chunk at a time: text (also gzip), .npy, Parquet or HDF5.
 
     Columns are recognised as by `read`. The sample rate is that of the first chunk's time stamps, unless it
@@ -121,16 +109,14 @@ def read_chunks(
 
     Args:
         path: the file.
-        rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop: as in `read`.
         chunk: rows to read at a time.
+        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop.
 
     Raises:
         RecordingError: the file or the arguments are not usable, as far as the first chunk shows.
         UnitError: a unit is missing, unknown or contradictory.
     """
-    return open_chunks(
-        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop), chunk
-    )
+    return open_chunks(path, ReadOptions(**reading), chunk)
 
 
 def open_chunks(
@@ -142,58 +128,53 @@ def open_chunks(
         RecordingError, UnitError: as `read_chunks`.
     """
     path = Path(path)
-    label = str(path) if label is None else label
-    source = Source(label)
+    source = Source(label or str(path))
     if chunk < 1:
         raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
-    kind = format_of(path, label)
-    if kind.chunked is None:
+    kind = format_of(path, source)
+    if not kind.in_chunks:
         raise source.error(
             f"a file of this kind (.{kind.name}) can not be read in chunks; save it as .npy, Parquet, HDF5 "
             "or CSV, or read it as a whole by read()"
         )
-    table = kind.chunked(path, label)
+    table = kind.open(path, source)
     first = next(table.rows(chunk), None)
     if first is None:
-        raise source.error("the file has no rows; give a file with one row of numbers per sample")
-    head = table.head(first)
-    layout = find_layout(head, options)
+        raise table.no_rows()
+    layout = find_layout(table, first, options)
     notes = [*table.notes, *layout.notes]
-    rate = stated_rate(head, options.rate)
-    columns = [column for _, column in layout.axes]
-    axes, axis_notes = axes_of(columns, options.gyro_unit, options.accel_unit, source)
+    rate = stated_rate(table, options.rate)
+    axes, axis_notes = axes_of(layout.axes, options.units, source)
     n, start, stop = table.n, options.start, options.stop
+    stretch = _Stretch(table, layout, options.time_unit, start, stop, chunk)
     if layout.time:
-        stamps = [(column, first[i]) for i, column in layout.time]
-        unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)[1:]
+        stamps = [(column, first[column.index]) for column in layout.time]
+        _, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
         notes += time_notes
-        stretch = _Stretch(table, layout, unit or options.time_unit, start, stop, chunk)
+        stretch = dataclasses.replace(stretch, time_unit=unit or options.time_unit)
         times, place = stretch.first_times()
         check_length(len(times), place)
-        rate, note = rate_from_times(times, stretch.time_label, rate, place, gap_in_stream)
+        rate, note = rate_from_times(times, layout.time_label, rate, place, more=True)
         notes.append(note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
         n = n if start is None and stop is None else None
     elif rate is None:
         raise no_rate_error(source)
-    else:
-        stretch = _Stretch(table, layout, None, start, stop, chunk)
-        if n is not None:
-            rows = rows_between(n, rate, start, stop)
-            if rows != slice(0, n):
-                notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} taken")
-            check_stretch(rows, n / rate, source)
-            n = rows.stop - rows.start
-            check_length(n, source)
+    elif n is not None:
+        rows = rows_between(n, rate, start, stop)
+        if rows != slice(0, n):
+            notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} taken")
+        check_stretch(rows, n / rate, source)
+        n = rows.stop - rows.start
+        check_length(n, source)
     if layout.auxiliary:
-        notes.append(f"not read: {', '.join(column.name for _, column in layout.auxiliary)}")
-    return ChunkedRecording(check_rate(rate, source), axes, name_of(path), (*notes, *axis_notes), n, stretch)
+        notes.append(f"not read: {', '.join(column.name for column in layout.auxiliary)}")
+    return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, stretch)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     """Successive rows of a stretch: axes in the file's units, times [s], and their place in the file."""
 
-    axes: tuple[Shaped[np.ndarray, " samples"], ...]
+    axes: Columns
     times: Float[np.ndarray, " stamps"]
     source: Source
 
@@ -202,28 +183,22 @@ class _Piece:
 class _Stretch:
     """Part of a file from `start` to `stop` [s], read chunk by chunk."""
 
-    table: ChunkedTable
+    table: Table
     layout: Layout
     time_unit: str | None
     start: float | None
     stop: float | None
     chunk: int
 
-    @property
-    def time_label(self) -> str:
-        """Label of the time stamps."""
-        return " + ".join(column.label for _, column in self.layout.time)
-
     def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
         """Times [s] of the first samples, at most a chunk of them, and their place in the file."""
-        times: list[np.ndarray] = []
-        place = self.table.source
+        times, place = np.zeros(0), self.table.source
         for piece in self._by_time(None):
-            place = place if times else piece.source
-            times.append(piece.times)
-            if sum(map(len, times)) >= self.chunk:
+            place = place if len(times) else piece.source
+            times = np.concatenate([times, piece.times])
+            if len(times) >= self.chunk:
                 break
-        return np.concatenate([np.zeros(0), *times])[: self.chunk], place
+        return times[: self.chunk], place
 
     def pieces(self, rate: float) -> Iterator[_Piece]:
         """Pieces of the stretch, in order; time stamps, if there are any, are checked against the rate."""
@@ -245,37 +220,30 @@ class _Stretch:
 
     def _by_time(self, rate: float | None) -> Iterator[_Piece]:
         """Pieces of a stretch that is bounded by time stamps, checked against the rate if it is known."""
-        row, elapsed, begun = 0, 0.0, False
-        last: list[np.ndarray] = []
-        seen = np.zeros(0)
+        row, elapsed, seen = 0, 0.0, np.zeros(0)
+        last: Columns | None = None
         for columns in self.table.rows(self.chunk):
             size = len(columns[0])
-            stamps = [columns[i] for i, _ in self.layout.time]
-            joined = [np.concatenate([a, b]) for a, b in zip(last, stamps, strict=True)] if last else stamps
-            labelled = [(column, x) for (_, column), x in zip(self.layout.time, joined, strict=True)]
+            stamps = tuple(columns[column.index] for column in self.layout.time)
+            # The last stamps of the chunk before, from which on the times of this one are counted.
+            joined = stamps if last is None else tuple(map(np.concatenate, zip(last, stamps, strict=True)))
             source = self.table.source.after(row - (len(joined[0]) - size))
-            times = elapsed + seconds_from_first(labelled, self.time_unit, rate, source).seconds[-size:]
-            rows = rows_of_times(times, None if begun else self.start, self.stop)
+            pairs = list(zip(self.layout.time, joined, strict=True))
+            times = elapsed + seconds_from_first(pairs, self.time_unit, rate, source).seconds[-size:]
+            rows = rows_of_times(times, None if len(seen) else self.start, self.stop)
             piece = self._piece(columns, rows, times[rows], row)
             if len(piece.times):
-                begun = True
                 together = np.concatenate([seen, piece.times])
                 if rate is not None and len(together) > 1:
                     place = piece.source.after(-len(seen))
-                    rate_from_times(together, self.time_label, rate, place, gap_in_stream)
+                    rate_from_times(together, self.layout.time_label, rate, place, more=True)
                 seen = together[-_BEFORE:]
                 yield piece
             if rows.stop < size:
                 return
-            row, last, elapsed = row + size, [x[-1:] for x in stamps], float(times[-1])
+            row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])
 
-    def _piece(
-        self,
-        columns: tuple[Shaped[np.ndarray, " chunk"], ...],
-        rows: slice,
-        times: Float[np.ndarray, " samples"],
-        row: int,
-    ) -> _Piece:
+    def _piece(self, columns: Columns, rows: slice, times: np.ndarray, row: int) -> _Piece:
         """Piece from these rows of a chunk that begins at row `row` of the file."""
-        axes = tuple(columns[i][rows] for i, _ in self.layout.axes)
+        axes = tuple(columns[column.index][rows] for column in self.layout.axes)
         return _Piece(axes, times, self.table.source.after(row + rows.start))

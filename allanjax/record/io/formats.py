@@ -12,13 +12,12 @@ from allanjax.record.validation import Source
 FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, TEXT)
 
 
-def format_of(path: Path, label: str) -> Format:
-    """Format of a file; messages name it `label`.
+def format_of(path: Path, source: Source) -> Format:
+    """Format of a file.
 
     Raises:
         RecordingError: there is no such file, or it cannot be opened, or is empty.
     """
-    source = Source(label)
     if path.is_dir():
         raise source.error(f"a folder; give a file, or a pattern such as '{path / '*.csv'}'")
     try:
@@ -37,4 +36,4 @@ def format_of(path: Path, label: str) -> Format:
 
 def name_of(path: Path) -> str:
     """Name of a file without its suffix."""
-    return path.name.removesuffix(".gz").rsplit(".", 1)[0]
+    return path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name

@@ -58,7 +58,7 @@ def as_recording(
         return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names)
     columns = _columns(data)
     if columns is not None:
-        table = Table(tuple(columns.values()), tuple(columns), Source("data frame"))
+        table = Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
         return assemble(table, "", ReadOptions(rate, gyro_unit, accel_unit, names))
     values = _samples(data)
     rate = _needed(rate)

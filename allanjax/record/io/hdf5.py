@@ -2,53 +2,39 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from allanjax.record.io.binary import from_named
-from allanjax.record.io.table import ChunkedTable, Format, Table
+from allanjax.record.io.table import Columns, Format, Table
 from allanjax.record.validation import Source
 
 # End of messages: other formats to save the data in.
 _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save it as CSV, Parquet or .npz"
 
 
-def read_hdf5(path: Path, label: str) -> Table:
-    """Read named datasets as the arrays of an .npz file; those in groups are named `group.dataset`.
+def open_hdf5(path: Path, source: Source) -> Table:
+    """Named datasets as the arrays of an .npz file; those in groups are named `group.dataset`.
 
     Raises:
         RecordingError: h5py is not installed, the file is damaged, or the datasets do not fit together.
     """
-    source = Source(label)
-    with _opened(path, source) as file:
-        arrays = {name: _rows(dataset, slice(None)) for name, dataset in _datasets(file).items()}
-    return from_named(arrays, source)
-
-
-def chunked_hdf5(path: Path, label: str) -> ChunkedTable:
-    """Open an HDF5 file to read it some rows at a time.
-
-    Raises:
-        RecordingError: as `read_hdf5`.
-    """
-    source = Source(label)
     with _opened(path, source) as file:
         datasets = _datasets(file)
         table = from_named({name: _outline(dataset) for name, dataset in datasets.items()}, source)
         names = [name for name, dataset in datasets.items() if _is_samples(dataset)]
-    n = len(table.columns[0])
 
-    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+    def rows(chunk: int) -> Iterator[Columns]:
         with _opened(path, source) as file:
             datasets = _datasets(file)
-            for first in range(0, n, chunk):
-                stretch = slice(first, first + chunk)
-                blocks = (_rows(datasets[name], stretch) for name in names)
+            for first in range(0, table.n or 0, chunk):
+                blocks = (_rows(datasets[name], slice(first, first + chunk)) for name in names)
                 yield tuple(column for x in blocks for column in x.reshape(len(x), -1).T)
 
-    return ChunkedTable(rows, n, table.labels, source, table.rate, table.notes)
+    return replace(table, rows=rows)
 
 
 def _opened(path: Path, source: Source) -> Any:
@@ -84,11 +70,8 @@ def _datasets(file: Any) -> Mapping[str, Any]:
 
 
 def _rows(dataset: Any, rows: slice) -> np.ndarray:
-    """Rows of a dataset, [rows] or [rows, columns]; the whole of a dataset that has no rows."""
-    if not _is_samples(dataset):
-        return np.asarray(dataset[()])
-    array = dataset[rows] if _row_axis(dataset) == 0 else dataset[:, rows].T
-    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
+    """Rows of a dataset, [rows] or [rows, columns]."""
+    return dataset[rows] if _row_axis(dataset) == 0 else dataset[:, rows].T
 
 
 def _outline(dataset: Any) -> np.ndarray:
@@ -117,4 +100,4 @@ def _begins(magic: bytes, path: Path) -> bool:
     return b"\x89HDF\r\n\x1a\n" in (magic[:8], magic[512:520])
 
 
-HDF5 = Format("hdf5", _begins, read_hdf5, chunked_hdf5)
+HDF5 = Format("hdf5", _begins, open_hdf5)

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from allanjax.base.errors import RecordingError
+from allanjax.record.units import Sensor
 
 TimeChoice = str | Literal[False] | None
 
@@ -44,6 +45,11 @@ class ReadOptions:
             raise RecordingError(
                 f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"
             )
+
+    @property
+    def units(self) -> dict[Sensor, str | None]:
+        """Unit of each sensor's samples, where it is given."""
+        return {"gyro": self.gyro_unit, "accel": self.accel_unit}
 
     def within(self, stretch: tuple[float, float]) -> "ReadOptions":
         """Options for a stretch [s] of what these read, from its first sample."""

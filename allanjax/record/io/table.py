@@ -1,59 +1,74 @@
-"""Columns of a file as they were read, before their meaning is known."""
+"""Columns of a file as they are read, before their meaning is known."""
 
 import re
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Shaped
 
+from allanjax.base.errors import RecordingError
 from allanjax.record.validation import Source, bad_cells_message
+
+#: Columns of equal length: numbers, datetime64, or objects where a text file has text.
+Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length, read from a file.
+    """Columns of equal length, which are read some rows at a time.
 
     Attributes:
-        columns: numbers, datetime64, or objects where a text file has text.
+        rows: function of a number of rows: iterator over the columns of successive stretches, none longer.
         labels: labels of the columns, or None if the file has no names.
         source: origin of the columns.
+        n: number of rows in all, if the file states it.
         rate: sample rate in Hz that the file itself states, if any.
         notes: actions of the reader that the user should know.
     """
 
-    columns: tuple[Shaped[np.ndarray, " samples"], ...]
+    rows: Callable[[int], Iterator[Columns]]
     labels: tuple[str, ...] | None
     source: Source
+    n: int | None = None
     rate: float | None = None
     notes: tuple[str, ...] = ()
 
-    def label(self, index: int) -> str:
-        """Label of a column, or its place (from 1) if the file has no names."""
-        return f"column {index + 1}" if self.labels is None else self.labels[index]
+    @classmethod
+    def of(
+        cls,
+        columns: Columns,
+        labels: tuple[str, ...] | None,
+        source: Source,
+        rate: float | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> "Table":
+        """Table of columns that are in memory."""
+        n = len(columns[0]) if columns else 0
 
+        def rows(chunk: int) -> Iterator[Columns]:
+            for first in range(0, n, chunk):
+                yield tuple(column[first : first + chunk] for column in columns)
 
-@dataclass(frozen=True)
-class ChunkedTable:
-    """Columns that are read some rows at a time.
+        return cls(rows, labels, source, n, rate, notes)
 
-    Attributes:
-        rows: function of a number of rows: iterator over the columns of successive stretches, none longer.
-        n: number of rows in all, if the file states it.
-        labels, source, rate, notes: as in `Table`.
-    """
+    def columns(self) -> Columns:
+        """All rows.
 
-    rows: Callable[[int], Iterator[tuple[Shaped[np.ndarray, " samples"], ...]]]
-    n: int | None
-    labels: tuple[str, ...] | None
-    source: Source
-    rate: float | None = None
-    notes: tuple[str, ...] = ()
+        Raises:
+            RecordingError: there are none, or the file is damaged.
+        """
+        parts = list(self.rows(sys.maxsize))
+        if not parts:
+            raise self.no_rows()
+        return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
-    def head(self, columns: tuple[Shaped[np.ndarray, " samples"], ...]) -> Table:
-        """Table of the first rows, whose columns are given."""
-        return Table(columns, self.labels, self.source, self.rate, self.notes)
+    def no_rows(self) -> RecordingError:
+        """RecordingError for a file without rows."""
+        return self.source.error("the file has no rows; give a file with one row of numbers per sample")
 
 
 @dataclass(frozen=True)
@@ -63,14 +78,14 @@ class Format:
     Attributes:
         name: what messages call it, a usual suffix.
         begins: whether a file with these first 520 bytes and this path is of the kind.
-        read: its table; the second argument is what messages name the file.
-        chunked: its table some rows at a time; None if it is read as a whole only.
+        open: the table of a file; the source is what messages name it.
+        in_chunks: whether the table is read some rows at a time, not as a whole.
     """
 
     name: str
     begins: Callable[[bytes, Path], bool]
-    read: Callable[[Path, str], Table]
-    chunked: Callable[[Path, str], ChunkedTable] | None = None
+    open: Callable[[Path, Source], Table]
+    in_chunks: bool = True
 
 
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:

@@ -2,19 +2,18 @@
 
 import csv
 import gzip
+import io
 import itertools
 import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import IO, TYPE_CHECKING, Any
 
 from allanjax.record.columns import recognise
-from allanjax.record.io.table import ChunkedTable, Format, Table
+from allanjax.record.io.table import Columns, Format, Table
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -42,36 +41,26 @@ class _Layout:
     comment: str
     encoding: str
     compressed: bool
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
-def read_text(path: Path, label: str) -> Table:
-    """Read a text file, gzip-compressed or not.
-
-    Raises:
-        RecordingError: no rows of numbers, rows of differing length, or decimal commas.
-    """
-    import pandas as pd
-
-    layout = _layout(path, Source(label))
-    source = _source(path, label, layout)
-    with _errors_located(path, layout, source):
-        frame = pd.read_csv(path, **_options(layout))
-    return Table(_columns(frame, path, layout, source), layout.labels, source, notes=layout.notes)
-
-
-def chunked_text(path: Path, label: str) -> ChunkedTable:
-    """Open a text file, gzip-compressed or not, to read it some rows at a time.
+def open_text(path: Path, source: Source) -> Table:
+    """Text file, gzip-compressed or not.
 
     Raises:
         RecordingError: no row of numbers, or decimal commas; `rows` raises it at a row of another length.
     """
     import pandas as pd
 
-    layout = _layout(path, Source(label))
-    source = _source(path, label, layout)
+    layout = _layout(path, source)
+    # Samples are located by the lines of the file.
+    source = Source(
+        source.label,
+        lambda row: f"line {next(itertools.islice(_rows(path, layout), row, None))[0]}",
+        "nan, an empty cell, or a row cut short",
+    )
 
-    def rows(chunk: int) -> Iterator[tuple[np.ndarray, ...]]:
+    def rows(chunk: int) -> Iterator[Columns]:
         with (
             _errors_located(path, layout, source),
             pd.read_csv(path, chunksize=chunk, **_options(layout)) as frames,
@@ -79,16 +68,7 @@ def chunked_text(path: Path, label: str) -> ChunkedTable:
             for frame in frames:
                 yield _columns(frame, path, layout, source)
 
-    return ChunkedTable(rows, None, layout.labels, source, notes=layout.notes)
-
-
-def _source(path: Path, label: str, layout: _Layout) -> Source:
-    """Source that locates samples by the lines of the file."""
-    return Source(
-        label,
-        lambda row: f"line {_line_number(path, layout, row)}",
-        "nan, an empty cell, or a row cut short",
-    )
+    return Table(rows, layout.labels, source, notes=layout.notes)
 
 
 def _options(layout: _Layout) -> dict[str, Any]:
@@ -119,7 +99,7 @@ def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[Non
         raise source.error(f"can not be read: {error}; copy or compress it again") from error
 
 
-def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> tuple[np.ndarray, ...]:
+def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> Columns:
     """Columns of a data frame, as many as the layout has."""
     columns = [frame[name].to_numpy() for name in frame.columns]
     # A delimiter at the end of every line makes one empty column too many.
@@ -151,7 +131,10 @@ def _layout(path: Path, source: Source) -> _Layout:
         )
     number, line = head[first]
     delimiter = _delimiter(line)
-    return _with_header(head[:first], number, _split(line, delimiter), delimiter, encoding, compressed)
+    fields = _split(line, delimiter)
+    comment = "%" if any(line.lstrip().startswith("%") for _, line in head[:first]) else "#"
+    bare = _Layout(number, None, len(_trim(fields)), delimiter, comment, encoding, compressed)
+    return _with_header(bare, head[:first], fields)
 
 
 def _first_row(head: list[tuple[int, str]]) -> int | None:
@@ -170,48 +153,30 @@ def _first_row(head: list[tuple[int, str]]) -> int | None:
     return None
 
 
-def _with_header(
-    before: list[tuple[int, str]],
-    first: int,
-    fields: list[str],
-    delimiter: str | None,
-    encoding: str,
-    compressed: bool,
-) -> _Layout:
+def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]) -> _Layout:
     """Layout with the header, which is sought among the lines before the first with numbers."""
     plain = [(number, line) for number, line in before if not _is_comment(line)]
-    comments = [(number, line) for number, line in before if _is_comment(line)]
-    mark = "%" if any(line.lstrip().startswith("%") for _, line in comments) else "#"
-    named = [item for item in plain if any(recognise(x).role == "axis" for x in _split(item[1], delimiter))]
-    for number, line in named or plain:
-        labels = _trim(_split(line, delimiter))
+    comments = [line for _, line in before if _is_comment(line)]
+    headers = [(number, line, _trim(_split(line, bare.delimiter))) for number, line in plain]
+    named = [header for header in headers if any(recognise(label).role == "axis" for label in header[2])]
+    for number, _, labels in named or headers:
         if _fits(fields, len(labels)):
             # All lines after the header are data, even those without numbers, which will be reported.
-            skipped = tuple(text for n, text in plain if n < number)
-            return _Layout(
-                number + 1,
-                tuple(labels),
-                len(labels),
-                delimiter,
-                mark,
-                encoding,
-                compressed,
-                _skipped(skipped),
-            )
-    for _, line in reversed(comments):
+            notes = _skipped([line for n, line in plain if n < number])
+            return replace(bare, start=number + 1, labels=tuple(labels), fields=len(labels), notes=notes)
+    for line in reversed(comments):
         # The % of `%time`, as ROS writes it, belongs to the name.
-        labels = _trim(_split(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), delimiter))
+        labels = _trim(_split(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter))
         if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
-            return _Layout(first, tuple(labels), len(labels), delimiter, mark, encoding, compressed, ())
-    skipped = _skipped(tuple(line for _, line in plain))
-    return _Layout(first, None, len(_trim(fields)), delimiter, mark, encoding, compressed, skipped)
+            return replace(bare, labels=tuple(labels), fields=len(labels))
+    return replace(bare, notes=_skipped([line for _, line in plain]))
 
 
-def _skipped(lines: tuple[str, ...]) -> tuple[str, ...]:
+def _skipped(lines: list[str]) -> tuple[str, ...]:
     """Note on lines before the data that were skipped, if any."""
-    return (
-        (f"{len(lines)} lines before the data skipped, the first {lines[0].strip()[:60]!r}",) if lines else ()
-    )
+    if not lines:
+        return ()
+    return (f"{len(lines)} lines before the data skipped, the first {lines[0].strip()[:60]!r}",)
 
 
 def _encoding(path: Path, source: Source) -> tuple[bool, str]:
@@ -219,7 +184,7 @@ def _encoding(path: Path, source: Source) -> tuple[bool, str]:
     with path.open("rb") as stream:
         compressed = stream.read(2) == _GZIP_MAGIC
     try:
-        with gzip.open(path) if compressed else path.open("rb") as stream:
+        with _opened(path, compressed) as stream:
             head = stream.read(1 << 16)
     except (EOFError, OSError, zlib.error) as error:
         raise source.error(f"can not be read: {error}; copy or compress it again") from error
@@ -238,13 +203,14 @@ def _encoding(path: Path, source: Source) -> tuple[bool, str]:
     return compressed, "utf-8-sig"
 
 
+def _opened(path: Path, compressed: bool) -> IO[bytes]:
+    """Bytes of a file, decompressed."""
+    return gzip.open(path) if compressed else path.open("rb")  # type: ignore[return-value]
+
+
 def _lines(path: Path, compressed: bool, encoding: str) -> Iterator[str]:
     """Lines of a file."""
-    with (
-        gzip.open(path, "rt", encoding=encoding, errors="replace")
-        if compressed
-        else path.open(encoding=encoding, errors="replace") as stream
-    ):
+    with io.TextIOWrapper(_opened(path, compressed), encoding, errors="replace") as stream:
         yield from stream
 
 
@@ -255,12 +221,6 @@ def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def _line_number(path: Path, layout: _Layout, row: int) -> int:
-    """Number of the line (from 1) of a row of data (from 0)."""
-    number, _ = next(itertools.islice(_rows(path, layout), row, None))
-    return number
-
-
 def _ragged_row(path: Path, layout: _Layout) -> str | None:
     """Error message about the first row with another number of columns, or None."""
     for number, line in _rows(path, layout):
@@ -268,8 +228,7 @@ def _ragged_row(path: Path, layout: _Layout) -> str | None:
         if not _fits(fields, layout.fields):
             return (
                 f"line {number} has {len(fields)} columns where {layout.fields} are expected: "
-                f"{line.strip()[:60]!r}; "
-                "repair or delete that line"
+                f"{line.strip()[:60]!r}; repair or delete that line"
             )
     return None
 
@@ -318,4 +277,4 @@ def _is_number(text: str) -> bool:
     return True
 
 
-TEXT = Format("text", lambda magic, path: True, read_text, chunked_text)
+TEXT = Format("text", lambda magic, path: True, open_text)

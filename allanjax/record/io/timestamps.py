@@ -1,6 +1,6 @@
 """Sample times and the sample rate from a file's time stamps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,17 +20,13 @@ _MAX_JITTER = 0.2
 MAX_RATE_DIFFERENCE = 0.01
 # Share of long intervals above which sampling is irregular, not interrupted by gaps.
 _MANY_GAPS = 0.05
-# End of messages about gaps.
-_IGNORE_STAMPS = "or if no sample is lost ignore the stamps by time='none' and rate= (--time none --rate)"
+# A remedy in many messages.
+_IGNORE = "ignore the stamps by time='none' and rate= (--time none --rate)"
 # Units that stamps without one may have.
 _UNITS = ("s", "ms", "us", "ns")
 # What stamps without a unit must fit: UNIX time in s, 2001 to 2065, and the rates of inertial sensors in Hz.
 _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
-
-
-#: Message about gaps, from times, their label, the samples before the gaps, the typical interval, the source.
-GapMessage = Callable[[np.ndarray, str, np.ndarray, float, Source], str]
 
 
 class Times(NamedTuple):
@@ -76,11 +72,11 @@ def rate_from_times(
     label: str,
     rate: float | None,
     source: Source,
-    gap_message: GapMessage,
+    more: bool = False,
 ) -> tuple[float, str]:
     """Sample rate in Hz from times in s, and a note on it; a given `rate` is used if they agree with it.
 
-    `gap_message` makes the message about gaps: `gap_in_record` or `gap_in_stream`.
+    `more` says that the times are not all that there are: which stretch is the longest is not known then.
 
     Raises:
         RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
@@ -92,8 +88,7 @@ def rate_from_times(
         what = "repeats" if intervals[first - 1] == 0 else "is earlier than"
         raise source.error(
             f"column {label!r} {what} the time before it at {source.locate(first)} ({backwards.size} "
-            "such in all); "
-            "sort or repair the file, or ignore the stamps by time='none' and rate= (--time none --rate)"
+            f"such in all); sort or repair the file, or {_IGNORE}"
         )
     typical = float(np.median(intervals))
     long = intervals > _GAP * typical
@@ -102,12 +97,12 @@ def rate_from_times(
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
             f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals exceed {_GAP} times "
-            "the median; "
-            f"jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves are regular, "
-            "ignore the stamps by time='none' and rate= (--time none --rate)"
+            f"the median; jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves are regular, "
+            f"{_IGNORE}"
         )
     if np.any(long):
-        raise source.error(gap_message(times, label, np.flatnonzero(long), typical, source))
+        gap = _gap(times, np.flatnonzero(long), typical, source, more)
+        raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}")
     measured = (len(times) - 1) / float(times[-1] - times[0])
     # Jitter below a nanosecond is due to the rounding of the stamps.
     shaken = f"jitter {jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "jitter below 1 ns"
@@ -117,8 +112,8 @@ def rate_from_times(
     if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
             f"rate {rate:g} Hz contradicts column {label!r}, whose stamps give {measured:.6g} Hz; leave "
-            "out rate= "
-            "(--rate), correct time_unit= (--time-unit), or ignore the stamps by time='none' (--time none)"
+            "out rate= (--rate), correct time_unit= (--time-unit), or ignore the stamps by time='none' "
+            "(--time none)"
         )
     return rate, f"sample rate {rate:.9g} Hz as given; {stamped}"
 
@@ -131,9 +126,7 @@ def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Sou
     bad = np.flatnonzero(~np.isfinite(numbers))
     if bad.size:
         raise source.error(
-            f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or ignore the "
-            "stamps by "
-            "time='none' and rate= (--time none --rate)"
+            f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or {_IGNORE}"
         )
     return numbers - numbers[0]
 
@@ -166,8 +159,7 @@ def _unit(
     if column.unit is not None and time_unit is not None and convert(1.0, column.unit, time_unit) != 1.0:
         raise UnitError(
             f"{source.label}: column {column.label!r} is in {column.unit} by its header but time_unit= "
-            "(--time-unit) "
-            f"says {time_unit}; leave out time_unit= or correct the header"
+            f"(--time-unit) says {time_unit}; leave out time_unit= or correct the header"
         )
     stated = column.unit or time_unit
     if stated is not None:
@@ -196,53 +188,32 @@ def _fits(unit: str, first: float, typical: float, values: np.ndarray, rate: flo
     return low <= stamped <= high and (unix or bool(np.any(values % 1)))
 
 
-def gap_in_record(
+def _gap(
     times: Float[np.ndarray, " samples"],
-    label: str,
     gaps: Int[np.ndarray, " gaps"],
     typical: float,
     source: Source,
+    more: bool,
 ) -> str:
-    """Error message about gaps after the samples `gaps`, where all times of the record are known."""
+    """Gaps after these samples in words: length and place of the first, and what to take instead."""
+    first = int(gaps[0])
+    before, after = times[first], times[first + 1]
+    text = (
+        f"a gap of {after - before:.6g} s ({(after - before) / typical:.3g} intervals) before "
+        f"{source.locate(first + 1)}"
+    )
+    if more:
+        return (
+            f"{text}; take what comes before it by stop={_before(before):.3f} (--stop) or after it by "
+            f"start={_after(after):.3f} (--start)"
+        )
     edges = np.concatenate([[-1], gaps, [len(times) - 1]])
     longest = int(np.argmax(np.diff(edges)))
     begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
     count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
     return (
-        f"{_gap(times, label, gaps, typical, source)}, {count}; take a stretch without gaps, the longest by "
-        f"start={_after(begin):.3f}, stop={_before(end):.3f} (--start, --stop), {_IGNORE_STAMPS}"
-    )
-
-
-def gap_in_stream(
-    times: Float[np.ndarray, " samples"],
-    label: str,
-    gaps: Int[np.ndarray, " gaps"],
-    typical: float,
-    source: Source,
-) -> str:
-    """Error message about gaps after the samples `gaps`, where more samples may follow."""
-    first = int(gaps[0])
-    return (
-        f"{_gap(times, label, gaps, typical, source)}; take what comes before it by "
-        f"stop={_before(times[first]):.3f} (--stop) or after it by start={_after(times[first + 1]):.3f} "
-        f"(--start), {_IGNORE_STAMPS}"
-    )
-
-
-def _gap(
-    times: Float[np.ndarray, " samples"],
-    label: str,
-    gaps: Int[np.ndarray, " gaps"],
-    typical: float,
-    source: Source,
-) -> str:
-    """Beginning of a message about gaps: length and place of the first."""
-    first = int(gaps[0])
-    length = times[first + 1] - times[first]
-    return (
-        f"column {label!r} has a gap of {length:.6g} s ({length / typical:.3g} intervals) before "
-        f"{source.locate(first + 1)}"
+        f"{text}, {count}; take a stretch without gaps, the longest by start={_after(begin):.3f}, "
+        f"stop={_before(end):.3f} (--start, --stop)"
     )
 
 
