@@ -13,6 +13,7 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.plain import printable
+from allanjax.base.tables import html_table
 from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
@@ -227,18 +228,16 @@ class Recording(ByValue):
 
     def _repr_html_(self) -> str:
         own = self.own_values
-        rows = "".join(
-            f"<tr><td>{html.escape(axis.name)}</td><td>{axis.sensor}</td><td>{html.escape(axis.unit)}</td>"
-            f"<td>{mean:.6g}</td><td>{std:.6g}</td></tr>"
+        rows = [
+            (axis.name, axis.sensor, axis.unit, f"{mean:.6g}", f"{std:.6g}")
             for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
+        ]
+        size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
+        table = html_table(
+            f"{self.name or 'Recording'}: {size}", ("axis", "sensor", "unit", "mean", "std"), rows
         )
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
-        return (
-            f"<table><caption>{html.escape(self.name or 'Recording')}: {self.n} samples at {self.rate:g} Hz, "
-            f"{duration(self.duration)}</caption><thead><tr><th>axis</th><th>sensor</th><th>unit</th>"
-            f"<th>mean</th><th>std</th></tr></thead><tbody>{rows}</tbody></table>"
-            + (f"<ul>{notes}</ul>" if notes else "")
-        )
+        return f"{table}<ul>{notes}</ul>" if notes else table
 
 
 def build(

@@ -52,9 +52,8 @@ def check_length(samples: int, source: Source) -> None:
     """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples."""
     if samples < MIN_SAMPLES:
         raise source.error(
-            f"too short: {samples} samples, and at least {MIN_SAMPLES} are needed (thousands for a "
-            "useful fit); "
-            "give a longer recording, or a longer stretch by start= and stop= (--start, --stop)"
+            f"too short: {samples} samples, and at least {MIN_SAMPLES} are needed (thousands for a useful "
+            "fit); give a longer recording, or a longer stretch by start= and stop= (--start, --stop)"
         )
 
 
@@ -83,9 +82,8 @@ def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Sour
     """Raise `RecordingError` if a value of the column is not finite; see `check_values`."""
     bad = np.flatnonzero(~np.isfinite(column))
     if bad.size:
-        first = int(bad[0])
-        text = source.missing if np.isnan(column[first]) else str(column[first])
-        raise source.error(bad_cells_message(label, bad.size, source.locate(first), text))
+        value = column[bad[0]]
+        raise bad_cells(label, bad.size, int(bad[0]), source, None if np.isnan(value) else str(value))
 
 
 def constant_error(label: str, value: float, source: Source) -> RecordingError:
@@ -96,14 +94,12 @@ def constant_error(label: str, value: float, source: Source) -> RecordingError:
     )
 
 
-def bad_cells_message(label: str, count: int, place: str, text: str) -> str:
-    """Error message for `count` cells of a column that are not finite, the first of them at `place`."""
-    cells = (
-        "1 value is not a finite number"
-        if count == 1
-        else f"{count} values are not finite numbers, the first"
-    )
-    return (
-        f"column {label!r}: {cells} at {place}: {text}; repair the file, or take a stretch "
-        "without bad values by start= and stop= (--start, --stop)"
+def bad_cells(label: str, count: int, first: int, source: Source, text: str | None = None) -> RecordingError:
+    """RecordingError for `count` cells of a column that are not finite, the first of which holds `text`."""
+    cells = "1 value is not a finite number"
+    if count > 1:
+        cells = f"{count} values are not finite numbers, the first"
+    return source.error(
+        f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; repair the file, or "
+        "take a stretch without bad values by start= and stop= (--start, --stop)"
     )

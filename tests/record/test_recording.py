@@ -89,7 +89,7 @@ def test_between(recording):
 def test_display(recording):
     assert repr(recording).startswith("<Recording 'unit': gyro_x [deg/s], ")
     assert "100 samples at 50 Hz, 2 s" in repr(recording)
-    table = recording._repr_html_()
+    table = recording._repr_html_().replace(" style='text-align:left'", "")
     mean = recording.own_values[:, 3].mean()
     assert f"<td>accel_x</td><td>accel</td><td>g</td><td>{mean:.6g}</td>" in table
     assert "column order" in table

@@ -20,7 +20,7 @@ from allanjax.record.io.timestamps import rate_from_times, seconds_from_first
 from allanjax.record.recording import rows_between
 from allanjax.record.validation import (
     Source,
-    bad_cells_message,
+    bad_cells,
     check_finite,
     check_length,
     constant_error,
@@ -82,7 +82,7 @@ class ChunkedRecording:
                     values[:, k] = np.nan
                     continue
                 if silent[k] and count:
-                    raise place.error(bad_cells_message(label, count, place.locate(0), place.missing))
+                    raise bad_cells(label, count, 0, place)
                 if not numbers[:, k].all():
                     check_finite(values[:, k], label, source)
             silent &= ~numbers.any(axis=0)
@@ -95,7 +95,7 @@ class ChunkedRecording:
             yield values
         check_length(count, place)
         if silent.all():
-            raise place.error(bad_cells_message(labels[0], count, place.locate(0), place.missing))
+            raise bad_cells(labels[0], count, 0, place)
         if not varies.any():
             k = int(np.argmin(silent))
             raise constant_error(labels[k], float(first[k]), place)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from allanjax.base.errors import RecordingError
-from allanjax.record.validation import Source, bad_cells_message
+from allanjax.record.validation import Source, bad_cells
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
@@ -107,8 +107,7 @@ def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source)
     bad = np.flatnonzero(np.isnan(numbers))
     if bad.size and not pd.isna(values).all():
         cell = values[bad[0]]
-        text = source.missing if pd.isna(cell) else repr(cell)
-        if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell)):
-            text += " (write numbers with a decimal point)"
-        raise source.error(bad_cells_message(label, bad.size, source.locate(int(bad[0])), text))
+        comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell))
+        text = repr(cell) + (" (write numbers with a decimal point)" if comma else "")
+        raise bad_cells(label, bad.size, int(bad[0]), source, None if pd.isna(cell) else text)
     return numbers
