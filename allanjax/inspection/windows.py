@@ -15,8 +15,8 @@ SHORTEST = 16
 _AT_ONCE = 1 << 15
 # Samples at the start of each piece among which the resolution is looked for.
 _SAMPLED = 4096
-# Fields with one row a window.
-_ROWS = ("count", "mean", "low", "high", "peak", "repeats")
+# Fields of windows, with the dimension of their arrays along which these are.
+_ALONG = dict.fromkeys(("count", "mean", "low", "high", "peak", "repeats"), 0) | {"power": 1, "pairs": 1}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,26 +57,12 @@ class Windows:
         whole = len(values) // size
         step = max(_AT_ONCE // size, 1)
         parts = [
-            _statistics(values[k * size : min(k + step, whole) * size], size) for k in range(0, whole, step)
+            _statistics(values[k * size : min(k + step, whole) * size], size, size)
+            for k in range(0, whole, step)
         ]
-        parts = parts or [_statistics(values[:0], size)]
-        mean, low, high, power, peak, repeats = (
-            np.concatenate(p, axis=p[0].ndim - 2) for p in zip(*parts, strict=True)
-        )
-        scales = 2 ** np.arange(len(power))
-        return cls(
-            size,
-            np.full(whole, size),
-            mean,
-            low,
-            high,
-            power,
-            np.repeat((size // (2 * scales))[:, None], whole, axis=1),
-            peak,
-            repeats,
-            _resolution(values),
-            np.array(values[whole * size :]),
-        )
+        joined = _statistics(values[:0], size, size)._joined(*parts)
+        rest = np.array(values[whole * size :])
+        return dataclasses.replace(joined, resolution=_resolution(values), rest=rest)
 
     def __len__(self) -> int:
         return len(self.count)
@@ -124,7 +110,7 @@ class Windows:
         """These windows with the remaining samples in a shorter last one, or, if few, in the last one."""
         if len(self.rest) == 0:
             return self
-        last = self._joined(self._short())
+        last = self._joined(_statistics(self.rest, self.size, len(self.rest)))
         if 2 * len(self.rest) >= self.size or len(self) == 0:
             return last
         before, two = last.between(0, len(self) - 1), last.between(len(self) - 1, len(self) + 1)
@@ -138,51 +124,21 @@ class Windows:
 
     def between(self, first: int, last: int) -> Windows:
         """Windows `first` up to but not including `last`."""
-        rows = slice(first, last)
-        return dataclasses.replace(
-            self,
-            **{name: getattr(self, name)[rows] for name in _ROWS},
-            power=self.power[:, rows],
-            pairs=self.pairs[:, rows],
-            rest=self.rest[:0],
-        )
+        part = {
+            name: getattr(self, name)[(slice(None),) * along + (slice(first, last),)]
+            for name, along in _ALONG.items()
+        }
+        return dataclasses.replace(self, **part, rest=self.rest[:0])
 
-    def _short(self) -> Windows:
-        """Window of the remaining samples."""
-        r = self.rest
-        power, pairs = np.zeros((len(self.power), 1, r.shape[1])), np.zeros((len(self.power), 1), int)
-        means, peak, repeats = r, np.zeros((1, r.shape[1])), _repeats(r.T)[None]
-        for k in range(len(power)):
-            even, odd = means[: len(means) // 2 * 2 : 2], means[1::2]
-            d = odd - even
-            if len(d) == 0:
-                break
-            power[k, 0], pairs[k] = np.sum(d * d, axis=0), len(d)
-            if k == 0:
-                peak = abs(d).max(axis=0)[None]
-            means = 0.5 * (odd + even)
-        return dataclasses.replace(
-            self.between(0, 0),
-            count=np.array([len(r)]),
-            mean=r.mean(axis=0)[None],
-            low=r.min(axis=0)[None],
-            high=r.max(axis=0)[None],
-            power=power,
-            pairs=pairs,
-            peak=peak,
-            repeats=repeats,
-        )
-
-    def _joined(self, right: Windows) -> Windows:
-        """Windows of this piece followed by the other's, of the same size."""
-        return Windows(
-            size=self.size,
-            **{name: np.concatenate([getattr(self, name), getattr(right, name)]) for name in _ROWS},
-            power=np.concatenate([self.power, right.power], axis=1),
-            pairs=np.concatenate([self.pairs, right.pairs], axis=1),
-            resolution=np.fmin(self.resolution, right.resolution),
-            rest=right.rest,
-        )
+    def _joined(self, *others: Windows) -> Windows:
+        """Windows of this piece followed by those of others, of the same size."""
+        pieces = (self, *others)
+        joined = {
+            name: np.concatenate([getattr(piece, name) for piece in pieces], axis=along)
+            for name, along in _ALONG.items()
+        }
+        resolution = np.min([piece.resolution for piece in pieces], axis=0)
+        return Windows(self.size, **joined, resolution=resolution, rest=pieces[-1].rest)
 
     def _coarser(self) -> Windows:
         """Windows twice as long, each of two; an odd one at the end stays as it is."""
@@ -221,22 +177,26 @@ class Windows:
         )
 
 
-def _statistics(values: Float[np.ndarray, "n axes"], size: int) -> tuple[np.ndarray, ...]:
-    """Mean, least and largest sample, sums of squares, largest step and repeats of each window."""
+def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> Windows:
+    """Windows of `length` samples without a rest: `size`, or fewer for a single short one."""
     axes = values.shape[1]
     # Axis by axis, so that neighbouring samples are adjacent in memory.
-    x = np.ascontiguousarray(values.T).reshape(axes, -1, size)
-    low, high = x.min(axis=2), x.max(axis=2)
-    repeats = _repeats(x).T
-    power = np.empty((size.bit_length() - 1, x.shape[1], axes))
-    peak = np.zeros(low.T.shape)
+    x = np.ascontiguousarray(values.T).reshape(axes, -1, length)
+    count = np.full(x.shape[1], length)
+    low, high, repeats = x.min(axis=2).T, x.max(axis=2).T, _repeats(x).T
+    peak = np.zeros(low.shape)
+    power = np.empty((size.bit_length() - 1, *low.shape))
+    pairs = np.empty((len(power), len(count)), int)
     for k in range(len(power)):
-        d = x[:, :, 1::2] - x[:, :, ::2]
-        if k == 0:
+        even, odd = x[:, :, :-1:2], x[:, :, 1::2]
+        d = odd - even
+        if k == 0 and length > 1:
             peak = np.maximum(d.max(axis=2), -d.min(axis=2)).T
-        power[k] = np.einsum("awk,awk->wa", d, d)
-        x = 0.5 * (x[:, :, 1::2] + x[:, :, ::2])
-    return x[:, :, 0].T, low.T, high.T, power, peak, repeats
+        power[k], pairs[k] = np.einsum("awk,awk->wa", d, d), d.shape[2]
+        x = 0.5 * (odd + even)
+    mean = x[:, :, 0].T if length == size else values.mean(axis=0)[None]
+    resolution = np.full(axes, np.inf)
+    return Windows(size, count, mean, low, high, power, pairs, peak, repeats, resolution, values[:0])
 
 
 def _repeats(x: Float[np.ndarray, "*w n"]) -> Int[np.ndarray, " *w"]:
