@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float
 
 from allanjax.inspection.scores import (
     LENGTHS,
-    Row,
+    Scores,
+    Steps,
     groups_of,
     mean_squares,
-    noise_rows,
+    noise_scores,
     shortest_half,
-    step_rows,
+    steps_of,
 )
 from allanjax.inspection.windows import Windows
 
@@ -46,11 +47,15 @@ class Stretch:
 
     Attributes:
         kind: "silent", "noisier", "quieter", or "moved" if only the mean changes.
+        share: largest excess of the Allan variance that it causes, as a share of it, once that is known.
+        matters: whether that is more than the estimates' own error.
     """
 
     first: int
     last: int
     kind: str
+    share: float = 0.0
+    matters: bool = False
 
 
 def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
@@ -58,17 +63,16 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
     # Stretches found from few windows are left out of the averages over more.
     for length in LENGTHS:
-        rows = list(noise_rows(windows, sensors, length, touched_by(windows, found)))
-        louder, quieter = (_runs(rows, len(windows), sign) for sign in (1.0, -1.0))
+        scores = list(noise_scores(windows, sensors, length, touched_by(windows, found)))
+        louder, quieter = (_runs([sign * x for x in scores], length, len(windows)) for sign in (1.0, -1.0))
         found += [Stretch(a, b, "noisier") for a, b in louder]
         found += [Stretch(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, found)]
-    steps = list(step_rows(windows, sensors, touched_by(windows, found)))
+    steps = list(steps_of(windows, sensors, touched_by(windows, found)))
     moved: list[Stretch] = []
-    for k in range(len(steps)):
-        lag = steps[k].width // 2
-        for a, b in _moves(steps, k, groups_of(sensors)):
+    for k, of in enumerate(steps):
+        for a, b in _moves(steps[: k + 1], groups_of(sensors)):
             # A change that was found over few windows shows over more of them, too.
-            if not _overlaps(a - lag, b + lag, moved):
+            if not _overlaps(a - of.lag, b + of.lag, moved):
                 moved.append(Stretch(a, b, "moved"))
     return _merged(sorted(found + moved, key=lambda s: s.first))
 
@@ -88,72 +92,68 @@ def _silent(windows: Windows) -> list[tuple[int, int]]:
     return [(a, b) for a, b in _spans((constant & usual).any(axis=1)) if b - a >= _STUCK]
 
 
-def _runs(rows: Sequence[Row], count: int, sign: float) -> list[tuple[int, int]]:
+def _runs(scores: Sequence[Scores], length: int, count: int) -> list[tuple[int, int]]:
     """Runs of windows with a score beyond the threshold, extended by neighbours with a lower one."""
     peak, still = np.zeros(count, bool), np.zeros(count, bool)
-    for row in rows:
-        score = sign * row.score
+    # Of the windows of an average, the middle one: the loud part is about there.
+    inner = (length - 1) // 2
+    for score in scores:
         alarmed = score.max(axis=1) > _UNLIKE
         if not alarmed.any():
             continue
         high, low = (score[alarmed] > _UNLIKE).any(axis=0), (score[alarmed] > _STILL).any(axis=0)
-        # For averages over several windows, the middle ones: the loud part is among these.
-        inner = (row.width - 1) // 2
         peak[inner : inner + len(high)] |= high
         still[inner : inner + len(low)] |= low
-        if row.width > 1:
+        if length > 1:
             # At the record's ends no average has these windows in its middle.
             peak[: inner + 1] |= high[0]
             peak[inner + len(high) - 1 :] |= high[-1]
     return [(a, b) for a, b in _spans(peak | still) if peak[a:b].any()]
 
 
-def _moves(rows: Sequence[Row], k: int, groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
-    """Runs of windows in which the mean moves as nowhere else, according to row k of the steps.
+def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
+    """Runs of windows in which the mean moves as nowhere else, according to the last of the steps.
 
     There are none if it jumps by as much three times or more: that is telegraph noise of the sensor.
     """
-    row = rows[k]
-    alarmed = row.score.max(axis=1) > _STEP
-    if not alarmed.any() or row.step is None or row.scatter is None:
+    last = steps[-1]
+    alarmed = last.score.max(axis=1) > _STEP
+    if not alarmed.any():
         return []
-    squares = (row.step / row.scatter[:, None]) ** 2
+    squares = (last.step / last.scatter[:, None]) ** 2
     sizes = np.sqrt(np.max([squares[g].mean(axis=0) for g, a in zip(groups, alarmed, strict=True) if a], 0))
     peaks, left = 0, sizes.copy()
     while peaks < _TELEGRAPH and left.max() > _COMPARABLE * sizes.max():
         place = int(np.argmax(left))
         peaks += 1
-        left[max(place - row.width, 0) : place + row.width + 1] = 0.0
+        left[max(place - 2 * last.lag, 0) : place + 2 * last.lag + 1] = 0.0
     if peaks >= _TELEGRAPH:
         return []
-    strength = row.score[alarmed].max(axis=0)
+    strength = last.score[alarmed].max(axis=0)
     runs = [(a, b) for a, b in _spans(sizes > _STILL_MOVING) if strength[a:b].max() > _STEP]
-    return [_where(rows, k, a, b, a + int(np.argmax(strength[a:b]))) for a, b in runs]
+    return [_where(steps, a, b, a + int(np.argmax(strength[a:b]))) for a, b in runs]
 
 
-def _where(rows: Sequence[Row], k: int, first: int, last: int, place: int) -> tuple[int, int]:
+def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[int, int]:
     """Run of windows in which the mean moves, given the run of places that see it and the clearest one."""
-    row = rows[k]
-    lag, places = row.width // 2, row.score.shape[1]
+    *finer, coarsest = steps
+    lag, places = coarsest.lag, coarsest.score.shape[1]
     # Place p compares the windows p … p+lag−1 with as many that follow: it sees a change around p + lag.
+    end = places + 2 * lag - 1
     if first == 0:
         return 0, last + lag
     if last == places:
-        return first + lag, places + row.width - 1
-    assert row.step is not None
-    assert row.scatter is not None
-    axis = int(np.argmax(row.square[:, place] / row.scatter**2))
-    size, middle = abs(row.step[axis, place]), place + lag
+        return first + lag, end
+    axis = int(np.argmax((coarsest.step[:, place] / coarsest.scatter) ** 2))
+    size, middle = abs(coarsest.step[axis, place]), place + lag
     slow = first + lag, last + lag
     # A sudden step has the same size over fewer windows.
-    for finer in reversed(rows[:k]):
-        assert finer.step is not None
-        half = finer.width // 2
-        near = abs(finer.step[axis, max(middle - 3 * half, 0) : middle + half + 1])
+    for fine in reversed(finer):
+        near = abs(fine.step[axis, max(middle - 3 * fine.lag, 0) : middle + fine.lag + 1])
         if len(near) == 0 or near.max() < _SUDDEN * size:
-            return slow if lag == row.width // 2 else (max(middle - lag, 0), middle + lag)
-        lag, middle = half, max(middle - 3 * half, 0) + int(np.argmax(near)) + half
-    return max(middle - lag, 0), min(middle + lag, places + row.width - 1)
+            return slow if lag == coarsest.lag else (max(middle - lag, 0), middle + lag)
+        lag, middle = fine.lag, max(middle - 3 * fine.lag, 0) + int(np.argmax(near)) + fine.lag
+    return max(middle - lag, 0), min(middle + lag, end)
 
 
 def _spans(mask: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
@@ -224,8 +224,8 @@ def _squares(
     """Mean square differences at each cluster size, their weights, and how many windows each spans."""
     for square, pairs in zip(mean_squares(windows), windows.pairs, strict=True):
         yield np.nan_to_num(square), pairs.astype(float), 1
-    for row in step_rows(windows, ["axis"] * windows.mean.shape[1]):
-        yield row.square.T, np.ones(row.square.shape[1]), row.width
+    for steps in steps_of(windows, ["axis"] * windows.mean.shape[1]):
+        yield (steps.step**2).T, np.ones(steps.step.shape[1]), 2 * steps.lag
 
 
 def longest_quiet(count: int, stretches: Sequence[Stretch], pad: int = 1) -> tuple[int, int]:

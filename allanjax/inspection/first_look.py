@@ -11,7 +11,7 @@ from jaxtyping import Float
 from allanjax.base.wording import duration
 from allanjax.inspection.motion import motions, rms_within
 from allanjax.inspection.plausible import coarse, implausible
-from allanjax.inspection.quiet import Event, Quiet, quiet_part
+from allanjax.inspection.quiet import Event, quiet_part
 from allanjax.inspection.scores import mean_squares
 from allanjax.inspection.windows import Windows
 from allanjax.inspection.words import cannot_cut, grid, refused, said_of_events, said_of_motion, span, unclear
@@ -133,31 +133,22 @@ def look(
     values: Float[np.ndarray, "n axes"] | None = None,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
 ) -> Inspection:
-    """Inspection of a recording that is known by its windows; see `inspect`.
+    """Inspection of a recording with this rate [Hz] that is known by its windows; see `inspect`.
 
-    Args:
-        windows: the recording's windows.
-        axes: its axes.
-        rate: its sample rate [Hz].
-        name: its name.
-        as_is, vibrating, may_move: as in `inspect`.
-        values: its samples, where they are in memory.
-        auxiliary: its other columns, where they are in memory.
+    `values` and `auxiliary` are its samples and other columns, where they are in memory.
     """
     windows, n = windows.closed(), windows.n
     sensors = [axis.sensor for axis in axes]
-    quiet = quiet_part(windows, sensors, may_move)
-    touched = [e for e in quiet.events if e.matters]
+    events, begin, end = quiet_part(windows, sensors, may_move)
+    touched, harmless = [e for e in events if e.matters], [e for e in events if not e.matters]
     quieter = [e for e in touched if e.kind == "quieter" and e.size > _MUCH]
     unlikely_rest = sum(e.last - e.first for e in quieter) > _LONG * n
-    long_enough = quiet.last - quiet.first >= LEAST_SHARE * n and not unlikely_rest
+    long_enough = end - begin >= LEAST_SHARE * n and not unlikely_rest
     cut = bool(touched) and long_enough and not as_is
-    stretch = _rounded(quiet, n, rate) if cut else None
-    first, last = _windows_in(windows, stretch, rate)
-    part = windows.between(first, last)
+    stretch = _rounded(begin, end, n, rate) if cut else None
+    part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
-    within = rms_within(part)
-    rms = np.sqrt(within**2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
+    rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, sensors, rate)
     about = {sensors[m.axis] for m in moving}
     units = implausible(axes, rate, mean, _white(part, rate), auxiliary or {}, about)
@@ -165,24 +156,24 @@ def look(
     moving = [] if vibrating else [m for m in moving if sensors[m.axis] not in units]
     said = said_of_events(touched, axes, rate, n / rate)
     refusal, happened = "", ""
-    where = span(quiet.first / rate, quiet.last / rate, grid(n / rate))
+    where = span(begin / rate, end / rate, grid(n / rate))
+    share = sum(e.share for e in touched)
     if touched and stretch is not None:
         happened = f"{said}: coefficients are of {span(*stretch, grid(n / rate))}"
     elif touched and as_is:
         happened = f"{said}: coefficients are of all of it, as asked"
-    elif touched and not unlikely_rest and sum(e.share for e in touched) < _SLIGHT:
-        percent = 50.0 * sum(e.share for e in touched)
-        happened = f"{said}: the Allan deviation is {percent:.1g} % off by it at most"
+    elif touched and not unlikely_rest and share < _SLIGHT:
+        happened = f"{said}: the Allan deviation is {50.0 * share:.1g} % off by it at most"
     elif touched and moving:
         # The warning about motion comes first, and is reason enough.
         happened = f"{said}; the longest part without that is {where}"
     elif touched:
         refusal = unclear(said) if unlikely_rest else refused(said, where, LEAST_SHARE)
         happened = f"no coefficients: {refusal}"
-    warnings = [*units.values(), *([said_of_motion(moving, axes)] if moving else []), happened]
-    warnings += coarse(windows, axes, rate, values)
-    harmless = [e for e in quiet.events if not e.matters]
+    motion = said_of_motion(moving, axes) if moving else ""
+    warnings = (*units.values(), motion, happened, *coarse(windows, axes, rate, values))
     note = said_of_events(harmless, axes, rate, n / rate)
+    shown = {m.axis: m for m in moving}
     return Inspection(
         name,
         rate,
@@ -194,24 +185,19 @@ def look(
         refusal,
         tuple(line for line in warnings if line),
         (f"{note}: too little to change a coefficient by more than its error",) if note else (),
-        _moving([m.axis for m in moving], len(axes)),
-        quiet.events,
+        # Two axes that show motion mean that all move.
+        tuple(range(len(axes)) if len(shown) > 1 else shown),
+        events,
         said,
     )
 
 
-def _moving(shown: Sequence[int], count: int) -> tuple[int, ...]:
-    """Indices of the axes that are not at rest, given those that show it: two mean that all move."""
-    return tuple(range(count)) if len(set(shown)) > 1 else tuple(shown[:1])
-
-
-def _rounded(quiet: Quiet, n: int, rate: float) -> tuple[float, float]:
+def _rounded(begin: int, end: int, n: int, rate: float) -> tuple[float, float]:
     """Start and end [s] of the quiet part, rounded inwards."""
-    step, duration = grid(n / rate), n / rate
-    start, stop = quiet.first / rate, quiet.last / rate
-    start = float(np.ceil(start / step - 1e-9) * step) if quiet.first else 0.0
-    stop = float(np.floor(stop / step + 1e-9) * step) if quiet.last < n else duration
-    return round(start, 9), round(stop, 9)
+    step = grid(n / rate)
+    start = np.ceil(begin / rate / step - 1e-9) * step if begin else 0.0
+    stop = np.floor(end / rate / step + 1e-9) * step if end < n else n / rate
+    return round(float(start), 9), round(float(stop), 9)
 
 
 def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:

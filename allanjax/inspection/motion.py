@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.inspection.scores import mean_squares, step_rows
+from allanjax.inspection.scores import mean_squares, steps_of
 from allanjax.inspection.windows import Windows
 
 DEG = np.pi / 180.0
@@ -46,11 +46,12 @@ class Motion:
 
 def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
     """Evidence of motion on every axis that shows it, the strongest last."""
-    changes = _changes(windows, sensors, rate)
+    moving = _changes(windows, sensors, rate)
+    # Means over a second at least, or those of the windows if there are too few.
     over = max(int(np.ceil(rate / windows.size)), 1)
-    wander = np.ptp(_averaged(windows.mean, over), axis=0)
-    shake = rms_within(windows)
-    moving = changes
+    whole = len(windows) // over * over
+    mean = windows.mean[:whole].reshape(-1, over, len(sensors)).mean(axis=1) if whole else windows.mean
+    wander, shake = np.ptp(mean, axis=0), rms_within(windows)
     for kind, values, limits in (("wanders", wander, WANDERS), ("shakes", shake, SHAKES)):
         moving += [
             Motion(kind, k, float(values[k]), limits[sensor])
@@ -65,7 +66,7 @@ def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Moti
     within = mean_squares(windows)
     known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
     sizes = [(1 << k, np.nanmean(within[k], axis=0)) for k in known]
-    sizes += [(row.cluster, row.square.mean(axis=1)) for row in step_rows(windows, sensors)]
+    sizes += [(s.lag * windows.size, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
     found = []
     for size, square in sizes:
         time = size / rate
@@ -78,12 +79,6 @@ def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Moti
             if square[k] > limit**2:
                 found.append(Motion("changes", k, float(np.sqrt(square[k])), float(limit), time))
     return found
-
-
-def _averaged(mean: Float[np.ndarray, "w axes"], over: int) -> Float[np.ndarray, "v axes"]:
-    """Means over `over` successive windows; those of the windows if there are fewer."""
-    whole = len(mean) // over * over
-    return mean[:whole].reshape(-1, over, mean.shape[1]).mean(axis=1) if whole else mean
 
 
 def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:

@@ -59,35 +59,20 @@ class Event:
     matters: bool
 
 
-@dataclasses.dataclass(frozen=True)
-class Quiet:
-    """Events of a recording in order, and the longest part without those that matter, as sample indices."""
-
-    events: tuple[Event, ...]
-    first: int
-    last: int
-
-
-@dataclasses.dataclass(frozen=True)
-class _Found(Stretch):
-    """Stretch with its effect on the Allan variance."""
-
-    share: float = 0.0
-    matters: bool = False
-
-
 #: Kinds of events that change the mean alone.
 MOVES = ("step", "shift", "warm-up")
 
 
-def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False) -> Quiet:
-    """Find the events of a recording, which of them matter, and the longest part without those.
+def quiet_part(
+    windows: Windows, sensors: Sequence[str], may_move: bool = False
+) -> tuple[tuple[Event, ...], int, int]:
+    """Events of a recording in order, and the longest part without those that matter, as sample indices.
 
     The part that is left is searched again: the faint end of an event shows beside quiet windows only. Where
     the mean may move, as in a model with a step, such moves are no events.
     """
     first, last = 0, len(windows)
-    found: list[_Found] = []
+    found: list[Stretch] = []
     for _ in range(_ROUNDS):
         part = windows.between(first, last)
         stretches = unlike(part, sensors) if len(part) >= _FEWEST else []
@@ -97,7 +82,7 @@ def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False)
         matters = sigmas > (_MATTERS if sigmas.sum() < _TOGETHER else _COUNTS)
         matters &= shares > _TRIFLE
         found += [
-            _Found(first + s.first, first + s.last, s.kind, float(share), bool(m))
+            Stretch(first + s.first, first + s.last, s.kind, float(share), bool(m))
             for s, share, m in zip(stretches, shares, matters, strict=True)
         ]
         if not matters.any():
@@ -110,12 +95,12 @@ def quiet_part(windows: Windows, sensors: Sequence[str], may_move: bool = False)
         Event(int(edges[s.first]), int(edges[s.last]), *_what(windows, s, joined), s.share, s.matters)
         for s in joined
     ]
-    return Quiet(tuple(events), int(edges[first]), int(edges[last]))
+    return tuple(events), int(edges[first]), int(edges[last])
 
 
-def _joined(found: Sequence[_Found]) -> list[_Found]:
+def _joined(found: Sequence[Stretch]) -> list[Stretch]:
     """Stretches with adjacent ones that matter joined to one."""
-    joined: list[_Found] = []
+    joined: list[Stretch] = []
     for s in found:
         o = joined[-1] if joined else None
         if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
@@ -132,7 +117,7 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
     if s.kind == "silent":
         constant = windows.low[inside] == windows.high[inside]
         return "silent", int(np.argmax(constant.sum(axis=0))), 0.0
-    usual, ratio = _levels(windows, inside, _untouched(windows, events))
+    usual, ratio = _levels(windows, inside, events)
     if s.kind == "quieter":
         quietest = int(np.argmin(ratio.min(axis=0)))
         return "quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12)))
@@ -153,21 +138,19 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
     return "noisier", axis, float(np.sqrt(ratio[:, axis].max()))
 
 
-def _untouched(windows: Windows, events: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
-    """Which windows are outside of all events; all windows if none is."""
-    untouched = ~touched_by(windows, events)
-    return untouched if untouched.any() else ~untouched
-
-
 def _levels(
-    windows: Windows, inside: slice, untouched: Bool[np.ndarray, " w"]
+    windows: Windows, inside: slice, events: Sequence[Stretch]
 ) -> tuple[Float[np.ndarray, "scales axes"], Float[np.ndarray, "scales axes"]]:
-    """Usual mean square differences, and the factor by which those inside are larger; one if unknown."""
+    """Usual mean square differences, and the factor by which those inside are larger; one if unknown.
+
+    Usual are the windows outside of all events; all windows if none is.
+    """
 
     def level(rows: slice | Bool[np.ndarray, " w"]) -> Float[np.ndarray, "scales axes"]:
         return windows.power[:, rows].sum(axis=1) / np.maximum(windows.pairs[:, rows].sum(axis=1), 1)[:, None]
 
-    usual = level(untouched)
+    untouched = ~touched_by(windows, events)
+    usual = level(untouched if untouched.any() else slice(None))
     usual = np.where(usual > 0.0, usual, np.inf)
     known = (windows.pairs[:, inside].sum(axis=1) > 0)[:, None] & np.isfinite(usual)
     return usual, np.where(known, level(inside) / usual, 1.0)
@@ -182,25 +165,20 @@ def _single(windows: Windows, inside: slice) -> float:
 def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float] | None:
     """Step, warm-up or other change of the mean; None where the mean is the same before and after."""
     usual = np.maximum(abs(np.diff(windows.mean, axis=0)).mean(axis=0), 1e-300)
+    span = np.ptp(windows.mean[s.first : s.last], axis=0)
     if s.first <= 1:
         after = windows.mean[s.last : s.last + max(s.last - s.first, 4)]
-        settled = after.mean(axis=0) if len(after) else windows.mean[-1]
-        away = windows.mean[0] - settled
+        away = windows.mean[0] - (after.mean(axis=0) if len(after) else windows.mean[-1])
         axis = int(np.argmax(abs(away) / usual))
-        span = np.ptp(windows.mean[s.first : s.last], axis=0)
-        if abs(away[axis]) > _CHANGED * usual[axis] and abs(away[axis]) > _ONE_WAY * span[axis]:
+        if abs(away[axis]) > max(_CHANGED * usual[axis], _ONE_WAY * span[axis]):
             return "warm-up", axis, float(away[axis])
-        if s.kind != "moved":
-            return None
-        axis = int(np.argmax(span / usual))
-        return "shift", axis, float(span[axis])
-    jump, scatter = beside(windows, s, events)
-    far = abs(jump) / np.where(scatter > 0.0, scatter, np.inf)
-    axis = int(np.argmax(far))
-    if far[axis] > _CHANGED:
-        return ("step" if s.last - s.first <= _SUDDEN else "shift"), axis, float(jump[axis])
+    else:
+        jump, scatter = beside(windows, s, events)
+        far = abs(jump) / np.where(scatter > 0.0, scatter, np.inf)
+        axis = int(np.argmax(far))
+        if far[axis] > _CHANGED:
+            return ("step" if s.last - s.first <= _SUDDEN else "shift"), axis, float(jump[axis])
     if s.kind != "moved":
         return None
-    span = np.ptp(windows.mean[s.first : s.last], axis=0)
     axis = int(np.argmax(span / usual))
     return "shift", axis, float(span[axis])

@@ -35,24 +35,20 @@ Scores = Float[np.ndarray, "groups places"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Row:
-    """Scores of one statistic at all places.
+class Steps:
+    """Differences between the means of neighbouring stretches, at all places.
 
     Attributes:
+        lag: number of windows of a stretch; place k compares those from k on with those from k + lag on.
         score: the score of each axis, and of groups of them, at each place.
-        width: number of windows of a place; place k begins with window k.
-        square: mean square difference, or squared step of the mean beyond the usual one, of each axis.
-        cluster: cluster size in samples.
-        step: step of the mean of each axis, if the scores are those of steps.
-        scatter: scatter of the steps of each axis.
+        step: difference of each axis, less the median.
+        scatter: scatter of the differences of each axis.
     """
 
+    lag: int
     score: Scores
-    width: int
-    square: Float[np.ndarray, "axes windows"]
-    cluster: int
-    step: Float[np.ndarray, "axes places"] | None = None
-    scatter: Float[np.ndarray, " axes"] | None = None
+    step: Float[np.ndarray, "axes places"]
+    scatter: Float[np.ndarray, " axes"]
 
 
 def shortest_half(
@@ -90,12 +86,12 @@ def groups_of(sensors: Sequence[str]) -> list[list[int]]:
     return alone + together + ([list(range(len(sensors)))] if len(sensors) > 1 else [])
 
 
-def noise_rows(
+def noise_scores(
     windows: Windows, sensors: Sequence[str], length: int, left_out: Bool[np.ndarray, " w"]
-) -> Iterator[Row]:
+) -> Iterator[Scores]:
     """Scores of the noise at each cluster size within a window, averaged over `length` windows.
 
-    Windows that are left out count as usual ones.
+    Place k is the average from window k on. Windows that are left out count as usual ones.
     """
     if len(windows) < _FEWEST * length:
         return
@@ -103,8 +99,7 @@ def noise_rows(
     # A short window at a seam has fewer differences and scatters more than the others.
     few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
     squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
-    roots = np.cbrt(squares + floor)
-    for scale, (root, square) in enumerate(zip(roots, squares, strict=True)):
+    for root, pairs in zip(np.cbrt(squares + floor), windows.pairs, strict=True):
         if not np.isfinite(root[:, 0]).any():
             continue
         middle = np.nanmedian(root, axis=0)
@@ -112,16 +107,15 @@ def noise_rows(
         averaged = _running(np.where(np.isfinite(relative), relative, 1.0), length)
         together = np.stack([averaged[:, g].mean(axis=1) for g in groups])
         # The scatter is no less than that of as many independent differences.
-        usual = float(max(np.median(windows.pairs[scale]), 1.0))
+        usual = float(max(np.median(pairs), 1.0))
         sizes = np.array([len(g) for g in groups])
-        least = np.sqrt(2.0 / (9.0 * usual * length * sizes))
-        yield Row(_scored(together, least), length, square.T, 1 << scale)
+        yield _scored(together, np.sqrt(2.0 / (9.0 * usual * length * sizes)))
 
 
-def step_rows(
+def steps_of(
     windows: Windows, sensors: Sequence[str], left_out: Bool[np.ndarray, " w"] | None = None
-) -> Iterator[Row]:
-    """Scores of the differences between the means of neighbouring stretches of 1, 2, 4, … windows.
+) -> Iterator[Steps]:
+    """Differences between the means of neighbouring stretches of 1, 2, 4, … windows, with scores.
 
     Their median is subtracted: a ramp over the record is a term of the noise model. The means leave out the
     windows in `left_out`.
@@ -144,8 +138,7 @@ def step_rows(
         step = np.nan_to_num(step - middle[:, None])
         square = (step / scatter[:, None]) ** 2
         roots = np.stack([np.cbrt(square[g].mean(axis=0) + _SOFT) for g in groups])
-        score = _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER))
-        yield Row(score, 2 * lag, step**2, lag * windows.size, step, scatter)
+        yield Steps(lag, _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER)), step, scatter)
         lag *= 2
 
 
