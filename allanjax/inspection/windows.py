@@ -17,6 +17,12 @@ _AT_ONCE = 1 << 15
 _SAMPLED = 4096
 # Fields of windows, with the dimension of their arrays along which these are.
 _ALONG = dict.fromkeys(("count", "mean", "low", "high", "peak", "repeats"), 0) | {"power": 1, "pairs": 1}
+# What makes those of one window from those of its two halves.
+_OF_TWO = dict.fromkeys(("count", "repeats", "power", "pairs"), np.add) | {
+    "low": np.minimum,
+    "high": np.maximum,
+    "peak": np.maximum,
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -114,8 +120,7 @@ class Windows:
         if 2 * len(self.rest) >= self.size or len(self) == 0:
             return last
         before, two = last.between(0, len(self) - 1), last.between(len(self) - 1, len(self) + 1)
-        one = two._paired(two.power[:, :1] + two.power[:, 1:], two.pairs[:, :1] + two.pairs[:, 1:])
-        return before._joined(one)
+        return before._joined(two._paired())
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Windows:
         """Windows of some of the axes."""
@@ -124,11 +129,12 @@ class Windows:
 
     def between(self, first: int, last: int) -> Windows:
         """Windows `first` up to but not including `last`."""
-        part = {
-            name: getattr(self, name)[(slice(None),) * along + (slice(first, last),)]
-            for name, along in _ALONG.items()
-        }
-        return dataclasses.replace(self, **part, rest=self.rest[:0])
+        return dataclasses.replace(self._rows(slice(first, last)), rest=self.rest[:0])
+
+    def _rows(self, rows: slice) -> Windows:
+        """Some of the windows."""
+        part = {name: getattr(self, name)[(slice(None),) * along + (rows,)] for name, along in _ALONG.items()}
+        return dataclasses.replace(self, **part)
 
     def _joined(self, *others: Windows) -> Windows:
         """Windows of this piece followed by those of others, of the same size."""
@@ -143,38 +149,28 @@ class Windows:
     def _coarser(self) -> Windows:
         """Windows twice as long, each of two; an odd one at the end stays as it is."""
         half = len(self) // 2
-        a, b = self.between(0, 2 * half), self.between(2 * half, len(self))
+        a, b = self.between(0, 2 * half), self._rows(slice(2 * half, None))
         whole = (a.count[::2] == self.size) & (a.count[1::2] == self.size)
         d = np.where(whole[:, None], a.mean[1::2] - a.mean[::2], 0.0)
-        power = np.concatenate([a.power[:, ::2] + a.power[:, 1::2], (d * d)[None]])
-        pairs = np.concatenate([a.pairs[:, ::2] + a.pairs[:, 1::2], whole[None].astype(int)])
-        coarse = dataclasses.replace(a._paired(power, pairs), size=2 * self.size)
-        none = np.zeros((1, len(b), self.power.shape[2]))
-        odd = dataclasses.replace(
-            b,
-            power=np.concatenate([b.power, none]),
-            pairs=np.concatenate([b.pairs, np.zeros((1, len(b)), int)]),
-            rest=self.rest,
-        )
-        return coarse._joined(odd)
+        longer = a._paired()._with_scale(d * d, whole)
+        odd = b._with_scale(np.zeros(b.mean.shape), np.zeros(len(b), bool))
+        return longer._joined(odd)
 
-    def _paired(
-        self, power: Float[np.ndarray, "scales w/2 axes"], pairs: Int[np.ndarray, "scales w/2"]
-    ) -> Windows:
-        """Pairs of windows as one window each, with these sums of squares."""
-        count = self.count[::2] + self.count[1::2]
-        total = self.count[:, None] * self.mean
+    def _with_scale(self, power: Float[np.ndarray, "w axes"], pairs: Bool[np.ndarray, " w"]) -> Windows:
+        """These as windows of twice the size, with the sums of squares at one more cluster size."""
         return dataclasses.replace(
             self,
-            count=count,
-            mean=(total[::2] + total[1::2]) / count[:, None],
-            low=np.minimum(self.low[::2], self.low[1::2]),
-            high=np.maximum(self.high[::2], self.high[1::2]),
-            power=power,
-            pairs=pairs,
-            peak=np.maximum(self.peak[::2], self.peak[1::2]),
-            repeats=self.repeats[::2] + self.repeats[1::2],
+            size=2 * self.size,
+            power=np.concatenate([self.power, power[None]]),
+            pairs=np.concatenate([self.pairs, pairs[None].astype(int)]),
         )
+
+    def _paired(self) -> Windows:
+        """Pairs of windows as one window each, but for the differences between the two."""
+        a, b = self._rows(slice(0, None, 2)), self._rows(slice(1, None, 2))
+        paired = {name: of_two(getattr(a, name), getattr(b, name)) for name, of_two in _OF_TWO.items()}
+        mean = (a.count[:, None] * a.mean + b.count[:, None] * b.mean) / paired["count"][:, None]
+        return dataclasses.replace(self, **paired, mean=mean)
 
 
 def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> Windows:
