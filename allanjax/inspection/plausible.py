@@ -21,6 +21,8 @@ _ABOUT = 0.2
 # A triad that averages less than this share of gravity has none in it: simulated, or taken out.
 _NONE = 0.1
 _ACCEL_UNITS = ("m/s²", "g", "mg", "cm/s²", "ft/s²")
+# An option that contradicts the header is refused.
+_HEADER = ", or correct the header if it says another unit"
 # Zero-rate level beyond the specification of any gyro.
 _LARGEST_BIAS = 20.0 * DEG
 # deg/√h in rad/√s.
@@ -102,9 +104,12 @@ def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], 
                 )
     for other in _ACCEL_UNITS:
         if is_gravity(number * unit_scale(other, "accel")):
-            return f"{wrong}; their unit is probably {other}: --accel-unit {other.replace('²', '^2')}"
+            option = f"--accel-unit {other.replace('²', '^2')}"
+            return f"{wrong}; their unit is probably {other}: {option}{_HEADER}"
     if own.quantity == "rate" and is_gravity(size * rate):
-        return f"{wrong}, {_G / rate:.4g} m/s a sample; they are probably increments: --accel-unit m/s"
+        return (
+            f"{wrong}, {_G / rate:.4g} m/s a sample; they are probably increments: --accel-unit m/s{_HEADER}"
+        )
     if triad and not moving and size > _NONE * _G:
         return (
             f"{wrong}, and this is {size:.3g}; is the unit right, and the range wide enough? (--accel-unit)"
@@ -128,7 +133,9 @@ def _gyro(
     flat = bool(np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[gyros]) < 0.0)
     known = f"gyros average {bias / DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
     if (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving):
-        remedy = "is the unit right? (--gyro-unit)" if "deg" in unit else "are they deg/s? --gyro-unit deg/s"
+        remedy = "is the unit right? (--gyro-unit)"
+        if "deg" not in unit:
+            remedy = f"are they deg/s? --gyro-unit deg/s{_HEADER}"
         return f"{known}, beyond any gyro at rest; {remedy}"
     if 0.0 < noise < _BEST_GYRO:
         return f"{known}, and the best ones made have 0.0001 deg/√h; is the unit right? (--gyro-unit)"
@@ -138,7 +145,7 @@ def _gyro(
         if 0.0 < noise / _ROOT_HOUR < _LEAST_RATIO * beside and beside > _MEMS:
             return (
                 f"{known}, too little beside accelerometers of {beside:.2g} m/s/√h; are they rad/s? "
-                "--gyro-unit rad/s"
+                f"--gyro-unit rad/s{_HEADER}"
             )
     return ""
 

@@ -304,6 +304,20 @@ def test_a_unit_that_cannot_be(gyro: float, accel: float, units: dict[str, str],
     assert said in warnings[0]
 
 
+def test_the_remedy_for_a_header_with_a_wrong_unit(tmp_path: Path) -> None:
+    """An option may not contradict a header: the warning says to correct it, and then it is gone."""
+    path, x = tmp_path / "imu.csv", values(12)[:, 3:] / G
+    lines = [",".join(map(repr, row)) for row in x.tolist()]
+    written = "\n".join(["accel_x [m/s^2],accel_y [m/s^2],accel_z [m/s^2]", *lines])
+    path.write_text(written)
+    (warning,) = aj.inspect(aj.read(path, rate=RATE)).warnings
+    assert warning.endswith("--accel-unit g, or correct the header if it says another unit")
+    with pytest.raises(aj.UnitError, match="correct the header"):
+        aj.read(path, rate=RATE, accel_unit="g")
+    path.write_text(written.replace("m/s^2", "g"))
+    assert aj.inspect(aj.read(path, rate=RATE)).warnings == ()
+
+
 def test_units_that_can_be() -> None:
     assert scaled(1.0, 1.0) == []
     assert scaled(1.0 / DEG, 1.0 / G, gyro_unit="deg/s", accel_unit="g") == []
