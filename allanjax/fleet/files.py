@@ -9,16 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.record.io.formats import name_of
 
 
 def matching_files(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], out: Path
 ) -> tuple[Path, ...]:
-    """Files that paths and patterns stand for, each once, without those below `out`, which are results.
-
-    Raises:
-        AllanjaxError: a pattern without a file.
-    """
+    """Files that paths and patterns stand for, each once, without those below `out`, which are results."""
     found: dict[Path, Path] = {}
     for pattern in [files] if isinstance(files, str | os.PathLike) else files:
         text = os.fspath(pattern)
@@ -44,7 +41,7 @@ def recording_names(paths: Sequence[Path]) -> list[str]:
     The suffix is added where the same folder has another file of that name, and as many folders as it takes,
     e.g. `unit_07_imu`.
     """
-    stems = [path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name for path in paths]
+    stems = [name_of(path) for path in paths]
     # Some file systems do not tell case apart.
     places = [
         str(path.absolute().with_name(stem)).casefold() for path, stem in zip(paths, stems, strict=True)

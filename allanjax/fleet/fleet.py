@@ -23,7 +23,7 @@ from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.groups import Groups, group_names
 from allanjax.fleet.options import FitOptions
-from allanjax.fleet.store import Earlier, Key, earlier, key_of, store, stored
+from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import cells, judged, left_out
 from allanjax.fleet.table import rows_of, table_of, write_table
@@ -163,27 +163,25 @@ def characterize_fleet(
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
     keys = {name: key_of(path, options) for name, path in recordings.items()}
-    before = earlier(folder, recordings, keys)
-    done = _Done.of_earlier(recordings, groups, folder, before)
+    resumed, others = earlier(folder, recordings, keys)
+    done = _Done(recordings, groups)
+    for name in resumed:
+        done.take(name, stored(folder, name))
     tell = progress or (lambda done, failed, total: None)
     tell(*done.counts, len(paths))
-    todo = [name for name in recordings if name not in before.done]
+    todo = [name for name in recordings if name not in resumed]
     if todo:
         with connected(scheduler, workers, len(todo)) as client:
             calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
             for name, outcome in outcomes(client, calls):
-                done.take_new(name, outcome, keys[name])
+                if not isinstance(outcome, Exception):
+                    store(folder, name, {"key": keys[name], "fit": outcome})
+                done.take(name, outcome)
                 tell(*done.counts, len(paths))
-    return _written(done, before, out)
-
-
-def _written(done: _Done, before: Earlier, out: Path) -> FleetResult:
-    """Result of all that is done, written to the folder `out` as well."""
     table, notes = judged(done.table())
-    if before.left_out:
-        notes = (left_out(before.left_out, done.folder), *notes)
-    paths = tuple(done.recordings.values())
-    result = FleetResult(table, done.failures(), paths, len(before.done), notes)
+    if others:
+        notes = (left_out(others, folder), *notes)
+    result = FleetResult(table, done.failures(), paths, len(resumed), notes)
     _write(result, out)
     return result
 
@@ -194,25 +192,8 @@ class _Done:
 
     recordings: Mapping[str, Path]
     groups: Mapping[str, str]
-    folder: Path
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
-
-    @classmethod
-    def of_earlier(
-        cls, recordings: Mapping[str, Path], groups: Mapping[str, str], folder: Path, before: Earlier
-    ) -> _Done:
-        """Progress that an earlier run left in its folder."""
-        done = cls(recordings, groups, folder)
-        for name in before.done:
-            done.take(name, stored(folder, name))
-        return done
-
-    def take_new(self, name: str, outcome: dict[str, Any] | Exception, key: Key | None) -> None:
-        """Take in what has just been computed, and keep it for later runs."""
-        if not isinstance(outcome, Exception):
-            store(self.folder, name, {"key": key, "fit": outcome})
-        self.take(name, outcome)
 
     def take(self, name: str, outcome: Mapping[str, Any] | Exception) -> None:
         """Take in the fit of a recording, or why it has none."""
@@ -241,11 +222,7 @@ class _Done:
 
 
 def characterize_recording(path: str | os.PathLike[str], options: FitOptions) -> Fit:
-    """Read and fit one recording of a fleet.
-
-    Raises:
-        AllanjaxError: as `read` and `fit` do.
-    """
+    """Read and fit one recording of a fleet."""
     return options.fit(read_recording(path, options.reading))
 
 

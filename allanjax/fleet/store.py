@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,19 +13,6 @@ from typing import Any
 from allanjax.fleet.options import FitOptions
 
 Key = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Earlier:
-    """Fits that earlier runs have stored.
-
-    Attributes:
-        done: names of this run's recordings that have a stored fit; `stored` gives it.
-        left_out: files of other recordings that have a stored fit, which this run does not name.
-    """
-
-    done: Sequence[str]
-    left_out: Sequence[Path]
 
 
 def key_of(path: Path, options: FitOptions) -> Key | None:
@@ -44,8 +30,10 @@ def key_of(path: Path, options: FitOptions) -> Key | None:
     }
 
 
-def earlier(folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key | None]) -> Earlier:
-    """Fits that a folder has of these recordings, by their names, and of others.
+def earlier(
+    folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key | None]
+) -> tuple[list[str], list[Path]]:
+    """Names of those of these recordings that a folder has a fit of, and files of others that it has one of.
 
     Names are unique within a run only. A stored fit that had another name in an earlier run gets its new one;
     one that is left out and has a name that is needed is renamed.
@@ -63,7 +51,7 @@ def earlier(folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key
     for name in done:
         _file(folder, names[_text(keys[name])]).replace(_file(folder, name))
     left_out = {key["path"] for key in found.values()} - set(paths.values())
-    return Earlier(done, [Path(path) for path in sorted(left_out)])
+    return done, [Path(path) for path in sorted(left_out)]
 
 
 def stored(folder: Path, name: str) -> dict[str, Any]:
