@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.special import gammaln, logsumexp
 
 from allanjax.fleet.outlying_units import (
     FEWEST_UNITS,
     WIDTHS,
-    Values,
+    Numbers,
+    Widths,
     log_evidence,
     log_prior_of,
     median_width,
     pooled,
 )
+from allanjax.fleet.table import Family
 from allanjax.record.units import Sensor
 
 # Odds of several groups against one from which on groups are reported, times the number of coefficients: a
@@ -47,14 +49,8 @@ class Pooled:
 
     sensor: Sensor
     coefficient: str
-    x: Float[np.ndarray, " units"]
-    s: Float[np.ndarray, " units"]
-
-    def of_units(self, places: Int[np.ndarray, " units"], count: int) -> Pooled:
-        """Values at these places among more units, NaN for the others."""
-        x, s = np.full((2, count), np.nan)
-        x[places], s[places] = self.x, self.s
-        return Pooled(self.sensor, self.coefficient, x, s)
+    x: Numbers
+    s: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +70,8 @@ class Split:
     @property
     def ratios(self) -> list[float]:
         """Ratio of each group's median to that of the group below."""
-        return list(
-            np.exp(np.diff([np.nanmedian(self.pooled.x[self.labels == g]) for g in range(self.groups)]))
-        )
+        medians = [np.nanmedian(self.pooled.x[self.labels == g]) for g in range(self.groups)]
+        return list(np.exp(np.diff(medians)))
 
     @property
     def groups(self) -> int:
@@ -84,16 +79,19 @@ class Split:
         return int(self.labels.max()) + 1
 
 
-def pooled_values(sensor: Sensor, coefficient: str, axes: Sequence[Values]) -> Pooled:
-    """Coefficient of all units, pooled from its values on each axis.
+def pooled_values(family: Family, units: Sequence[str]) -> Pooled:
+    """Coefficient of these units, pooled from its values on each axis.
 
     A limit counts as a value if it is below all values: the coefficient is lower still.
     """
-    values = pooled(list(axes))
+    values = pooled(family.axes)
     lowest = values.x[values.known].min() if values.known.any() else np.inf
-    s = np.where(values.known, (values.below + values.above) / 2.0, _LIMIT_SCATTER)
     counted = values.known | (values.limited & (values.x < lowest))
-    return Pooled(sensor, coefficient, np.where(counted, values.x, np.nan), np.where(counted, s, np.nan))
+    places = [units.index(name) for name in family.recordings]
+    x, s = np.full((2, len(units)), np.nan)
+    x[places] = np.where(counted, values.x, np.nan)
+    s[places] = np.where(values.known, (values.below + values.above) / 2.0, _LIMIT_SCATTER)
+    return Pooled(family.sensor, family.coefficient, x, np.where(np.isfinite(x), s, np.nan))
 
 
 def found_split(families: Sequence[Pooled]) -> Split | None:
@@ -142,11 +140,11 @@ def _split(values: Pooled) -> Split | None:
 
 
 def _weighed(
-    x: Float[np.ndarray, " units"],
-    s: Float[np.ndarray, " units"],
+    x: Numbers,
+    s: Numbers,
     parts: Sequence[Int[np.ndarray, " _"]],
     smallest: int,
-    prior: Float[np.ndarray, " widths"],
+    prior: Widths,
 ) -> tuple[float, float, Int[np.ndarray, " units"]]:
     """Log evidence of one group and of several, the parts being groups or odd units, and the labels."""
     sizes = np.array([len(part) for part in parts])

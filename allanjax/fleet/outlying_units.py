@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -37,6 +38,12 @@ _SHARE = 0.5
 _ROUNDING = 1e-9
 
 
+#: A number of each unit, a flag of each, and a number for each of `WIDTHS`.
+Numbers: TypeAlias = Float[np.ndarray, " units"]
+Flags: TypeAlias = Bool[np.ndarray, " units"]
+Widths: TypeAlias = Float[np.ndarray, " widths"]
+
+
 @dataclass(frozen=True, eq=False)
 class Values:
     """Logarithms of one coefficient of many units, on one axis or pooled over several.
@@ -48,39 +55,35 @@ class Values:
         limited: whether there is an upper limit instead.
     """
 
-    x: Float[np.ndarray, " units"]
-    below: Float[np.ndarray, " units"]
-    above: Float[np.ndarray, " units"]
-    known: Bool[np.ndarray, " units"]
-    limited: Bool[np.ndarray, " units"]
+    x: Numbers
+    below: Numbers
+    above: Numbers
+    known: Flags
+    limited: Flags
 
     @property
-    def comparable(self) -> Bool[np.ndarray, " units"]:
+    def comparable(self) -> Flags:
         """Whether a unit has an estimate or a limit."""
         return self.known | self.limited
 
-    def towards(self, centre: float) -> Float[np.ndarray, " units"]:
+    def towards(self, centre: float) -> Numbers:
         """Standard deviations of x on the side that faces the centre; limits have none."""
         s = np.where(self.x > centre, self.below, self.above)
         return np.where(self.known, np.maximum(s, _ROUNDING), _ROUNDING)
 
 
 def log_values(
-    value: Float[np.ndarray, " units"],
-    lower: Float[np.ndarray, " units"],
-    upper: Float[np.ndarray, " units"],
-    upper_limit: Float[np.ndarray, " units"],
-    detected: Bool[np.ndarray, " units"],
+    value: Numbers, lower: Numbers, upper: Numbers, upper_limit: Numbers, detected: Flags
 ) -> Values:
     """Logarithms of estimates with 95 % intervals, and of 95 % limits of what was not detected.
 
     A unit with neither (NaN, or an interval without width, as of a value that was held) is not compared.
     """
     has_interval = (lower > 0.0) & (value >= lower) & (upper >= value) & (upper > lower)
-    known: Bool[np.ndarray, " units"] = detected & has_interval & np.isfinite(upper)
-    limited: Bool[np.ndarray, " units"] = ~detected & (upper_limit > 0.0) & np.isfinite(upper_limit)
+    known: Flags = detected & has_interval & np.isfinite(upper)
+    limited: Flags = ~detected & (upper_limit > 0.0) & np.isfinite(upper_limit)
 
-    def log(numbers: Float[np.ndarray, " units"], of: Bool[np.ndarray, " units"]) -> Float[np.ndarray, ...]:
+    def log(numbers: Numbers, of: Flags) -> Numbers:
         return np.log(np.where(of, numbers, 1.0))
 
     x = log(value, known) + log(upper_limit, limited)
@@ -95,18 +98,19 @@ def pooled(axes: list[Values]) -> Values:
     Axes weigh by the inverse of the variance that their own interval and the usual scatter give them. A unit
     with an estimate on one axis at least is known by its estimates, one without by its limits.
     """
-    known = np.stack([axis.known for axis in axes], axis=1)
-    limited = np.stack([axis.limited for axis in axes], axis=1)
-    is_known = np.logical_or.reduce(known, axis=1)
-    is_limited = np.logical_or.reduce(limited, axis=1) & ~is_known
-    counted = np.where(is_known[:, None], known, limited)
-    deviation = np.stack([axis.x - _median(axis) for axis in axes], axis=1)
-    below = np.stack([axis.below for axis in axes], axis=1)
-    above = np.stack([axis.above for axis in axes], axis=1)
-    weight = counted / (_SCATTER["angle_random_walk"] ** 2 + ((below + above) / 2.0) ** 2)
-    total = np.maximum(weight.sum(axis=1), _ROUNDING)
-    below, above = (np.sqrt(np.sum((weight * s) ** 2, axis=1)) / total for s in (below, above))
-    mean = np.sum(weight * deviation, axis=1) / total
+    # One row an axis.
+    known, limited, below, above = (
+        np.stack([getattr(axis, name) for axis in axes]) for name in ("known", "limited", "below", "above")
+    )
+    deviation = np.stack([axis.x - _median(axis) for axis in axes])
+    is_known: Flags = np.any(known, axis=0)
+    is_limited: Flags = np.any(limited, axis=0) & ~is_known
+    weight = np.where(is_known, known, limited) / (
+        _SCATTER["angle_random_walk"] ** 2 + ((below + above) / 2.0) ** 2
+    )
+    total = np.maximum(weight.sum(axis=0), _ROUNDING)
+    below, above = (np.sqrt(np.sum((weight * s) ** 2, axis=0)) / total for s in (below, above))
+    mean = np.sum(weight * deviation, axis=0) / total
     return Values(mean, below, above, is_known, is_limited)
 
 
@@ -161,9 +165,7 @@ def testable(axes: list[Values]) -> bool:
     return any(axis.known.any() and axis.comparable.sum() >= FEWEST_UNITS for axis in axes)
 
 
-def _unlike(
-    values: Values, probability: float, log_prior: Float[np.ndarray, " widths"]
-) -> Bool[np.ndarray, " units"]:
+def _unlike(values: Values, probability: float, log_prior: Widths) -> Flags:
     """Whether each unit is unlike the others in one column."""
     marked = np.zeros(len(values.x), bool)
     comparable = values.comparable
@@ -185,7 +187,7 @@ def _unlike(
     return marked
 
 
-def _suspects(values: Values) -> tuple[Int[np.ndarray, " suspects"], Bool[np.ndarray, " units"]]:
+def _suspects(values: Values) -> tuple[Int[np.ndarray, " suspects"], Flags]:
     """Units to test, the most extreme first, and whether each unit is high rather than low."""
     high, low = _distance(values, values.comparable), _distance(values, values.known)
     is_high = high > _SUSPECT
@@ -194,7 +196,7 @@ def _suspects(values: Values) -> tuple[Int[np.ndarray, " suspects"], Bool[np.nda
     return order[distance[order] > _SUSPECT][: values.comparable.sum() // 3], is_high
 
 
-def _distance(values: Values, units: Bool[np.ndarray, " units"]) -> Float[np.ndarray, " units"]:
+def _distance(values: Values, units: Flags) -> Numbers:
     """Distance of each value from the median of these units in robust standard deviations."""
     centre = float(np.median(values.x[units]))
     s = values.towards(centre)
@@ -202,9 +204,7 @@ def _distance(values: Values, units: Bool[np.ndarray, " units"]) -> Float[np.nda
     return (values.x - centre) / np.hypot(width, s)
 
 
-def _chance(
-    values: Values, unit: int, alike: Bool[np.ndarray, " units"], log_prior: Float[np.ndarray, " widths"]
-) -> float:
+def _chance(values: Values, unit: int, alike: Flags, log_prior: Widths) -> float:
     """Probability of a value so far out on its side in a unit like the others; 1 if it is unknown."""
     rest = np.flatnonzero((values.known if (values.known & alike).sum() > 1 else values.comparable) & alike)
     if not values.known[unit] or len(rest) + 1 < FEWEST_UNITS:
@@ -212,9 +212,7 @@ def _chance(
     return _tail(values, unit, rest, log_prior)
 
 
-def _tail(
-    values: Values, unit: int, rest: Int[np.ndarray, " rest"], log_prior: Float[np.ndarray, " widths"]
-) -> float:
+def _tail(values: Values, unit: int, rest: Int[np.ndarray, " rest"], log_prior: Widths) -> float:
     """Probability of a value at least as far from the others on its side, integrated over centre and τ."""
     from scipy.special import ndtr
 
@@ -233,9 +231,9 @@ def _tail(
 
 def log_evidence(
     precision: Float[np.ndarray, "widths units"],
-    x: Float[np.ndarray, " units"],
-    mean: Float[np.ndarray, " widths"],
-) -> Float[np.ndarray, " widths"]:
+    x: Numbers,
+    mean: Widths,
+) -> Widths:
     """Log-likelihood of normal values, integrated over a centre of flat prior density 1."""
     total = precision.sum(axis=1)
     misfit = np.sum(precision * (x - mean[:, None]) ** 2, axis=1)
@@ -243,7 +241,7 @@ def log_evidence(
     return 0.5 * (parts - (len(x) - 1) * np.log(2.0 * np.pi))
 
 
-def log_prior_of(coefficient: str) -> Float[np.ndarray, " widths"]:
+def log_prior_of(coefficient: str) -> Widths:
     """Log prior probability of each width; the probabilities add up to 1."""
     scale = _SCATTER.get(coefficient, _SCATTER_OF_OTHERS)
     weight = (1.0 + (WIDTHS / scale) ** 2 / _DEGREES) ** (-0.5 * (_DEGREES + 1.0)) * np.gradient(WIDTHS)
@@ -256,7 +254,7 @@ def _median(values: Values) -> float:
     return float(np.median(values.x[units])) if units.any() else 0.0
 
 
-def median_width(distance: Float[np.ndarray, " units"], s: Float[np.ndarray, " units"]) -> float:
+def median_width(distance: Numbers, s: Numbers) -> float:
     """Robust scatter τ of units beyond their own standard deviations, by their median distance."""
     width = float(np.median(distance)) / _MEDIAN_DISTANCE
     return float(np.sqrt(max(width**2 - float(np.median(s)) ** 2, 0.0)))

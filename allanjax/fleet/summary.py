@@ -42,11 +42,7 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
 def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
     """Table of a group, or tables of the groups that it falls into, each with notes."""
     names = list(table["recording"].unique())
-    found = []
-    for family in families(table):
-        values = pooled_values(family.sensor, family.coefficient, family.axes)
-        found.append(values.of_units(np.array([names.index(name) for name in family.recordings]), len(names)))
-    split = found_split(found)
+    split = found_split([pooled_values(family, names) for family in families(table)])
     if split is None:
         yield table, []
         return

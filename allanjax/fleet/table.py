@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Columns that say how large a coefficient is.
 _NUMBERS = ("value", "lower_95", "upper_95", "upper_limit_95")
+# Columns that a coefficient has in the JSON, too.
+_AS_IN_JSON = ("value", "std", "unit", "detected", "upper_limit_95", "measured")
 
 
 @functools.cache
@@ -59,35 +61,31 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
 
     Axes without result have no rows. Outlying units are marked later.
     """
-    rows = []
     start, stop = fit["stretch_s"] or (None, None)
-    for axis in fit["axes"]:
-        for c in axis["coefficients"]:
-            rows.append(
-                {
-                    "recording": recording,
-                    "file": file,
-                    "group": group,
-                    "axis": axis["name"],
-                    "sensor": axis["sensor"],
-                    "coefficient": c["label"],
-                    "value": c["value"],
-                    "std": c["std"],
-                    "lower_95": c["interval_95"][0],
-                    "upper_95": c["interval_95"][1],
-                    "unit": c["unit"],
-                    "detected": c["detected"],
-                    "upper_limit_95": c["upper_limit_95"],
-                    "measured": c["measured"],
-                    "p_value": axis["p_value"],
-                    "terms": " + ".join(_terms(axis)),
-                    "outlying": False,
-                    "start_s": start,
-                    "stop_s": stop,
-                    "warnings": "\n".join(fit["warnings"]),
-                }
-            )
-    return rows
+    of_all = {
+        "recording": recording,
+        "file": file,
+        "group": group,
+        "outlying": False,
+        "start_s": start,
+        "stop_s": stop,
+        "warnings": "\n".join(fit["warnings"]),
+    }
+    return [
+        {name: c[name] for name in _AS_IN_JSON}
+        | {
+            "axis": axis["name"],
+            "sensor": axis["sensor"],
+            "coefficient": c["label"],
+            "lower_95": c["interval_95"][0],
+            "upper_95": c["interval_95"][1],
+            "p_value": axis["p_value"],
+            "terms": " + ".join(_terms(axis)),
+        }
+        | of_all
+        for axis in fit["axes"]
+        for c in axis["coefficients"]
+    ]
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
@@ -102,7 +100,7 @@ class Family:
     """One coefficient of the units of a group, on all axes of a sensor.
 
     Attributes:
-        sensor, coefficient, group: sensor, label of the coefficient, name of the group.
+        sensor, coefficient: sensor, label of the coefficient.
         recordings: names of the units.
         rows: their rows in the table, −1 where there is none.
         axes: logarithms of the coefficient on each axis.
@@ -110,7 +108,6 @@ class Family:
 
     sensor: Sensor
     coefficient: str
-    group: str
     recordings: Sequence[str]
     rows: Int[np.ndarray, "units axes"]
     axes: list[Values]
@@ -121,14 +118,14 @@ def families(table: pd.DataFrame) -> Iterator[Family]:
     value, lower, upper, limit = (np.append(table[name].to_numpy(), np.nan) for name in _NUMBERS)
     is_detected = np.append(table["detected"].to_numpy(), False)
     parts: Mapping[Any, Any] = table.groupby(["group", "sensor", "coefficient"], sort=False).indices
-    for (group, sensor, coefficient), places in parts.items():
+    for (_, sensor, coefficient), places in parts.items():
         of = table.iloc[places]
         units, names = of["recording"].factorize()
         columns, axes = of["axis"].factorize()
         rows = np.full((len(names), len(axes)), -1)
         rows[units, columns] = places
         values = [log_values(value[r], lower[r], upper[r], limit[r], is_detected[r]) for r in rows.T]
-        yield Family(sensor, coefficient, group, list(names), rows, values)
+        yield Family(sensor, coefficient, list(names), rows, values)
 
 
 def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
