@@ -49,13 +49,16 @@ def axes_of(
     """Axes from columns, given each sensor's unit where the labels have none, and notes on them.
 
     Raises:
-        RecordingError: there are none, or two columns are the same axis.
+        RecordingError: there are none, two columns are the same axis, or one is no axis.
         UnitError: a unit is missing, unknown, or given twice and differently.
     """
     check_axes(columns, source)
     axes, increments = [], []
     for column in columns:
-        assert column.sensor is not None
+        if column.sensor is None:
+            raise source.error(
+                f"{column.label!r} is no axis of a gyro or an accelerometer; use names such as gyro_x"
+            )
         unit = _unit_of(column, column.sensor, units[column.sensor], source)
         axes.append(Axis(column.name, column.sensor, unit.name))
         if unit.quantity == "increment":
@@ -79,8 +82,7 @@ def default_names(
 ) -> tuple[str, ...]:
     """Default names of `count` columns, as implied by the sensors whose units are given.
 
-    Raises:
-        RecordingError: the units do not imply names; the message says to use `remedy`.
+    If they imply none, a RecordingError says to use `remedy`.
     """
     sensors = [sensor for sensor, unit in units.items() if unit is not None]
     if len(sensors) == 1 and count == 1:

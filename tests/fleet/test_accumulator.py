@@ -196,7 +196,7 @@ def test_pieces_that_do_not_follow_are_not_merged(other, message):
         ({"start": -1}, "must not be negative"),
         ({"axes": "gyro_x"}, "list of names"),
         ({"axes": ["gyro_x", "gyro_x"]}, "both gyro_x"),
-        ({"axes": ["temperature"]}, "axes="),
+        ({"axes": ["temperature"]}, "axes=: 'temperature' is no axis"),
     ],
 )
 def test_nonsense_is_refused(arguments, message):
