@@ -228,11 +228,11 @@ def _squares(
         yield (steps.step**2).T, np.ones(steps.step.shape[1]), 2 * steps.lag
 
 
-def longest_quiet(count: int, stretches: Sequence[Stretch], pad: int = 1) -> tuple[int, int]:
-    """Longest run of windows outside of all stretches, `pad` windows away from each."""
+def longest_quiet(count: int, stretches: Sequence[Stretch]) -> tuple[int, int]:
+    """Longest run of `count` windows that is outside of all stretches, a window away from each."""
     edges = [0]
     for s in stretches:
-        edges += [0 if s.first <= pad else s.first - pad, count if s.last >= count - pad else s.last + pad]
+        edges += [max(s.first - 1, 0), min(s.last + 1, count)]
     edges.append(count)
     return max(zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0])
 

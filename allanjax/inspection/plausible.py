@@ -171,13 +171,9 @@ def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
 def coarse(
     windows: Windows, axes: Sequence[Axis], rate: float, values: Float[np.ndarray, "n axes"] | None
 ) -> list[str]:
-    """Warnings about a recording that is too short, too coarse, or has held samples.
+    """Warnings about a recording of this rate [Hz] that is too short, too coarse, or has held samples.
 
-    Args:
-        windows: the recording's windows.
-        axes: its axes.
-        rate: its sample rate [Hz].
-        values: its samples, where they are in memory.
+    `values` are its samples, where they are in memory.
     """
     lines, n = [], windows.n
     if n < _FEW_SAMPLES or n / rate < SHORT:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
+from allanjax.base.wording import plain
 from allanjax.inspection.motion import Motion
 from allanjax.inspection.quiet import Event
 from allanjax.record.recording import Axis
@@ -47,14 +47,10 @@ def _around(e: Event, rate: float, step: float) -> str:
 
 def said_of_events(events: Sequence[Event], axes: Sequence[Axis], rate: float, duration: float) -> str:
     """Events as text, e.g. "0–5 s is 170 times noisier than the rest, a step of 1 deg/s at 9 s (gyro_x)"."""
-    step = grid(duration)
-    ordered = sorted(events, key=lambda e: e.kind)
-    by_kind = {k: list(g) for k, g in itertools.groupby(ordered, key=lambda e: e.kind)}
-    return ", ".join(
-        _clause(kind, by_kind[kind], axes, rate, step)
-        for kind in ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
-        if kind in by_kind
-    )
+    kinds = ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
+    by_kind = {kind: [e for e in events if e.kind == kind] for kind in kinds}
+    clauses = (_clause(kind, of, axes, rate, grid(duration)) for kind, of in by_kind.items() if of)
+    return ", ".join(clauses)
 
 
 def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: float, step: float) -> str:
@@ -65,7 +61,9 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
     size = amount(abs(largest.size), axis)
     listed, are = _listed(spans), "is" if len(spans) == 1 else "are"
     if kind in ("noisier", "quieter"):
-        return f"{listed} {are} {_ratio(largest.size)} times {kind} than the rest"
+        # Two digits, or three where it is near one.
+        ratio = plain(largest.size, 2 if largest.size >= 2.0 else 3)
+        return f"{listed} {are} {ratio} times {kind} than the rest"
     if kind == "silent":
         return f"{axis.name} does not change at all in {listed}"
     if kind == "warm-up":
@@ -75,30 +73,27 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
         if len(events) == 1:
             return f"{axis.name} moves by {size} in {listed}"
         return f"the mean moves by up to {size} ({axis.name}) in {listed}"
-    middles = [f"{seconds(0.5 * (e.first + e.last) / rate, step)} s" for e in events]
-    noun = {"step": "step", "knock": "knock", "spike": "single value"}[kind]
-    off = " off" if kind == "spike" else ""
-    if len(events) == 1:
-        of = f"a {noun} {size}{off}" if kind == "spike" else f"a {noun} of {size}"
-        return f"{of} at {middles[0]} ({axis.name})"
-    of = f"up to {size}{off}"
-    return f"{len(events)} {noun}s of {of} at {_listed(middles)} (largest: {axis.name})"
+    middles = _listed([f"{seconds(0.5 * (e.first + e.last) / rate, step)} s" for e in events])
+    noun, off = ("single value", " off") if kind == "spike" else (kind, "")
+    if len(events) > 1:
+        return f"{len(events)} {noun}s of up to {size}{off} at {middles} (largest: {axis.name})"
+    of = "" if kind == "spike" else "of "
+    return f"a {noun} {of}{size}{off} at {middles} ({axis.name})"
 
 
 def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
     """Warning that this is no static recording, with the numbers that show it."""
     reasons = []
+    # The strongest of each sensor, which is the last.
     for m in {axes[m.axis].sensor: m for m in moving}.values():
         axis = axes[m.axis]
         value, limit = amount(m.value, axis), amount(m.limit, axis)
-        reasons.append(
-            {
-                "changes": f"{axis.name} changes by {value} (rms) from one {m.time:.2g} s to the next",
-                "wanders": f"{axis.name} wanders over {value}",
-                "shakes": f"{axis.name} shakes by {value} (rms)",
-            }[m.kind]
-            + f", at rest by {limit} at most"
-        )
+        how = {
+            "changes": f"changes by {value} (rms) from one {m.time:.2g} s to the next",
+            "wanders": f"wanders over {value}",
+            "shakes": f"shakes by {value} (rms)",
+        }
+        reasons.append(f"{axis.name} {how[m.kind]}, at rest by {limit} at most")
     return (
         f"this does not look like a static recording: {'; '.join(reasons)}. The coefficients are of the "
         "motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and --stop; if "
@@ -131,18 +126,7 @@ def cannot_cut(said: str, where: str, stretch: tuple[float, float]) -> str:
 def amount(value: float, axis: Axis) -> str:
     """Rate in the recording's unit, e.g. "0.21 deg/s"."""
     unit, scale = rate_unit_of(axis.unit, axis.sensor)
-    return f"{two_digits(value / scale)} {unit}"
-
-
-def _ratio(size: float) -> str:
-    """Ratio to two digits, or three where it is near one."""
-    return two_digits(size) if size >= 2.0 else f"{size:.3g}"
-
-
-def two_digits(value: float) -> str:
-    """Number to two significant digits, e.g. "0.0072", "170"."""
-    rounded = float(f"{value:.2g}")
-    return f"{rounded:,.0f}" if rounded >= 1e4 else f"{rounded:g}"
+    return f"{plain(value / scale, 2)} {unit}"
 
 
 def _listed(words: Sequence[str]) -> str:
