@@ -37,27 +37,14 @@ class FitOptions:
         return own | self.reading.given()
 
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
-        """Fit of a recording with these options.
-
-        Args:
-            recording: what to fit.
-            seen: how it looks (`inspect`), if that is known already.
-
-        Raises:
-            AllanjaxError: as `fit`.
-        """
+        """Fit of a recording with these options; `seen` is how it looks (`inspect`), if that is known."""
         seen = self.inspect(recording) if seen is None else seen
         return fit_inspected(recording, seen, self.model, self.objective, self.regressors)
 
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.
 
-        Args:
-            accumulator: of a recording, or of the stretch of it that `seen` says.
-            seen: how the whole of it looked, if that is another.
-
-        Raises:
-            AllanjaxError: as `AllanAccumulator.fit`.
+        It is of the recording, or of the stretch of it that `seen` says, which is how the whole of it looked.
         """
         if seen is None or seen.stretch is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)

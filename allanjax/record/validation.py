@@ -36,11 +36,7 @@ class Source:
 
 
 def check_rate(rate: float, source: Source) -> float:
-    """Check a sample rate and return it in Hz as a float.
-
-    Raises:
-        RecordingError: it is not a positive finite number.
-    """
+    """Sample rate in Hz as a float; RecordingError if it is not a positive finite number."""
     if not (np.isreal(rate) and np.isfinite(rate) and rate > 0):
         raise source.error(
             f"the sample rate must be a positive number of Hz, not {rate!r}; pass rate= (--rate)"

@@ -57,11 +57,7 @@ def read(
 
 
 def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
-    """Read a static recording with these options, as `read` does; messages name the file `label`.
-
-    Raises:
-        RecordingError, UnitError: as `read`.
-    """
+    """Read a static recording with these options, as `read` does; messages name the file `label`."""
     path = Path(path)
     source = Source(label or str(path))
     return assemble(format_of(path, source).open(path, source), name_of(path), options)

@@ -13,11 +13,7 @@ from allanjax.record.validation import Source, check_length, check_rate
 
 
 def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
-    """Make a recording from a table.
-
-    Raises:
-        RecordingError, UnitError: the table or the arguments are not usable.
-    """
+    """Make a recording from a table, or say by a RecordingError or UnitError what is missing or wrong."""
     source, columns = table.source, table.columns()
     layout = find_layout(table, columns, options)
     notes = [*table.notes, *layout.notes]

@@ -21,11 +21,7 @@ _FEW_AXES = 12
 
 
 def open_npy(path: Path, source: Source) -> Table:
-    """Array of shape [samples] or [samples, columns], or structured with named columns, as a memory map.
-
-    Raises:
-        RecordingError: unreadable, of another shape, or seemingly transposed.
-    """
+    """Array of shape [samples] or [samples, columns], or structured with named columns, as a memory map."""
     columns, labels = _npy_columns(path, source)
     n = len(columns[0])
 
@@ -50,11 +46,7 @@ def _npy_columns(path: Path, source: Source) -> tuple[Columns, tuple[str, ...] |
 
 
 def read_npz(path: Path, source: Source) -> Table:
-    """Read named arrays: columns, `gyro` and `accel` of shape [samples, 3], scalars `rate`, `fs` or `dt`.
-
-    Raises:
-        RecordingError: unreadable, or the arrays do not fit together.
-    """
+    """Named arrays: columns, `gyro` and `accel` of shape [samples, 3], scalars `rate`, `fs` or `dt`."""
     if not zipfile.is_zipfile(path):
         raise source.error("a damaged .npz file; save it again")
     with zipfile.ZipFile(path) as archive:
@@ -69,11 +61,7 @@ def read_npz(path: Path, source: Source) -> Table:
 
 
 def read_mat(path: Path, source: Source) -> Table:
-    """Read a MATLAB file (up to -v7) of named arrays, as `read_npz`; the fields of a struct count as arrays.
-
-    Raises:
-        RecordingError: unreadable (among others -v7.3), or the arrays do not fit together.
-    """
+    """Named arrays of a MATLAB file up to -v7, as of an .npz file; the fields of a struct count as arrays."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -88,11 +76,7 @@ def read_mat(path: Path, source: Source) -> Table:
 
 
 def open_parquet(path: Path, source: Source) -> Table:
-    """All columns of a Parquet file.
-
-    Raises:
-        RecordingError: unreadable.
-    """
+    """All columns of a Parquet file."""
     import pyarrow.parquet as pq
 
     with _parquet_errors(source), pq.ParquetFile(path) as file:

@@ -122,11 +122,7 @@ def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: 
 def open_chunks(
     path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20, label: str | None = None
 ) -> ChunkedRecording:
-    """Open a recording with these options, as `read_chunks` does; messages name the file `label`.
-
-    Raises:
-        RecordingError, UnitError: as `read_chunks`.
-    """
+    """Open a recording with these options, as `read_chunks` does; messages name the file `label`."""
     path = Path(path)
     source = Source(label or str(path))
     if chunk < 1:

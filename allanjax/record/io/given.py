@@ -60,8 +60,7 @@ def as_recording(
     if columns is not None:
         table = Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
         return assemble(table, "", ReadOptions(rate, gyro_unit, accel_unit, names))
-    values = _samples(data)
-    rate = _needed(rate)
+    values, rate = _samples(data, rate)
     if gyro_unit is None and accel_unit is None and names is None:
         raise AllanjaxError(
             'an array needs the unit of its samples: give gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
@@ -85,18 +84,11 @@ def samples_of(
     if told or not gyro_unit is accel_unit is names is None:
         recording = as_recording(data, rate, gyro_unit, accel_unit, names)
         return recording.values, recording.rate, recording.axes
-    samples = _samples(data)
+    samples, rate = _samples(data, rate)
     values = samples[:, None] if samples.ndim == 1 else samples
     if values.ndim != 2 or values.shape[1] == 0:
         raise AllanjaxError(f"data must have the shape [samples] or [samples, axes], not {values.shape}")
-    return values, check_rate(_needed(rate), Source("array")), None
-
-
-def _needed(rate: float | None) -> float:
-    """Sample rate; AllanjaxError if there is none."""
-    if rate is None:
-        raise AllanjaxError("an array needs its sample rate: give rate in Hz")
-    return rate
+    return values, check_rate(rate, Source("array")), None
 
 
 def _columns(data: Any) -> dict[str, np.ndarray] | None:
@@ -114,23 +106,21 @@ def _columns(data: Any) -> dict[str, np.ndarray] | None:
     return times | {str(label): np.asarray(data[label]) for label in data.columns}
 
 
-def _samples(data: Any) -> np.ndarray:
-    """Samples as an array of floats."""
+def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
+    """Samples as an array of floats, and their rate, which must be given."""
     remedy = (
         "give what allanjax.read returns, an array with rate= and gyro_unit= or accel_unit=, or a data frame"
     )
     if isinstance(data, ChunkedRecording):
         remedy = "accumulate it, allanjax.accumulate(recording).fit(), or read the whole with allanjax.read"
+    kind = type(data).__name__
+    message = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind} is no recording: {remedy}"
     try:
         values = np.asarray(data, dtype=float)
     except (TypeError, ValueError) as error:
-        raise AllanjaxError(f"{_named(data)} is no recording: {remedy}") from error
+        raise AllanjaxError(message) from error
     if values.ndim == 0:
-        raise AllanjaxError(f"{_named(data)} is no recording: {remedy}")
-    return values
-
-
-def _named(data: Any) -> str:
-    """Type of the data with its article, for messages."""
-    kind = type(data).__name__
-    return f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind}"
+        raise AllanjaxError(message)
+    if rate is None:
+        raise AllanjaxError("an array needs its sample rate: give rate in Hz")
+    return values, rate

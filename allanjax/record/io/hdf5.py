@@ -17,11 +17,7 @@ _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save i
 
 
 def open_hdf5(path: Path, source: Source) -> Table:
-    """Named datasets as the arrays of an .npz file; those in groups are named `group.dataset`.
-
-    Raises:
-        RecordingError: h5py is not installed, the file is damaged, or the datasets do not fit together.
-    """
+    """Named datasets as the arrays of an .npz file; those in groups are named `group.dataset`."""
     with _opened(path, source) as file:
         datasets = _datasets(file)
         table = from_named({name: _outline(dataset) for name, dataset in datasets.items()}, source)

@@ -78,7 +78,7 @@ class Format:
     Attributes:
         name: what messages call it, a usual suffix.
         begins: whether a file with these first 520 bytes and this path is of the kind.
-        open: the table of a file; the source is what messages name it.
+        open: the table of a file, which messages name by the source; RecordingError if it is damaged.
         in_chunks: whether the table is read some rows at a time, not as a whole.
     """
 

@@ -45,11 +45,7 @@ class _Layout:
 
 
 def open_text(path: Path, source: Source) -> Table:
-    """Text file, gzip-compressed or not.
-
-    Raises:
-        RecordingError: no row of numbers, or decimal commas; `rows` raises it at a row of another length.
-    """
+    """Text file, gzip-compressed or not."""
     import pandas as pd
 
     layout = _layout(path, source)
