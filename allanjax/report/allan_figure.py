@@ -26,7 +26,16 @@ from allanjax.report.allan_panel import (
     times_to_draw,
     unit_of,
 )
-from allanjax.report.figure import MODEL, KeyEntry, Unit, facts_of, term_entry, term_style, wrapped
+from allanjax.report.figure import (
+    MODEL,
+    KeyEntry,
+    Unit,
+    drawn_terms,
+    facts_of,
+    term_entry,
+    term_style,
+    wrapped,
+)
 from allanjax.report.frame import PRECISE, Heading, Panels, Residual, rows_of
 from allanjax.report.guides import draw_slopes, write_values
 from allanjax.report.overlay_figure import plot_several
@@ -128,9 +137,9 @@ def _draw_model(panel: Axes, fit: Fit, k: int, unit: Unit) -> dict[str, Line2D]:
             continue
         variance = np.asarray(term.allan_variance(time))
         total += variance
-        style = term_style(fit, label)
-        y = np.sqrt(variance) / unit.scale
-        (lines[label],) = panel.plot(time, y, label=title_of(label, result.axis), **style)
+        if label in drawn_terms(result):
+            y, name = np.sqrt(variance) / unit.scale, title_of(label, result.axis)
+            (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, label))
     panel.plot(time, np.sqrt(total) / unit.scale, **MODEL)
     return lines
 

@@ -128,8 +128,14 @@ def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEnt
         text = f"{name}: " + ", ".join(f"{c.symbol} = {c.describe()}" for c in found)
     else:
         text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
-    drawn = term in result.term_labels and not remark
+    drawn = term in drawn_terms(result) and not remark
     return KeyEntry(wrapped(text + remark), term_style(fit, term) if drawn else None)
+
+
+def drawn_terms(result: AxisFit) -> set[str]:
+    """Labels of the terms of a fitted model that have lines: not those that cannot be told from none."""
+    hidden = {c.term for c in result.coefficients.values() if c.measured and not c.detected}
+    return set(result.term_labels) - hidden
 
 
 def term_style(fit: Fit, term_label: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,7 +14,17 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.report.figure import MODEL, KeyEntry, Unit, facts_of, marks, term_entry, term_style, wrapped
+from allanjax.report.figure import (
+    MODEL,
+    KeyEntry,
+    Unit,
+    drawn_terms,
+    facts_of,
+    marks,
+    term_entry,
+    term_style,
+    wrapped,
+)
 from allanjax.report.frame import PRECISE, Heading, Panels, Residual, rows_of
 from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
@@ -177,14 +187,16 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
     for label, term in zip(result.term_labels, model.terms, strict=True):
-        title, style = title_of(label, result.axis), term_style(fit, label)
-        if term.deterministic:
+        style: dict[str, Any] = {"label": title_of(label, result.axis), **term_style(fit, label)}
+        drawn = label in drawn_terms(result)
+        if not term.deterministic:
+            density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
+            total += density
+            if drawn:
+                panel.plot(frequency, density / unit.scale, **style)
+        elif drawn:
             for line in _line_of(term):
-                panel.axvline(line, label=title, **style)
-            continue
-        density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
-        total += density
-        panel.plot(frequency, density / unit.scale, label=title, **style)
+                panel.axvline(line, **style)
     panel.plot(frequency, total / unit.scale, **MODEL)
 
 

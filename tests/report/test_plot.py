@@ -335,3 +335,25 @@ def test_one_of_two_like_terms_that_is_found_keeps_its_number(tmp_path):
     for figure in (allan, psd):
         labels = {line.get_label() for line in figure.axes[0].lines}
         assert {"markov 2"} == {label for label in labels if label.startswith("markov")}
+
+
+def test_a_term_that_cannot_be_told_from_none_has_no_line(small_fit, small_recording):
+    first, *others = small_fit.results
+    label = "angle_random_walk"
+    hidden = dataclasses.replace(first[label], detected=False)
+    assert hidden.value > 0.0
+    unsure = dataclasses.replace(first, _coefficients={**first.coefficients, label: hidden})
+    spectrum = aj.power_spectrum(small_recording)
+    for draw in (plot_allan, lambda fit, axes: aj.plot_psd(spectrum, fit, axes)):
+        drawn = []
+        for result in (first, unsure, first.unmeasured(moving=True)):
+            panel, _, key = draw(dataclasses.replace(small_fit, results=(result, *others)), "gyro_x").axes
+            lines = {line.get_label(): line for line in panel.get_lines()}
+            drawn.append((lines, len(key.get_lines())))
+        (found, in_key), (unsure_found, unsure_in_key), (unmeasured, unmeasured_in_key) = drawn
+        # The model is the sum of its terms as before; the key tells the limit without a line.
+        assert set(found) - set(unsure_found) == {"angle random walk"}
+        assert set(found) == set(unmeasured)
+        np.testing.assert_array_equal(unsure_found["model"].get_ydata(), found["model"].get_ydata())
+        assert unsure_in_key == in_key - 1
+        assert unmeasured_in_key == in_key
