@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -11,10 +11,7 @@ from allanjax.allan.deviation import AllanDeviation, allan_deviation, rate_unit
 from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Axis, Recording
-from allanjax.report.figure import Unit, marks
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from allanjax.report.figure import Points
 
 CLUSTER_TIME = "cluster time T [s]"
 #: What can be drawn as an Allan deviation.
@@ -35,21 +32,10 @@ def fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
     )
 
 
-def draw_measured(
-    panel: Axes, curve: AllanDeviation, k: int, unit: Unit, label: str = "measured", **style: Any
-) -> None:
-    """Draw the estimates with their 68 % intervals."""
-    deviation = curve.deviation[:, k]
-    lower, upper = curve.confidence_interval(0.68)
-    spread = np.stack([deviation - lower[:, k], upper[:, k] - deviation])
-    panel.errorbar(
-        curve.cluster_time,
-        deviation / unit.scale,
-        np.maximum(spread, 0.0) / unit.scale,
-        label=label,
-        zorder=3,
-        **{**marks(2.6), **style},
-    )
+def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
+    """Estimates of an axis with their 68 % intervals, in the unit of this size."""
+    ends = [end[:, k] for end in curve.confidence_interval(0.68)]
+    return Points.of(curve.cluster_time, curve.deviation[:, k], ends, scale)
 
 
 def times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
@@ -60,14 +46,14 @@ def times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
     return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
 
 
-def unit_of(axis: Axis | None) -> Unit:
-    """Unit in which an axis's deviations are drawn."""
-    return Unit("", 1.0) if axis is None else Unit(*rate_unit(axis))
+def unit_of(axis: Axis | None) -> tuple[str, float]:
+    """Unit in which an axis's deviations are drawn, and its factor to SI."""
+    return ("", 1.0) if axis is None else rate_unit(axis)
 
 
-def deviation_label(curve: AllanDeviation, unit: Unit) -> str:
-    """Label of the vertical axis."""
-    return f"{kind_of(curve)}\n[{unit.name}]" if unit.name else kind_of(curve)
+def label_in(quantity: str, unit: str) -> str:
+    """Label of a vertical axis, with its unit if it has one."""
+    return f"{quantity}\n[{unit}]" if unit else quantity
 
 
 def kind_of(curve: AllanDeviation) -> str:

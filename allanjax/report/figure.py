@@ -1,4 +1,4 @@
-"""Colours, marks, keys and files of all pictures."""
+"""Colours, marks, keys, places and files of all pictures."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ import os
 import textwrap
 import warnings
 import weakref
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
 
 from allanjax.base.wording import duration
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import title_of
+from allanjax.noise.terms import NoiseTerm
 from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -23,8 +29,18 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
 _DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 1)))
 POINTS = "0.3"
+#: Style of single points without error bars.
+DOTS: dict[str, Any] = {
+    "marker": "o",
+    "linestyle": "none",
+    "color": POINTS,
+    "markersize": 2.4,
+    "markeredgewidth": 0.0,
+}
 #: Sensors in words, in the order in which they are drawn.
 SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+#: Style of a model's line, the sum of its terms.
+MODEL: dict[str, Any] = {"color": "black", "linewidth": 1.4, "label": "model", "zorder": 2.5}
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 62
@@ -35,15 +51,35 @@ _waiting: weakref.WeakSet[Figure] = weakref.WeakSet()
 
 
 @dataclass(frozen=True)
-class Unit:
-    """Unit in which values are shown, and its factor to SI."""
+class Points:
+    """Measured values over x with error bars of these lengths below and above, in the unit shown."""
 
-    name: str
-    scale: float
+    x: Float[np.ndarray, " m"]
+    y: Float[np.ndarray, " m"]
+    spread: Float[np.ndarray, "2 m"]
+    label: str = "measured"
+    style: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        x: Float[np.ndarray, " m"],
+        y: Float[np.ndarray, " m"],
+        interval: Sequence[Float[np.ndarray, " m"]],
+        scale: float = 1.0,
+    ) -> Points:
+        """Values and intervals in the unit of this size."""
+        lower, upper = interval
+        # Of few degrees of freedom, the interval may lie beside the estimate.
+        return cls(x, y / scale, np.maximum(np.stack([y - lower, upper - y]), 0.0) / scale)
+
+    def draw(self, panel: Axes) -> None:
+        """Draw the points with their error bars."""
+        style = {**marks(2.6), **self.style}
+        panel.errorbar(self.x, self.y, self.spread, label=self.label, zorder=3, **style)
 
 
-@dataclass(frozen=True)
-class KeyEntry:
+class KeyEntry(NamedTuple):
     """Entry of a panel's key: a term with the style of its curve, or only a remark."""
 
     text: str
@@ -74,8 +110,7 @@ def save_and_close(figure: Figure, path: str | os.PathLike[str] | None) -> Figur
     """Figure, saved if there is a path, and closed in pyplot where nobody will show it.
 
     So figures do not pile up in pyplot: one that is saved is closed, and so is, where there are no windows,
-        the one
-    before it. A closed figure can be saved and shown by itself as before.
+    the one before it. A closed figure can be saved and shown by itself as before.
     """
     import matplotlib
     import matplotlib.pyplot as plt
@@ -104,6 +139,36 @@ def _close(figure: Figure) -> None:
     FigureCanvasAgg(figure)
 
 
+def place(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Add axes in a place of the figure [inches]."""
+    whole, total = figure.get_size_inches()
+    return figure.add_axes((left / whole, bottom / total, width / whole, height / total))
+
+
+def write_title(figure: Figure, left: float, title: str, facts: str, **style: Any) -> None:
+    """Write a title and, below it in grey, facts; so far from the left edge [inches]."""
+    width, height = figure.get_size_inches()
+    at: dict[str, Any] = {"x": left / width, "va": "top"}
+    figure.text(y=1.0 - 0.12 / height, s=literal(title), fontsize=13, fontweight="bold", **at)
+    figure.text(y=1.0 - 0.4 / height, s=literal(facts), color="0.35", **{"fontsize": 9.5, **at, **style})
+
+
+def add_legend(
+    figure: Figure, handles: Sequence[Artist], loc: Any, x: float, top: float, **style: Any
+) -> None:
+    """Add a key to a figure, whose corner `loc` is at x, and so far from the upper edge [inches]."""
+    width, height = figure.get_size_inches()
+    figure.legend(
+        handles=list(handles),
+        loc=loc,
+        bbox_to_anchor=(x / width, 1.0 - top / height),
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.0,
+        **style,
+    )
+
+
 def add_grid(panel: Axes) -> None:
     """Add a faint grid below the curves; ticks point inwards."""
     panel.grid(True, which="major", color="0.88", linewidth=0.6)
@@ -111,25 +176,38 @@ def add_grid(panel: Axes) -> None:
     panel.tick_params(which="both", direction="in")
 
 
+def mark_2_and_5(*axes: Any) -> None:
+    """Mark 2 and 5 times powers of ten on logarithmic axes, without numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for axis in axes:
+        axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+        axis.set_minor_formatter(NullFormatter())
+
+
 def marks(size: float) -> dict[str, Any]:
     """Style of points with error bars."""
     return {"fmt": "o", "color": POINTS, "markersize": size, "markeredgewidth": 0.0, "elinewidth": 0.8}
 
 
-#: Style of a model's line, the sum of its terms.
-MODEL: dict[str, Any] = {"color": "black", "linewidth": 1.4, "label": "model", "zorder": 2.5}
-
-
-def term_entry(fit: Fit, result: AxisFit, term: str, remark: str = "") -> KeyEntry:
-    """Entry of a term with its coefficients, detected or not."""
-    found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
-    amplitude, name = found[0], title_of(term, result.axis)
-    if amplitude.detected and len(found) > 1:
-        text = f"{name}: " + ", ".join(f"{c.symbol} = {c.describe()}" for c in found)
-    else:
-        text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
-    drawn = term in drawn_terms(result) and not remark
-    return KeyEntry(wrapped(text + remark), term_style(fit, term) if drawn else None)
+def term_entries(
+    fit: Fit, result: AxisFit, hidden: Callable[[NoiseTerm], bool], remark: str
+) -> list[KeyEntry]:
+    """Entries of all terms with their coefficients, detected or not; a remark on those found but hidden."""
+    entries = []
+    for term, kind in zip(fit.template.term_labels, fit.template.terms, strict=True):
+        found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
+        amplitude, name = found[0], title_of(term, result.axis)
+        if amplitude.detected and len(found) > 1:
+            text = f"{name}: " + ", ".join(f"{c.symbol} = {c.describe()}" for c in found)
+        else:
+            text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
+        is_hidden = hidden(kind)
+        if is_hidden and term in result.term_labels:
+            text += remark
+        drawn = term in drawn_terms(result) and not is_hidden
+        entries.append(KeyEntry(wrapped(text), term_style(fit, term) if drawn else None))
+    return entries
 
 
 def drawn_terms(result: AxisFit) -> set[str]:

@@ -34,7 +34,6 @@ def draw_slopes(panel: Axes) -> None:
     """Draw faint lines of the slopes through the middle of a panel whose scales are set."""
     (left, right), (bottom, top) = (np.log10(ends) for ends in (panel.get_xlim(), panel.get_ylim()))
     x0, y0 = (left + right) / 2.0, (bottom + top) / 2.0
-    limits = panel.get_xlim(), panel.get_ylim()
     for slope, name in SLOPES.items():
         # Where it leaves the panel.
         reach = min((right - left) / 2.0, np.inf if slope == 0.0 else (top - bottom) / 2.0 / abs(slope))
@@ -60,8 +59,6 @@ def draw_slopes(panel: Axes) -> None:
             zorder=0.6,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
         )
-    panel.set_xlim(limits[0])
-    panel.set_ylim(limits[1])
 
 
 def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
-from jaxtyping import Float
+from typing import TYPE_CHECKING, NamedTuple
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
@@ -17,28 +14,26 @@ from allanjax.record.recording import Axis
 from allanjax.report.allan_panel import (
     CLUSTER_TIME,
     Drawable,
-    deviation_label,
-    draw_measured,
+    allan_points,
     fit_and_curve,
     kind_of,
+    label_in,
     times_to_draw,
     unit_of,
 )
-from allanjax.report.figure import COLOURS, KeyEntry, Unit, facts_of, wrapped
-from allanjax.report.frame import Heading, Panels, rows_of
+from allanjax.report.figure import COLOURS, KeyEntry, facts_of, wrapped
+from allanjax.report.frame import Frame, Panel, rows_of
 from allanjax.report.guides import draw_slopes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 # Markers that tell curves apart in black and white.
 _MARKERS = "os^Dv*"
 
 
-@dataclass(frozen=True)
-class _Curve:
+class _Curve(NamedTuple):
     """One of the curves: its label, the fit that it comes from if any, and its style."""
 
     label: str
@@ -47,19 +42,15 @@ class _Curve:
     colour: str
     marker: str
 
-    def index(self, name: str) -> int:
-        """Place of the axis of this name among the curve's."""
-        return self.curve.names.index(name)
-
     def result(self, name: str) -> AxisFit | None:
-        """Fit of the axis of this name, if there is one."""
-        found = None if self.fit is None else self.fit.results[self.index(name)]
+        """Fit of the axis of this name, if it has a result."""
+        found = None if self.fit is None else self.fit.results[self.curve.names.index(name)]
         return found if found is not None and found.converged else None
 
 
 def plot_several(
     data: Sequence[Drawable],
-    axes: Sequence[str] | None,
+    axes: Sequence[str] | str | None,
     path: str | os.PathLike[str] | None,
     labels: Sequence[str] | None,
     ax: Axes | None,
@@ -73,65 +64,41 @@ def plot_several(
     of_curves = [axis for axis in known.values() if axis]
     if of_curves and len(of_curves) < len(known):
         raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
-    rows = rows_of(list(known), of_curves or None, axes)
+    names = list(known)
     facts = "; ".join(dict.fromkeys(facts_of(c.curve.n, c.curve.rate) for c in curves))
     has_model = any(c.fit is not None for c in curves)
-    heading = Heading(list(known), kind_of(curves[0].curve), facts, has_model, has_strip=False)
-    return _OverlayPanels(curves, list(known), list(known.values())).figure(rows, heading, path, ax)
+    frame = Frame(kind_of(curves[0].curve), facts, CLUSTER_TIME, has_model, has_strip=False)
+    panels = [
+        _panel([c for c in curves if name in c.curve.names], name, axis, ax is not None)
+        for name, axis in known.items()
+    ]
+    return frame.draw([[panels[k] for k in row] for row in rows_of(names, of_curves or None, axes)], path, ax)
 
 
-@dataclass(frozen=True)
-class _OverlayPanels(Panels):
-    """Several curves over one another, those of axes of one name in one panel.
+def _panel(curves: Sequence[_Curve], name: str, axis: Axis | None, has_legend: bool) -> Panel:
+    """Curves of the axes of one name; the legend is for axes of the caller's, which have no key."""
+    unit, scale = unit_of(axis)
 
-    Attributes:
-        curves: what is drawn.
-        names, axes: all their axes; None for those of arrays without a unit.
-    """
-
-    X_LABEL: ClassVar[str] = CLUSTER_TIME
-
-    curves: Sequence[_Curve]
-    names: Sequence[str]
-    axes: Sequence[Axis | None]
-
-    def y_label(self, k: int) -> str:
-        return deviation_label(self.curves[0].curve, self._unit(k))
-
-    def key(self, k: int) -> list[KeyEntry]:
-        return [_entry(c, self.names[k]) for c in self._of(k)]
-
-    def draw(self, panel: Axes, k: int) -> dict[str, Line2D]:
-        unit, name = self._unit(k), self.names[k]
-        for c in self._of(k):
-            draw_measured(panel, c.curve, c.index(name), unit, c.label, color=c.colour, fmt=c.marker)
+    def draw(panel: Axes) -> None:
+        for c in curves:
             if c.fit is not None and c.result(name) is not None:
                 time = times_to_draw(c.curve)
-                y = c.fit.model_deviation(name, time) / unit.scale
+                y = c.fit.model_deviation(name, time) / scale
                 panel.plot(time, y, color=c.colour, linewidth=1.2, label=f"{c.label}: model", zorder=2.5)
-        return {}
-
-    def extent(self, row: Sequence[int]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m columns"]]:
-        drawn = [(c.curve, c.index(self.names[k])) for k in row for c in self._of(k)]
-        times = np.sort(np.concatenate([curve.cluster_time for curve, _ in drawn]))
-        measured = np.concatenate([curve.deviation[:, i] for curve, i in drawn])
-        return times, measured[:, None] / self._unit(row[0]).scale
-
-    def finish(self, panel: Axes, k: int, drawn: dict[str, Line2D]) -> None:
         draw_slopes(panel)
+        if has_legend:
+            panel.legend(handles=panel.containers[-len(curves) :], frameon=False)
 
-    def add_legend(self, panel: Axes) -> None:
-        handles, texts = panel.get_legend_handles_labels()
-        drawn = dict(zip(texts, handles, strict=True))
-        shown = [c.label for c in self.curves if c.label in drawn]
-        panel.legend([drawn[label] for label in shown], shown, frameon=False)
-
-    def _of(self, k: int) -> list[_Curve]:
-        """Curves that have the axis of a panel."""
-        return [c for c in self.curves if self.names[k] in c.curve.names]
-
-    def _unit(self, k: int) -> Unit:
-        return unit_of(self.axes[k])
+    points = [
+        dataclasses.replace(
+            allan_points(c.curve, c.curve.names.index(name), scale),
+            label=c.label,
+            style={"color": c.colour, "fmt": c.marker},
+        )
+        for c in curves
+    ]
+    label = label_in(kind_of(curves[0].curve), unit)
+    return Panel(name, label, points, draw, [_entry(c, name) for c in curves])
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from scipy.ndimage import gaussian_filter
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
@@ -15,14 +23,23 @@ from allanjax.base.wording import format_with_error, significant
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.result import AxisPosterior, Posterior
+from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
-from allanjax.report.allan_panel import CLUSTER_TIME, unit_of
-from allanjax.report.figure import COLOURS, FONT_SIZE, POINTS, add_grid, literal, marks, save_and_close, style
+from allanjax.report.allan_panel import CLUSTER_TIME, allan_points, unit_of
+from allanjax.report.figure import (
+    COLOURS,
+    DOTS,
+    FONT_SIZE,
+    POINTS,
+    add_grid,
+    add_legend,
+    mark_2_and_5,
+    place,
+    save_and_close,
+    style,
+    write_title,
+)
 from allanjax.spectrum.psd import density_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _COLOUR = COLOURS[0]
 
@@ -55,50 +72,35 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     Returns:
         The matplotlib figure; its axes are in rows from the top, those of a row from the left.
     """
-    import matplotlib.pyplot as plt
-
     marginals = [posterior.coefficients[label] for label in posterior.labels]
     scales = np.array([unit_scale(m.usual_unit, m.axis.sensor) for m in marginals])
     draws = posterior.draws / scales
+    ranges = [_range(x) for x in draws.T]
+    step = _CORNER_PANEL + _CORNER_GAP
     count = len(marginals)
     side = count * _CORNER_PANEL + (count - 1) * _CORNER_GAP
     # One parameter leaves no room for the title.
     width = max(_CORNER_LEFT + side + _RIGHT, 4.0)
-    height = _CORNER_TOP + side + _CORNER_BOTTOM
-    ranges = [_range(x) for x in draws.T]
     with style():
-        figure = plt.figure(figsize=(width, height))
-        figure.text(
-            0.12 / width,
-            1.0 - 0.12 / height,
-            f"{posterior.axis.name}: posterior",
-            fontsize=13,
-            fontweight="bold",
-            va="top",
-        )
+        figure = plt.figure(figsize=(width, _CORNER_TOP + side + _CORNER_BOTTOM))
         key = "line: median and 68 %; broken: prior; contours: 68 and 95 %"
         remark = key if posterior.converged else f"NOT CONVERGED. {key}"
-        figure.text(0.12 / width, 1.0 - 0.4 / height, remark, color="0.35", va="top")
-        for row in range(count):
-            for column in range(row + 1):
-                left = _CORNER_LEFT + column * (_CORNER_PANEL + _CORNER_GAP)
-                bottom = _CORNER_BOTTOM + (count - 1 - row) * (_CORNER_PANEL + _CORNER_GAP)
-                place = (left / width, bottom / height, _CORNER_PANEL / width, _CORNER_PANEL / height)
-                panel = figure.add_axes(place)
-                if row == column:
-                    prior = _prior_density(posterior, row, ranges[row], scales[row])
-                    _draw_margin(panel, draws[:, row], ranges[row], prior)
-                    panel.set_title(_heading(marginals[row]), fontsize=FONT_SIZE)
-                else:
-                    _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
-                _label(panel, marginals, row, column)
+        write_title(figure, 0.12, f"{posterior.axis.name}: posterior", remark, fontsize=FONT_SIZE)
+        for row, column in [(i, j) for i in range(count) for j in range(i + 1)]:
+            corner = _CORNER_LEFT + column * step, _CORNER_BOTTOM + (count - 1 - row) * step
+            panel = place(figure, *corner, _CORNER_PANEL, _CORNER_PANEL)
+            if row == column:
+                prior = _prior_density(posterior, row, ranges[row], scales[row])
+                _draw_margin(panel, draws[:, row], ranges[row], prior)
+                panel.set_title(_heading(marginals[row]), fontsize=FONT_SIZE)
+            else:
+                _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
+            _label(panel, marginals, row, column)
         return save_and_close(figure, path)
 
 
 def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) -> None:
     """Write names with units, at the outer edges only."""
-    from matplotlib.ticker import MaxNLocator, ScalarFormatter
-
     last = row == len(marginals) - 1
     left = column == 0 and row > 0
     panel.tick_params(which="both", direction="in", labelbottom=last, labelleft=left)
@@ -119,13 +121,8 @@ def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) ->
 def _name(m: Estimate) -> str:
     """E.g. "bias instability\nB [deg/h]"."""
     unit = "" if m.usual_unit == "1" else f" [{m.usual_unit}]"
-    return f"{_wrapped(m.title)}\n{m.symbol}{unit}"
-
-
-def _wrapped(text: str) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, 22))
+    title = "\n".join(textwrap.wrap(m.title, 22))
+    return f"{title}\n{m.symbol}{unit}"
 
 
 def _heading(m: Estimate) -> str:
@@ -181,8 +178,6 @@ def _draw_pair(
     x_limits: tuple[float, float],
     y_limits: tuple[float, float],
 ) -> None:
-    from scipy.ndimage import gaussian_filter
-
     counts, x_edges, y_edges = np.histogram2d(x, y, bins=_BINS, range=(x_limits, y_limits))
     # Mirrored, lest the density fade towards the bound of an amplitude.
     smooth = gaussian_filter(counts, 1.3, mode="reflect")
@@ -224,74 +219,48 @@ def plot_posterior(
     Raises:
         AllanjaxError: there is no such axis.
     """
-    import matplotlib.pyplot as plt
-
-    names = tuple(posterior.axes if axes is None else axes)
-    if not names:
+    if axes is not None and not axes:
         raise AllanjaxError(f"name at least one axis to plot of {', '.join(posterior.axes)}")
-    chosen = [posterior[name] for name in names]
+    chosen = [posterior[name] for name in (posterior.axes if axes is None else axes)]
     measured = posterior.fit.curve if curve is None else curve.curve if isinstance(curve, Fit) else curve
     width = _LEFT + 2.0 * _PANEL_WIDTH + _GAP + _RIGHT
     height = _TOP + len(chosen) * _PANEL_HEIGHT + (len(chosen) - 1) * _ROW_GAP + _BOTTOM
     with style():
         figure = plt.figure(figsize=(width, height))
-        _draw_title(figure, posterior, measured, width, height)
+        name = posterior.fit.name or "posterior"
+        facts = f"{measured.n:,} samples at {measured.rate:g} Hz; model under the posterior"
+        write_title(figure, _LEFT, name if len(name) < 70 else f"{name[:69]}…", facts)
+        look: dict[str, Any] = {"color": POINTS, "marker": "o", "markersize": 3, "linewidth": 0.8}
+        handles = [
+            Line2D([], [], label="measured, 68 % interval", **look),
+            Line2D([], [], color=_COLOUR, linewidth=1.2, label="model, median"),
+            Patch(color=_COLOUR, alpha=0.45, linewidth=0.0, label="68 %"),
+            Patch(color=_COLOUR, alpha=0.2, linewidth=0.0, label="95 %"),
+        ]
+        add_legend(figure, handles, "upper right", width - _RIGHT, 0.38, ncols=4)
         for row, result in enumerate(chosen):
             bottom = height - _TOP - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
             left, right = (
-                figure.add_axes((x / width, bottom / height, _PANEL_WIDTH / width, _PANEL_HEIGHT / height))
+                place(figure, x, bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
                 for x in (_LEFT, _LEFT + _PANEL_WIDTH + _GAP)
             )
-            _draw_deviation(left, result, measured, _axis_index(measured, result))
+            _draw_deviation(left, result, measured)
             _draw_density(right, result, spectrum, measured.n)
             state = "" if result.converged else ", NOT CONVERGED"
             left.set_title(f"{result.axis.name}{state}", loc="left", fontweight="bold")
             for panel in (left, right):
-                _finish(panel)
+                panel.set(xscale="log", yscale="log")
+                add_grid(panel)
+                mark_2_and_5(panel.xaxis, panel.yaxis)
         return save_and_close(figure, path)
 
 
-def _axis_index(curve: AllanDeviation, result: AxisPosterior) -> int:
-    names = [] if curve.axes is None else [axis.name for axis in curve.axes]
+def _index(axes: Sequence[Axis] | None, result: AxisPosterior, what: str) -> int:
+    """Place of a posterior's axis among those of what is drawn with it."""
+    names = [axis.name for axis in axes or ()]
     if result.axis.name not in names:
-        raise AllanjaxError(f"the curve to draw has no axis {result.axis.name!r}; it has {', '.join(names)}")
+        raise AllanjaxError(f"{what} has no axis {result.axis.name!r}; it has {', '.join(names)}")
     return names.index(result.axis.name)
-
-
-def _draw_title(
-    figure: Figure, posterior: Posterior, curve: AllanDeviation, width: float, height: float
-) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
-    name = posterior.fit.name or "posterior"
-    figure.text(
-        y=1.0 - 0.12 / height,
-        s=literal(name if len(name) < 70 else f"{name[:69]}…"),
-        fontsize=13,
-        fontweight="bold",
-        **at,
-    )
-    facts = f"{curve.n:,} samples at {curve.rate:g} Hz; model under the posterior"
-    figure.text(y=1.0 - 0.4 / height, s=facts, color="0.35", fontsize=9.5, **at)
-    handles = [
-        Line2D(
-            [], [], color=POINTS, marker="o", markersize=3, linewidth=0.8, label="measured, 68 % interval"
-        ),
-        Line2D([], [], color=_COLOUR, linewidth=1.2, label="model, median"),
-        Patch(color=_COLOUR, alpha=0.45, linewidth=0.0, label="68 %"),
-        Patch(color=_COLOUR, alpha=0.2, linewidth=0.0, label="95 %"),
-    ]
-    figure.legend(
-        handles=handles,
-        loc="upper right",
-        bbox_to_anchor=(1.0 - _RIGHT / width, 1.0 - 0.38 / height),
-        ncols=4,
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-    )
 
 
 def _draw_band(
@@ -303,71 +272,33 @@ def _draw_band(
     panel.plot(x, median, color=_COLOUR, linewidth=1.2, label="median", zorder=2.5)
 
 
-def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation, k: int) -> None:
-    unit = unit_of(result.axis)
+def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation) -> None:
+    unit, scale = unit_of(result.axis)
     sizes = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _CURVE_POINTS)))
     time = sizes / curve.rate
-    _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / unit.scale)
-    lower, upper = curve.confidence_interval(0.68)
-    deviation = curve.deviation[:, k]
-    spread = np.maximum(np.stack([deviation - lower[:, k], upper[:, k] - deviation]), 0.0)
-    panel.errorbar(
-        curve.cluster_time,
-        deviation / unit.scale,
-        spread / unit.scale,
-        label="measured",
-        zorder=3,
-        **marks(2.6),
-    )
-    positive = deviation[deviation > 0.0] / unit.scale
+    _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / scale)
+    points = allan_points(curve, _index(curve.axes, result, "the curve to draw"), scale)
+    points.draw(panel)
+    positive = points.y[points.y > 0.0]
     panel.set_xlim(time[0] / 1.4, time[-1] * 1.4)
     panel.set_ylim(positive.min(initial=np.inf) / 2.5, positive.max(initial=0.0) * 2.0)
-    panel.set_xlabel(CLUSTER_TIME)
-    panel.set_ylabel(f"Allan deviation [{unit.name}]")
+    panel.set(xlabel=CLUSTER_TIME, ylabel=f"Allan deviation [{unit}]")
 
 
 def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> None:
-    name, scale = density_unit(result.axis)
+    unit, scale = density_unit(result.axis)
     f = np.geomspace(result.rate / n, result.rate / 2.0, _DENSITY_POINTS)
     curves = result.density_curves(f, _DRAWS) / scale
     if spectrum is not None:
-        k = _spectrum_index(spectrum, result)
+        k = _index(getattr(spectrum, "axes", None), result, "the spectrum")
         density = np.asarray(spectrum.density)
         density = (density if density.ndim == 1 else density[:, k]) / scale
         frequency = np.asarray(spectrum.frequency)
         shown = (frequency > 0.0) & (density > 0.0)
-        panel.plot(
-            frequency[shown],
-            density[shown],
-            "o",
-            color=POINTS,
-            markersize=2.0,
-            markeredgewidth=0.0,
-            alpha=0.6,
-            label="measured",
-        )
+        look: dict[str, Any] = {**DOTS, "markersize": 2.0, "alpha": 0.6}
+        panel.plot(frequency[shown], density[shown], label="measured", **look)
     _draw_band(panel, f, curves)
     # Single ordinates scatter over decades below the density; a few of them leave the panel.
     panel.set_xlim(f[0] / 1.4, f[-1] * 1.4)
     panel.set_ylim(curves.min() / 30.0, curves.max() * 5.0)
-    panel.set_xlabel("frequency [Hz]")
-    panel.set_ylabel(f"one-sided PSD [{name}]")
-
-
-def _spectrum_index(spectrum: Any, result: AxisPosterior) -> int:
-    axes = getattr(spectrum, "axes", None)
-    names = [] if axes is None else [axis.name for axis in axes]
-    if result.axis.name not in names:
-        raise AllanjaxError(f"the spectrum has no axis {result.axis.name!r}; it has {', '.join(names)}")
-    return names.index(result.axis.name)
-
-
-def _finish(panel: Axes) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    add_grid(panel)
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-        axis.set_minor_formatter(NullFormatter())
+    panel.set(xlabel="frequency [Hz]", ylabel=f"one-sided PSD [{unit}]")

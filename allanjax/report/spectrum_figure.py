@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,25 +13,24 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
+from allanjax.report.allan_panel import label_in
 from allanjax.report.figure import (
     MODEL,
     KeyEntry,
-    Unit,
+    Points,
     drawn_terms,
     facts_of,
-    marks,
-    term_entry,
+    term_entries,
     term_style,
     wrapped,
 )
-from allanjax.report.frame import PRECISE, Heading, Panels, Residual, rows_of
+from allanjax.report.frame import PRECISE, Frame, Panel, Residual, rows_of
 from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
     from allanjax.noise.model import Model
     from allanjax.noise.terms import NoiseTerm
@@ -75,14 +73,14 @@ def plot_psd(
             than one axis.
     """
     spectrum = spectrum.averaged()
-    rows = rows_of(spectrum.names, spectrum.axes, [axes] if isinstance(axes, str) else axes)
-    results = {} if fit is None else {k: _result(spectrum, fit, k) for row in rows for k in row}
-    # In axes of the caller's there is no key to say what the band is.
-    walks = {} if ax is not None else {k: _random_walk(spectrum, k) for row in rows for k in row}
     title = fit.name if fit is not None and fit.name else "power spectral density"
     has_fit = fit is not None
-    heading = Heading(spectrum.names, title, facts_of(spectrum.n, spectrum.rate), has_fit, has_fit)
-    return _SpectrumPanels(spectrum, fit, results, walks).figure(rows, heading, path, ax)
+    facts = facts_of(spectrum.n, spectrum.rate)
+    frame = Frame(title, facts, "frequency f [Hz]", has_fit, has_fit)
+    rows = rows_of(spectrum.names, spectrum.axes, axes)
+    # In axes of the caller's there is no key to say what the band is.
+    has_band = ax is None and spectrum.axes is not None
+    return frame.draw([[_panel(spectrum, fit, k, has_band) for k in row] for row in rows], path, ax)
 
 
 def plot_spectrum(
@@ -96,49 +94,25 @@ def plot_spectrum(
     return plot_psd(spectrum, axes=axes, path=path, ax=ax)
 
 
-@dataclass(frozen=True)
-class _SpectrumPanels(Panels):
-    """Power spectral densities and, of a fit, the model, its terms and residuals.
+def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> Panel:
+    """Power spectral density of an axis and, of a fit, the model, its terms and residuals."""
+    unit, scale = ("", 1.0) if spectrum.axes is None else density_unit(spectrum.axes[k])
+    result = None if fit is None else _result(spectrum, fit, k)
+    walk = _random_walk(spectrum, k) if has_band else None
+    key = [] if fit is None or result is None else _fit_entries(fit, result)
+    if has_band:
+        key.append(_walk_entry(walk))
 
-    Attributes:
-        spectrum: averaged densities.
-        fit: fit of the same recording.
-        results: fits of the axes to draw, by their index in the spectrum.
-        walks: N by the flat part of each spectrum, None where it has none.
-    """
-
-    X_LABEL: ClassVar[str] = "frequency f [Hz]"
-
-    spectrum: PowerSpectrum
-    fit: Fit | None
-    results: Mapping[int, AxisFit]
-    walks: Mapping[int, Estimate | None]
-
-    def y_label(self, k: int) -> str:
-        unit = self._unit(k)
-        return "one-sided PSD" + (f"\n[{unit.name}]" if unit.name else "")
-
-    def key(self, k: int) -> list[KeyEntry]:
-        return _key(self.fit, self.results.get(k), self.walks[k], self.spectrum)
-
-    def draw(self, panel: Axes, k: int) -> dict[str, Line2D]:
-        walk = self.walks.get(k)
+    def draw(panel: Axes) -> None:
         if walk is not None and walk.band is not None:
             panel.axvspan(*walk.band, color=_BAND, linewidth=0.0, zorder=0, label="flat part")
-        _draw_measured(panel, self.spectrum, k, self._unit(k))
-        if self.fit is not None and self.results[k].converged:
-            _draw_model(panel, self.spectrum, self.fit, self.results[k], self._unit(k))
-        return {}
+        if fit is not None and result is not None and result.converged:
+            _draw_model(panel, spectrum, fit, result, scale)
 
-    def extent(self, row: Sequence[int]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m columns"]]:
-        return self.spectrum.frequency, self.spectrum.density[:, list(row)] / self._unit(row[0]).scale
-
-    def residual(self, k: int) -> Residual | None:
-        return _residual(self.spectrum, k, self.results[k]) if self.results[k].converged else None
-
-    def _unit(self, k: int) -> Unit:
-        axes = self.spectrum.axes
-        return Unit("", 1.0) if axes is None else Unit(*density_unit(axes[k]))
+    ends = [end[:, k] for end in spectrum.confidence_interval(0.68)]
+    points = [Points.of(spectrum.frequency, spectrum.density[:, k], ends, scale)]
+    residual = _residual(spectrum, k, result) if result is not None and result.converged else None
+    return Panel(spectrum.names[k], label_in("one-sided PSD", unit), points, draw, key, residual)
 
 
 def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
@@ -157,31 +131,14 @@ def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
 
 
 def _random_walk(spectrum: PowerSpectrum, k: int) -> Estimate | None:
-    """N of an axis by the flat part of its spectrum; None if it is nowhere flat or has no unit."""
-    if spectrum.axes is None:
-        return None
+    """N of an axis by the flat part of its spectrum; None if it is nowhere flat."""
     try:
         return spectrum.random_walk(spectrum.names[k])
     except AllanjaxError:
         return None
 
 
-def _draw_measured(panel: Axes, spectrum: PowerSpectrum, k: int, unit: Unit) -> None:
-    density = spectrum.density[:, k]
-    lower, upper = spectrum.confidence_interval(0.68)
-    # Of two degrees of freedom, the interval may lie beside the estimate.
-    spread = np.maximum(np.stack([density - lower[:, k], upper[:, k] - density]), 0.0)
-    panel.errorbar(
-        spectrum.frequency,
-        density / unit.scale,
-        spread / unit.scale,
-        label="measured",
-        zorder=3,
-        **marks(2.6),
-    )
-
-
-def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit, unit: Unit) -> None:
+def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit, scale: float) -> None:
     rate = spectrum.rate
     model = result.model.sampled(rate)
     frequency = _frequencies(spectrum, model)
@@ -193,11 +150,11 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
             total += density
             if drawn:
-                panel.plot(frequency, density / unit.scale, **style)
+                panel.plot(frequency, density / scale, **style)
         elif drawn:
             for line in _line_of(term):
                 panel.axvline(line, **style)
-    panel.plot(frequency, total / unit.scale, **MODEL)
+    panel.plot(frequency, total / scale, **MODEL)
 
 
 def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
@@ -227,13 +184,12 @@ def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
     lines = np.array([f for term in result.model.terms for f in _line_of(term)])
     has_line = np.histogram(lines, edges)[0] > 0
     has_line |= np.roll(has_line, 1) | np.roll(has_line, -1)
-    return Residual(
+    points = Points(
         np.add.reduceat(spectrum.count * spectrum.frequency, starts) / count,
         100.0 * (ratio - 1.0),
         100.0 * np.maximum(spread, 0.0),
-        (dof > 2.0 / PRECISE**2) & ~has_line,
-        off=0.0,
     )
+    return Residual(points, (dof > 2.0 / PRECISE**2) & ~has_line)
 
 
 def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
@@ -249,24 +205,22 @@ def _line_of(term: NoiseTerm) -> list[float]:
     return [float(getattr(term, p.name)) for p in term.parameters() if p.kind == "line"]
 
 
-def _key(
-    fit: Fit | None, result: AxisFit | None, walk: Estimate | None, spectrum: PowerSpectrum
-) -> list[KeyEntry]:
-    """Entries of every term with its coefficients, and of N by the flat part."""
-    entries = []
-    if fit is not None and result is not None:
-        if not result.converged:
-            entries.append(KeyEntry(wrapped(result.verdict())))
-        else:
-            for label, term in zip(fit.template.term_labels, fit.template.terms, strict=True):
-                hidden = term.deterministic and not any(p.kind == "line" for p in term.parameters())
-                shown = label in result.term_labels
-                remark = " (no density: not drawn)" if hidden and shown else ""
-                entries.append(term_entry(fit, result, label, remark))
-    if walk is not None and walk.band is not None:
-        low, high = walk.band
-        text = f"N by eq. (3.41): {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
-        entries.append(KeyEntry(wrapped(text), {"color": _BAND, "linewidth": 7.0, "solid_capstyle": "butt"}))
-    elif spectrum.axes is not None:
-        entries.append(KeyEntry(wrapped("N by eq. (3.41): nowhere flat over an octave")))
-    return entries
+def _fit_entries(fit: Fit, result: AxisFit) -> list[KeyEntry]:
+    """Entries of every term with its coefficients."""
+    if not result.converged:
+        return [KeyEntry(wrapped(result.verdict()))]
+    return term_entries(fit, result, _is_nowhere, " (no density: not drawn)")
+
+
+def _is_nowhere(term: NoiseTerm) -> bool:
+    """Whether a term is neither a density nor a line."""
+    return term.deterministic and not any(p.kind == "line" for p in term.parameters())
+
+
+def _walk_entry(walk: Estimate | None) -> KeyEntry:
+    """Entry of N by the flat part."""
+    if walk is None or walk.band is None:
+        return KeyEntry(wrapped("N by eq. (3.41): nowhere flat over an octave"))
+    low, high = walk.band
+    text = f"N by eq. (3.41): {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
+    return KeyEntry(wrapped(text), {"color": _BAND, "linewidth": 7.0, "solid_capstyle": "butt"})
