@@ -1,7 +1,6 @@
 """The command line: `allanjax characterize`, `critique`, `fleet`, `simulate`, `schema` and `demo`."""
 
 import sys
-from types import ModuleType
 from typing import Annotated
 
 import typer
@@ -51,14 +50,7 @@ def _common(
     pass
 
 
-#: A module a command, in the order of `allanjax --help`: its help, examples and function.
-_COMMANDS: dict[str, ModuleType] = {
-    "characterize": characterize,
-    "critique": critique,
-    "fleet": fleet,
-    "simulate": simulate,
-    "schema": schema,
-    "demo": demo,
-}
-for _name, _module in _COMMANDS.items():
+# A module a command, in the order of `allanjax --help`: its help, examples and function.
+for _module in (characterize, critique, fleet, simulate, schema, demo):
+    _name = _module.__name__.rpartition(".")[2]
     app.command(_name, help=_module.HELP, epilog=_module.EPILOG)(_module.command)

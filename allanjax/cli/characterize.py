@@ -1,26 +1,13 @@
 """The command `allanjax characterize`."""
 
-import sys
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from allanjax.cli.common import (
-    FAILURES,
-    RESULTS,
-    Files,
-    Input,
-    Out,
-    epilog,
-    exit_if_failed,
-    inputs,
-    prepare,
-    print_json,
-    reason,
-    reported,
-    stage,
-)
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, stage, work_through
 from allanjax.cli.options import with_options
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import accumulate
@@ -66,48 +53,25 @@ def command(
     from allanjax.estimate.as_json import SCHEMA_VERSION, to_dict
     from allanjax.report.files import write_results
 
-    directory = out if as_json else out or RESULTS
-    prepare(directory)
-    fits: list[dict[str, Any]] = []
-    errors: list[dict[str, str]] = []
-    with inputs(files, directory) as given:
-        for file in given:
-            try:
-                spectrum: Future[PowerSpectrum] | None = None
-                if stream:
-                    fit = _accumulate_and_fit(file, options)
-                else:
-                    spectrum, fit = read_and_fit(file, options)
-                if directory is not None:
-                    with stage(f"{file.label}: writing results"):
-                        drawn = None if spectrum is None else spectrum.result()
-                        paths = write_results(fit, drawn, directory, file.name)
-            except FAILURES as failure:
-                errors.append(reported(file, reason(failure, file.label)))
-                continue
-            if as_json:
-                fits.append({"file": file.label, **to_dict(fit)})
-            else:
-                _print_fit(fit)
-            if directory is not None:
-                told = ", ".join(str(path) for path in paths)
-                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
-            for axis, why in fit.without_result.items():
-                errors.append(reported(file, f"{axis}: no result, {why}"))
-    if as_json:
-        print_json({"schema_version": SCHEMA_VERSION, "fits": fits, "errors": errors})
-    exit_if_failed(errors, len(given))
+    def work(file: Input, directory: Path | None) -> Outcome:
+        spectrum, fit = (None, _accumulate_and_fit(file, options)) if stream else read_and_fit(file, options)
+        paths: tuple[Path, ...] = ()
+        if directory is not None:
+            with stage(f"{file.label}: writing results"):
+                drawn = None if spectrum is None else spectrum.result()
+                paths = write_results(fit, drawn, directory, file.name)
+        told = "\n".join([str(fit), *(f"note: {note}" for note in fit.notes)])
+        missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
+        return Outcome(told, to_dict(fit), paths, missing)
+
+    work_through(files, out, as_json, work, lambda fits, _: {"schema_version": SCHEMA_VERSION, "fits": fits})
 
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
     """Spectrum and fit of a file's recording; the spectrum is estimated while the fit compiles."""
     with stage(f"{file.label}: reading"):
         recording = read_recording(file.path, options.reading, file.label)
-    size = f"{recording.n:,} samples of {len(recording.axes)} axes"
-    with (
-        stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"),
-        ThreadPoolExecutor(1) as pool,
-    ):
+    with fitting(file, recording), ThreadPoolExecutor(1) as pool:
         seen = options.inspect(recording)
         spectrum = pool.submit(_spectrum, seen.quiet(recording))
         return spectrum, options.fit(recording, seen)
@@ -115,8 +79,6 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectru
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
     """Fit of a file that is never in memory as a whole."""
-    from allanjax.base.errors import AllanjaxError
-
     if options.regressors:
         raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
     with stage(f"{file.label}: reading") as say:
@@ -131,8 +93,7 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
             # What was handled cannot be taken out again, but the file can be read again without.
             reading = options.reading.within(seen.stretch)
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
-    size = f"{accumulator.n:,} samples of {len(accumulator.axes)} axes"
-    with stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)"):
+    with fitting(file, accumulator):
         return options.fit_accumulated(accumulator, seen)
 
 
@@ -142,9 +103,3 @@ def _spectrum(recording: "Recording") -> "PowerSpectrum":
     from allanjax.spectrum.psd import power_spectrum
 
     return power_spectrum(recording)
-
-
-def _print_fit(fit: "Fit") -> None:
-    print(fit, flush=True)
-    for note in fit.notes:
-        print(f"note: {note}")

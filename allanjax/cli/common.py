@@ -5,16 +5,20 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.plain import is_unicode
 from allanjax.fleet.files import matching_files
+
+if TYPE_CHECKING:
+    from allanjax.fleet.stream import AllanAccumulator
+    from allanjax.record.recording import Recording
 
 RESULTS = Path("allanjax-results")
 _STDIN = "-"
@@ -58,6 +62,64 @@ class Input(NamedTuple):
     name: str
 
 
+class Outcome(NamedTuple):
+    """What a command has found in a file.
+
+    Attributes:
+        told: what is printed.
+        document: the same as JSON.
+        written: files of results.
+        missing: what is wrong with axes that have no result.
+    """
+
+    told: str
+    document: Mapping[str, Any]
+    written: Sequence[Path]
+    missing: Sequence[str]
+
+
+def work_through(
+    files: Sequence[str],
+    out: Path | None,
+    as_json: bool,
+    work: Callable[[Input, Path | None], Outcome],
+    document: Callable[[list[dict[str, Any]], int], dict[str, Any]],
+) -> None:
+    """Do a command's work on files, of which bad ones do not stop the others, and print what comes of it.
+
+    Args:
+        files: names, patterns or - for standard input.
+        out: folder for the results; by default `RESULTS`, and none with JSON.
+        as_json: whether to print JSON.
+        work: what is done with a file and the folder.
+        document: what is printed of the documents, and of how many files there were.
+
+    Ends the program if files failed.
+    """
+    directory = out if as_json else out or RESULTS
+    prepare(directory)
+    documents: list[dict[str, Any]] = []
+    errors: list[dict[str, str]] = []
+    with inputs(files, directory) as given:
+        for file in given:
+            try:
+                done = work(file, directory)
+            except FAILURES as failure:
+                errors.append(_reported(file, _reason(failure, file.label)))
+                continue
+            if as_json:
+                documents.append({"file": file.label, **done.document})
+            else:
+                print(done.told, flush=True)
+            if done.written:
+                told = ", ".join(map(str, done.written))
+                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
+            errors += [_reported(file, message) for message in done.missing]
+    if as_json:
+        print_json({**document(documents, len(given)), "errors": errors})
+    exit_if_failed(errors, len(given))
+
+
 @contextmanager
 def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, ...]]:
     """Recordings that arguments stand for: files, matches of patterns, standard input; each once.
@@ -95,11 +157,13 @@ def prepare(out: Path | None = None) -> None:
     """
     if out is not None:
         place = next(path for path in (out, *out.absolute().parents) if os.path.exists(path))
+        wrong = ""
         if not place.is_dir():
-            print_error(f"{place} is a file: give a folder for the results by --out")
-            raise typer.Exit(1)
-        if not os.access(place, os.W_OK | os.X_OK):
-            print_error(f"{place} can not be written to: give another folder for the results by --out")
+            wrong = "is a file: give a folder"
+        elif not os.access(place, os.W_OK | os.X_OK):
+            wrong = "can not be written to: give another folder"
+        if wrong:
+            print_error(f"{place} {wrong} for the results by --out")
             raise typer.Exit(1)
     os.environ["MPLBACKEND"] = "Agg"
     # It would warn of a home folder that can not be written to.
@@ -113,7 +177,7 @@ def prepare(out: Path | None = None) -> None:
 FAILURES = (AllanjaxError, OSError, MemoryError)
 
 
-def reason(failure: BaseException, label: str) -> str:
+def _reason(failure: BaseException, label: str) -> str:
     """Message that says what went wrong with the file of this label."""
     if isinstance(failure, MemoryError):
         return f"{label}: not enough memory; take a stretch by --start and --stop, or --stream"
@@ -128,7 +192,7 @@ def failures_told() -> Iterator[None]:
     try:
         yield
     except FAILURES as failure:
-        print_error(reason(failure, "allanjax"))
+        print_error(_reason(failure, "allanjax"))
         raise typer.Exit(1) from failure
 
 
@@ -143,6 +207,14 @@ def stage(text: str) -> Iterator[Callable[[str], None]]:
         yield lambda words: status.update(Text(words))
 
 
+def fitting(
+    file: Input, data: "Recording | AllanAccumulator"
+) -> AbstractContextManager[Callable[[str], None]]:
+    """Show that a recording is being fitted, see `stage`."""
+    size = f"{data.n:,} samples of {len(data.axes)} axes"
+    return stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)")
+
+
 def print_json(document: Mapping[str, Any]) -> None:
     """Print a document on stdout, where nothing else is printed."""
     print(json.dumps(document, indent=2, ensure_ascii=not is_unicode(sys.stdout), allow_nan=False))
@@ -153,7 +225,7 @@ def print_error(message: str) -> None:
     print(f"error: {message}", file=sys.stderr)
 
 
-def reported(file: Input, message: str) -> dict[str, str]:
+def _reported(file: Input, message: str) -> dict[str, str]:
     """Print an error of a file on stderr; returns it as the JSON has it."""
     begin = f"{file.label}: "
     print_error(message if message.startswith(begin) else begin + message)

@@ -1,27 +1,12 @@
 """The command `allanjax critique`."""
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from allanjax.cli.common import (
-    FAILURES,
-    RESULTS,
-    Files,
-    Input,
-    Out,
-    epilog,
-    exit_if_failed,
-    inputs,
-    prepare,
-    print_json,
-    reason,
-    reported,
-    stage,
-)
+from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, stage, work_through
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -58,34 +43,18 @@ def command(
 ) -> None:
     from allanjax.report.critique_json import SCHEMA_VERSION, to_dict
 
-    directory = out if as_json else out or RESULTS
-    prepare(directory)
-    critiques: list[dict[str, Any]] = []
-    errors: list[dict[str, str]] = []
-    with inputs(files, directory) as given:
-        for file in given:
-            try:
-                found = _read_and_criticize(file, reading)
-                paths = [] if directory is None else _write(found, directory, file)
-            except FAILURES as failure:
-                errors.append(reported(file, reason(failure, file.label)))
-                continue
-            if as_json:
-                critiques.append({"file": file.label, **to_dict(found)})
-            else:
-                print(found, flush=True)
-            if paths:
-                told = ", ".join(str(path) for path in paths)
-                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
-            for dead in found.dead:
-                errors.append(reported(file, f"{dead.axis.name}: not compared, {dead.reason}"))
-    if as_json:
-        document: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "critiques": critiques}
-        if len(given) == 1 and critiques:
-            (document,) = critiques
-            del document["file"]
-        print_json({**document, "errors": errors})
-    exit_if_failed(errors, len(given))
+    def work(file: Input, directory: Path | None) -> Outcome:
+        found = _read_and_criticize(file, reading)
+        paths = [] if directory is None else _write(found, directory, file)
+        missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in found.dead]
+        return Outcome(str(found), to_dict(found), paths, missing)
+
+    def document(critiques: list[dict[str, Any]], count: int) -> dict[str, Any]:
+        if count == len(critiques) == 1:
+            return {key: value for key, value in critiques[0].items() if key != "file"}
+        return {"schema_version": SCHEMA_VERSION, "critiques": critiques}
+
+    work_through(files, out, as_json, work, document)
 
 
 def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
@@ -93,8 +62,7 @@ def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
         from allanjax.critic.critique import critique
     with stage(f"{file.label}: reading"):
         recording = read_recording(file.path, reading, file.label)
-    size = f"{recording.n:,} samples of {len(recording.axes)} axes"
-    with stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)") as tell:
+    with fitting(file, recording) as tell:
         return critique(recording, progress=lambda text: tell(f"{file.label}: {text}"))
 
 

@@ -20,7 +20,7 @@ def command(
 ) -> None:
     prepare(out)
     with stage("loading allanjax"):
-        from allanjax.cli.demo_sensor import compare, comparison_table, demo_recording
+        from allanjax.cli.demo_sensor import compare, demo_recording
         from allanjax.record.io import write
         from allanjax.report.files import write_results
     with failures_told():
@@ -33,10 +33,9 @@ def command(
         spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
         with stage("writing results"):
             paths = write_results(fit, spectrum.result(), out, file.stem)
-    comparisons = compare(fit)
-    print(comparison_table(comparisons))
-    inside = sum(comparison.inside for comparison in comparisons)
-    print(f"{inside} of {len(comparisons)} intervals hold the truth; of 95 % ones, one in twenty should not.")
+    table, inside, count = compare(fit)
+    print(table)
+    print(f"{inside} of {count} intervals hold the truth; of 95 % ones, one in twenty should not.")
     print(f"wrote {', '.join(str(path) for path in paths)}")
     print("\nFor a recording of your own:\n    allanjax characterize imu.csv")
     print("and if it has no time stamps and no units in its header:")

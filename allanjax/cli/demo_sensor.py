@@ -1,12 +1,11 @@
 """Simulated sensor of the demonstration, whose true coefficients a fit is compared with."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 from allanjax.base.tables import text_table
 from allanjax.base.wording import plain
 from allanjax.estimate.result import Fit
-from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import parse_model
 from allanjax.noise.simulate import simulate_recording
@@ -26,27 +25,6 @@ _TRUTH = {
 }
 
 
-@dataclass(frozen=True)
-class TruthComparison:
-    """Estimate of a coefficient and its true value.
-
-    Attributes:
-        found: the estimate [SI].
-        truth: true value [SI]; 0 for a term that was left out.
-    """
-
-    found: Estimate
-    truth: float
-
-    @property
-    def inside(self) -> bool:
-        """Whether the 95 % interval, or the upper limit of what is not detectable, holds the truth."""
-        c = self.found
-        if not c.detected and c.upper_limit is not None:
-            return self.truth <= c.upper_limit
-        return c.interval[0] <= self.truth <= c.interval[1]
-
-
 def demo_models() -> Mapping[str, Model]:
     """True model of each axis."""
     return {axis: parse_model(text, "gyro" if "gyro" in axis else "accel") for axis, text in _TRUTH.items()}
@@ -58,25 +36,23 @@ def demo_recording() -> Recording:
     return simulate_recording(demo_models(), n, RATE, _SEED, bias={"accel_z": 9.80665}, name="demo")
 
 
-def compare(fit: Fit) -> list[TruthComparison]:
-    """Comparisons of every coefficient of a fit of `demo_recording` with the truth."""
-    models = demo_models()
-    return [
-        TruthComparison(c, models[result.axis.name].values.get(c.label) or 0.0)
-        for result in fit.results
-        if result.converged
-        for c in result.coefficients.values()
-    ]
+def compare(fit: Fit) -> tuple[str, int, int]:
+    """Comparison of the coefficients of a fit of `demo_recording` with the truth.
 
-
-def comparison_table(comparisons: Iterable[TruthComparison]) -> str:
-    """Table of the comparisons for a terminal, each coefficient in its usual unit."""
-    rows = []
-    for comparison in comparisons:
-        c = comparison.found.in_unit()
-        truth = replace(comparison.found, value=comparison.truth).in_unit().value
-        put_in = f"{plain(truth, 4)} {c.unit}" if truth else "nothing"
-        rows.append(
-            (c.axis.name, c.title, c.describe(), put_in, "inside" if comparison.inside else "OUTSIDE")
-        )
-    return text_table("found, and put in", ("axis", "coefficient", "found", "put in", "95 %"), rows)
+    Returns a table for a terminal, each coefficient in its usual unit; how many 95 % intervals, or limits of
+    what is not detectable, hold the truth; and how many there are.
+    """
+    models, rows, inside = demo_models(), [], 0
+    for result in fit.results:
+        for c in result.coefficients.values() if result.converged else ():
+            truth = models[result.axis.name].values.get(c.label) or 0.0
+            limit = None if c.detected else c.upper_limit
+            lower, upper = c.interval if limit is None else (0.0, limit)
+            holds = lower <= truth <= upper
+            inside += holds
+            shown = c.in_unit()
+            value = replace(c, value=truth).in_unit().value
+            put_in = f"{plain(value, 4)} {shown.unit}" if truth else "nothing"
+            rows.append((c.axis.name, c.title, shown.describe(), put_in, "inside" if holds else "OUTSIDE"))
+    headings = ("axis", "coefficient", "found", "put in", "95 %")
+    return text_table("found, and put in", headings, rows), inside, len(rows)

@@ -15,11 +15,13 @@ import typer
 from allanjax.base.errors import AllanjaxError
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io.options import ReadOptions
+from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
     from allanjax.noise.model import Model
 
-Sensor = Literal["gyro", "accel"]
+# Options of reading that are numbers.
+_NUMBERS = ("rate", "start", "stop")
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -62,18 +64,15 @@ def _read_options(**values: Any) -> ReadOptions:
         raise typer.BadParameter(str(error), param_hint="--start, --stop") from error
 
 
-def _typed(name: str) -> Any:
-    """Type of an option's value as it is written on a command line."""
-    return (float if name in ("rate", "start", "stop") else str) | None
-
-
 _read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
     [
         inspect.Parameter(
             option.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
-            annotation=Annotated[_typed(option.name), typer.Option(help=option.metadata["help"])],
+            annotation=Annotated[
+                (float if option.name in _NUMBERS else str) | None, typer.Option(help=option.metadata["help"])
+            ],
         )
         for option in fields(ReadOptions)
     ]

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from allanjax.cli.common import epilog, failures_told, prepare, stage
-from allanjax.cli.options import Sensor, parsed_model
+from allanjax.cli.options import parsed_model
+from allanjax.record.units import Sensor
 
 HELP = "Simulate a static recording of a known sensor or of noise terms, and write it to a file."
 EPILOG = epilog(

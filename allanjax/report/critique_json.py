@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,20 +23,19 @@ SCHEMA_VERSION = 1
 def to_dict(critique: Critique) -> dict[str, Any]:
     """The critique as plain dictionaries, lists, numbers and strings; numbers that do not exist are None."""
     n = len(critique.results[0].stages[0].x) if critique.results else 0
+    rate = float(critique.rate)
+    found = {
+        "gain_nats": critique.gain,
+        "axes": [_axis(axis) for axis in critique.results],
+        "shared_findings": [_finding(finding) for finding in critique.shared_findings],
+        "notes": critique.notes,
+        "warnings": critique.warnings,
+    }
     return {
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
-        "recording": {
-            "name": critique.name,
-            "n": n,
-            "rate_hz": float(critique.rate),
-            "duration_s": n / critique.rate,
-        },
-        "gain_nats": finite_or_none(critique.gain),
-        "axes": [_axis(axis) for axis in critique.results],
-        "shared_findings": [_finding(finding) for finding in critique.shared_findings],
-        "notes": list(critique.notes),
-        "warnings": list(critique.warnings),
+        "recording": {"name": critique.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
+        **_plain(found),
     }
 
 
@@ -46,52 +46,49 @@ def write_json(critique: Critique, path: str | os.PathLike[str]) -> None:
     Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
+def _plain(value: Any) -> Any:
+    """Value with lists for tuples, and None for numbers that do not exist."""
+    if isinstance(value, Mapping):
+        return {key: _plain(x) for key, x in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(x) for x in value]
+    return value if value is None or isinstance(value, bool | str) else finite_or_none(value)
+
+
+def _fields(data: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(data, name) for name in names}
+
+
 def _axis(axis: AxisCritique) -> dict[str, Any]:
-    after = {d.statistic: d for d in axis.after}
+    after = {d.statistic: _discrepancy(d) for d in axis.after}
     return {
         "axis": axis.axis.name,
         "sensor": axis.axis.sensor,
         "unit": axis.axis.unit,
         "baseline": _model(axis.baseline, axis.axis),
         "baseline_measured": axis.misfit is None or not axis.misfit.excessive,
-        "discrepancies": [
-            {**_discrepancy(d), "after": _discrepancy(after[d.statistic]) if d.statistic in after else None}
-            for d in axis.before
-        ],
-        "tests": {name: finite_or_none(p) for name, p in axis.tests.items()},
+        "discrepancies": [{**_discrepancy(d), "after": after.get(d.statistic)} for d in axis.before],
+        "tests": axis.tests,
         "findings": [_finding(finding) for finding in axis.findings],
         "extended": _model(axis.model, axis.axis),
     }
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
-    drift = finding.drift
+    drift = None
+    if finding.drift is not None:
+        changed = _fields(finding.drift, "measured", "before", "after", "unit")
+        drift = {"horizon_s": finding.drift.horizon, **changed}
     return {
-        "cause": finding.cause,
-        "axes": list(finding.axes),
+        **_fields(finding, "cause", "axes"),
         "parameters": {name: _quantity(q) for name, q in finding.parameters.items()},
-        "p_value": finite_or_none(finding.p_value),
-        "evidence_nats": finite_or_none(finding.evidence),
-        "gain_nats": finite_or_none(finding.gain),
-        "rivals": [{"cause": rival.cause, "odds": finite_or_none(rival.odds)} for rival in finding.rivals],
-        "span": [finite_or_none(x) for x in finding.span],
-        "domain": finding.domain,
-        "coefficients": [
-            {
-                "label": c.label,
-                "before": finite_or_none(c.before),
-                "after": finite_or_none(c.after),
-                "unit": c.unit,
-            }
-            for c in finding.coefficients
-        ],
-        "drift": None
-        if drift is None
-        else {
-            "horizon_s": finite_or_none(drift.horizon),
-            **{key: finite_or_none(getattr(drift, key)) for key in ("measured", "before", "after")},
-            "unit": drift.unit,
-        },
+        "p_value": finding.p_value,
+        "evidence_nats": finding.evidence,
+        "gain_nats": finding.gain,
+        "rivals": [_fields(rival, "cause", "odds") for rival in finding.rivals],
+        **_fields(finding, "span", "domain"),
+        "coefficients": [_fields(c, "label", "before", "after", "unit") for c in finding.coefficients],
+        "drift": drift,
         "discrepancies": [
             {"before": _discrepancy(before), "after": _discrepancy(after)}
             for before, after in finding.discrepancies
@@ -102,25 +99,13 @@ def _finding(finding: Finding) -> dict[str, Any]:
 def _discrepancy(d: Discrepancy) -> dict[str, Any]:
     return {
         "statistic": d.statistic,
-        "where": finite_or_none(d.where) if d.where_unit else None,
-        "where_unit": d.where_unit,
-        "channel": d.channel,
-        "measured": finite_or_none(d.measured),
-        "simulated": finite_or_none(d.simulated),
-        "unit": d.unit,
-        "p_value": finite_or_none(d.p_value),
+        "where": d.where if d.where_unit else None,
+        **_fields(d, "where_unit", "channel", "measured", "simulated", "unit", "p_value"),
     }
 
 
 def _quantity(q: Quantity) -> dict[str, Any]:
-    values = q.value if isinstance(q.value, tuple) else (q.value,)
-    plain = [v if isinstance(v, str) else finite_or_none(v) for v in values]
-    return {
-        "value": plain if isinstance(q.value, tuple) else plain[0],
-        "std": finite_or_none(q.std),
-        "unit": q.unit,
-        "limit": q.limit or None,
-    }
+    return _plain({**_fields(q, "value", "std", "unit"), "limit": q.limit or None})
 
 
 def _model(model: Model, axis: Axis) -> dict[str, Any]:
@@ -128,9 +113,6 @@ def _model(model: Model, axis: Axis) -> dict[str, Any]:
     values: dict[str, dict[str, Any]] = {}
     for p in model.parameters:
         unit = usual_unit(p.parameter, axis.sensor)
-        scale = unit_scale(unit, axis.sensor)
-        values[p.label] = {
-            "value": None if p.start is None else finite_or_none(p.start / scale),
-            "unit": unit,
-        }
-    return {"terms": list(model.term_labels), "parameters": values}
+        value = None if p.start is None else p.start / unit_scale(unit, axis.sensor)
+        values[p.label] = {"value": value, "unit": unit}
+    return {"terms": model.term_labels, "parameters": values}

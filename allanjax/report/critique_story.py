@@ -41,10 +41,11 @@ def story(critique: Critique) -> str:
     count = sum(f.cause != "unexplained" for f in critique.findings)
     head = "nothing found" if count == 0 else f"{count} finding{'s' if count > 1 else ''}"
     gain = f", worth {nats(critique.gain)} on held-out data" if count else ""
-    lines = [f"{critique.name or 'recording'}: {head} in {_axes(len(critique))}{gain}"]
+    axes = "1 axis" if len(critique) == 1 else f"{len(critique)} axes"
     # Before all that is said of coefficients: whether they are any.
-    first = [f"warning: {text}" for text in (*critique.warnings, *unmeasured(critique))]
-    lines[:0] = [_wrapped(text, "", "  ") for text in first]
+    warnings = (*critique.warnings, *unmeasured(critique))
+    lines = [_wrapped(f"warning: {text}") for text in warnings]
+    lines.append(f"{critique.name or 'recording'}: {head} in {axes}{gain}")
     shared, previous = {name for f in critique.shared_findings for name in f.axes}, 2
     for axis in critique.results:
         block = _of_axis(axis, shared)
@@ -52,11 +53,11 @@ def story(critique: Critique) -> str:
         lines += [*([""] if max(len(block), previous) > 1 else []), *block]
         previous = len(block)
     for dead in critique.dead:
-        lines += ["", _wrapped(f"{dead.axis.name}: not compared: {dead.reason}", "", "  ")]
+        lines += ["", _wrapped(f"{dead.axis.name}: not compared: {dead.reason}")]
     for finding in critique.shared_findings:
-        lines += ["", _wrapped(sentence(finding), "", "  ")]
+        lines += ["", _wrapped(sentence(finding))]
         lines += format_changes(finding, critique[finding.axes[0]].axis)
-    notes = [_wrapped(f"note: {note}", "", "  ") for note in critique.notes]
+    notes = [_wrapped(f"note: {note}") for note in critique.notes]
     return "\n".join([*lines, *([""] if notes else []), *notes])
 
 
@@ -167,24 +168,20 @@ def _of_axis(axis: AxisCritique, shared: set[str]) -> list[str]:
     remains = [d for d in remains if not (name in shared and d.statistic in _BETWEEN)]
     if not wrong and not causes:
         smallest = min((d.p_value for d in axis.before), default=1.0)
-        return [
-            _wrapped(
-                f"{name}: nothing found: the simulation is indistinguishable from the measurement "
-                f"(smallest p-value {smallest:.2g} of {count} tests)",
-                "",
-                "  ",
-            )
-        ]
+        text = (
+            f"{name}: nothing found: the simulation is indistinguishable from the measurement "
+            f"(smallest p-value {smallest:.2g} of {count} tests)"
+        )
+        return [_wrapped(text)]
     if not causes:
-        return [_wrapped(f"{name}: {_unexplained(remains)}", "", "  ")] if remains else [f"{name}: {_SHARED}"]
+        own = _unexplained(remains) if remains else "nothing of its own; see what axes share"
+        return [_wrapped(f"{name}: {own}")]
     known = what(wrong[0]) if wrong else ""
-    lines = [_wrapped(f"{name}: {_headline(wrong, count)}", "", "  ")]
+    lines = [_wrapped(f"{name}: {_headline(wrong, count)}")]
     for finding in causes:
         lines += [_wrapped(paragraph(finding, known), "  - ", "    "), *format_changes(finding, axis.axis)]
-    lines.append(
-        _wrapped(_unexplained(remains) if remains else f"left: nothing, all {count} tests pass", "  ")
-    )
-    return lines
+    left = _unexplained(remains) if remains else f"left: nothing, all {count} tests pass"
+    return [*lines, _wrapped(left, "  ", "    ")]
 
 
 def _headline(wrong: Sequence[Discrepancy], count: int) -> str:
@@ -192,9 +189,6 @@ def _headline(wrong: Sequence[Discrepancy], count: int) -> str:
         return "no test by itself fails"
     fail = "tests fail" if len(wrong) > 1 else "tests fails"
     return f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
-
-
-_SHARED = "nothing of its own; see what axes share"
 
 
 def _wrong(found: Sequence[Discrepancy]) -> list[Discrepancy]:
@@ -209,17 +203,14 @@ def _unexplained(remains: Sequence[Discrepancy]) -> str:
     return f"unexplained: {'; '.join(describe(d) for d in by_p[:_TOLD])}{more}"
 
 
-def _wrapped(text: str, first: str, rest: str | None = None) -> str:
-    return wrap(text, _WIDTH, first, f"{first}  " if rest is None else rest)
+def _wrapped(text: str, first: str = "", rest: str = "  ") -> str:
+    return wrap(text, _WIDTH, first, rest)
 
 
 def _coefficient(c: CoefficientChange, axis: Axis) -> str:
-    name = title_of(c.label, axis)
-    if not np.isfinite(c.before):
-        return f"{name} none → {plain(c.after, 3)} {c.unit}"
-    if not np.isfinite(c.after):
-        return f"{name} {plain(c.before, 3)} {c.unit} → none"
-    return f"{name} {plain(c.before, 3)} → {plain(c.after, 3)} {c.unit}"
+    before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
+    change = f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
+    return f"{title_of(c.label, axis)} {change}"
 
 
 def _drift(drift: DriftChange) -> str:
@@ -235,10 +226,6 @@ def _notable(before: float, after: float) -> bool:
     if not known.all():
         return bool(known.any())
     return abs(after - before) > _NOTABLE * max(abs(before), abs(after))
-
-
-def _axes(count: int) -> str:
-    return f"{count} {'axis' if count == 1 else 'axes'}"
 
 
 def critique_text(critique: Critique) -> str:

@@ -5,28 +5,42 @@ from __future__ import annotations
 import os
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.fleet.fleet import FleetResult
+from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor
-from allanjax.report.figure import POINTS, SENSORS, literal, save_and_close, style
+from allanjax.report.figure import (
+    COLOURS,
+    POINTS,
+    SENSORS,
+    add_legend,
+    literal,
+    marks,
+    place,
+    save_and_close,
+    style,
+    write_title,
+)
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-# Okabe and Ito's colours, as in the other pictures.
-_MEDIAN, _OUTLYING, _LIMIT = "#0072B2", "#D55E00", "0.6"
+_BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY = COLOURS
+_MEDIAN, _OUTLYING, _LIMIT = _BLUE, _RED, "0.6"
 # Colours of each group's points; the first one if there is a single group.
-_GROUPS = (POINTS, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.5")
+_GROUPS = (POINTS, _GREEN, _PURPLE, _ORANGE, _SKY, "0.5")
 
 # Inches: places are fixed, so that nothing can overlap.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
@@ -77,10 +91,6 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
     Raises:
         AllanjaxError: the table lacks a column.
     """
-    import matplotlib.pyplot as plt
-
-    from allanjax.fleet.table import table_schema
-
     if missing := set(table_schema().names) - set(table.columns):
         raise AllanjaxError(
             f"a fleet's table has a column {', '.join(sorted(missing))}; pass the table of FleetResult"
@@ -98,7 +108,9 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
     height = top + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
     with style():
         figure = plt.figure(figsize=(width, height))
-        _draw_title(figure, table["recording"].nunique(), facts, keys, key_columns)
+        write_title(figure, _LEFT, f"{table['recording'].nunique()} units", "\n".join(facts))
+        below = 0.42 + _LINE_HEIGHT + _TITLE_LINE * (len(facts) - 1)
+        add_legend(figure, keys, "upper left", _LEFT, below, ncols=key_columns, columnspacing=1.2)
         for row, coefficient in enumerate(coefficients):
             for column, sensor in enumerate(sensors):
                 of = drawn[(drawn["coefficient"] == coefficient) & (drawn["sensor"] == sensor)]
@@ -106,8 +118,8 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
                     continue
                 left = _LEFT + column * (_PANEL_WIDTH + _GAP)
                 bottom = height - top - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
-                place = (left / width, bottom / height, _PANEL_WIDTH / width, _PANEL_HEIGHT / height)
-                _draw_panel(figure.add_axes(place), of, coefficient, sensor, groups)
+                panel = place(figure, left, bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
+                _draw_panel(panel, of, coefficient, sensor, groups)
         return save_and_close(figure, path)
 
 
@@ -149,9 +161,6 @@ def _facts(table: pd.DataFrame, letters: int) -> list[str]:
 
 def _key(table: pd.DataFrame) -> list[Any]:
     """Entries of the key for points, lines and bands."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     points: dict[str, Any] = {"marker": "o", "markersize": 3, "linewidth": 0.8}
     hollow: dict[str, Any] = {"marker": "v", "markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
     return [
@@ -161,23 +170,6 @@ def _key(table: pd.DataFrame) -> list[Any]:
         Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
         Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
     ]
-
-
-def _draw_title(figure: Figure, units: int, facts: Sequence[str], keys: list[Any], columns: int) -> None:
-    width, height = figure.get_size_inches()
-    at: dict[str, Any] = {"x": _LEFT / width, "va": "top"}
-    figure.text(y=1.0 - 0.12 / height, s=f"{units} units", fontsize=13, fontweight="bold", **at)
-    figure.text(y=1.0 - 0.4 / height, s=literal("\n".join(facts)), color="0.35", fontsize=9.5, **at)
-    figure.legend(
-        handles=keys,
-        loc="upper left",
-        bbox_to_anchor=(_LEFT / width, 1.0 - (0.42 + _LINE_HEIGHT + _TITLE_LINE * (len(facts) - 1)) / height),
-        ncols=columns,
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-        columnspacing=1.2,
-    )
 
 
 def _draw_panel(
@@ -202,8 +194,6 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
     height = of["height"].to_numpy()
     if (height <= 0.0).any():
         return
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-
     low = max(float(of.loc[of["lower_95"] > 0.0, "lower_95"].min()), height.min() / _BEYOND)
     high = min(float(of.loc[of["detected"], "upper_95"].max()), height.max() * _BEYOND)
     low, high = np.nanmin([low, height.min()]), np.nanmax([high, height.max()])
@@ -241,30 +231,19 @@ def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, c
         reach = [x[0] - _BESIDE_POINTS, x[-1] + _BESIDE_POINTS]
         panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
         panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
-    panel.plot(
-        x[~detected],
-        y[~detected],
-        "v",
-        color=_LIMIT,
-        markersize=3.5,
-        markerfacecolor="none",
-        markeredgewidth=0.7,
-    )
+    hollow: dict[str, Any] = {
+        "color": _LIMIT,
+        "markersize": 3.5,
+        "markerfacecolor": "none",
+        "markeredgewidth": 0.7,
+    }
+    panel.plot(x[~detected], y[~detected], "v", **hollow)
     # Many units' bars must not hide their points.
     bars = 0.8 if len(of) <= _MANY else 0.4
-    for rows, shown in ((usual, colour), (outlying, _OUTLYING)):
-        ends = np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y])[:, rows]
-        panel.errorbar(
-            x[rows],
-            y[rows],
-            np.maximum(np.nan_to_num(ends, posinf=0.0), 0.0),
-            fmt="o",
-            color=shown,
-            markersize=2.6,
-            markeredgewidth=0.0,
-            elinewidth=bars,
-            zorder=4 if shown == _OUTLYING else 3,
-        )
+    ends = np.nan_to_num(np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y]), posinf=0.0)
+    for rows, shown, zorder in ((usual, colour, 3), (outlying, _OUTLYING, 4)):
+        look = {**marks(2.6), "color": shown, "elinewidth": bars, "zorder": zorder}
+        panel.errorbar(x[rows], y[rows], np.maximum(ends[:, rows], 0.0), **look)
 
 
 def _name_units(
