@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Complex, Float
 
 from allanjax.estimate.result import AxisFit
 
@@ -38,27 +38,12 @@ def draw_slopes(panel: Axes) -> None:
         # Where it leaves the panel.
         reach = min((right - left) / 2.0, np.inf if slope == 0.0 else (top - bottom) / 2.0 / abs(slope))
         ends = np.array([-reach, reach])
-        panel.plot(
-            10.0 ** (x0 + ends),
-            10.0 ** (y0 + slope * ends),
-            color=_FAINT,
-            linewidth=0.7,
-            linestyle=(0, (1, 4)),
-            zorder=0.5,
-            label=f"slope {name}",
-        )
+        look: dict[str, Any] = {"color": _FAINT, "linewidth": 0.7, "linestyle": (0, (1, 4)), "zorder": 0.5}
+        panel.plot(10.0 ** (x0 + ends), 10.0 ** (y0 + slope * ends), label=f"slope {name}", **look)
         end = 0.93 * reach
-        panel.text(
-            10.0 ** (x0 + end),
-            10.0 ** (y0 + slope * end),
-            name,
-            color=_FAINT_TEXT,
-            fontsize=_SIZE,
-            ha="center",
-            va="center",
-            zorder=0.6,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-        )
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+        style: dict[str, Any] = {"color": _FAINT_TEXT, "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
+        panel.text(10.0 ** (x0 + end), 10.0 ** (y0 + slope * end), name, ha="center", va="center", **style)
 
 
 def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None:
@@ -71,14 +56,13 @@ def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None
     """
     from matplotlib.patheffects import withStroke
 
-    others = [_pixels(panel, line) for line in panel.get_lines() if line.get_zorder() > 1.0]
+    others = [_pixels(panel, line.get_xydata()) for line in panel.get_lines() if line.get_zorder() > 1.0]
     # Error bars, as a few points of each.
-    share = np.linspace(0.0, 1.0, 7)[:, None]
     bars = [bar for of in panel.collections if hasattr(of, "get_segments") for bar in of.get_segments()]
-    pixels = [panel.transData.transform(np.maximum(bar, 1e-300)) for bar in bars]
-    others += [ends[0] + share * (ends[1] - ends[0]) for ends in pixels if len(ends) == 2]
+    ends = [_pixels(panel, np.maximum(bar, 1e-300)) for bar in bars]
+    others += [np.linspace(pair[0], pair[1], 7) for pair in ends if len(pair) == 2]
     written = [text.get_window_extent() for text in panel.texts]
-    taken = [np.array([[box.x0, box.y0], [box.x1, box.y1]]) for box in written]
+    taken = [(complex(*box.p0), complex(*box.p1)) for box in written]
     for label, line in drawn.items():
         c = result.coefficients.get(label)
         if c is None or c.term not in _WRITTEN or not c.detected:
@@ -87,92 +71,75 @@ def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None
         value = shown.describe().split(" ± ")[0].removesuffix(" (held)").removeprefix("(")
         value = value if value.endswith(shown.unit) else f"{value} {shown.unit}"
         text = _WRITTEN[c.term].format(symbol=c.symbol, value=value)
-        own = _pixels(panel, line)
-        place = _roomiest(panel, own, text, [x for x in others if not np.array_equal(x, own)], taken)
+        own = _pixels(panel, line.get_xydata())
+        place = _roomiest(panel, own, len(text), [x for x in others if not np.array_equal(x, own)], taken)
         if place is None:
             continue
-        middle, angle, corners = place
-        x, y = panel.transData.inverted().transform(middle)
+        middle, angle, box = place
+        x, y = panel.transData.inverted().transform((middle.real, middle.imag))
         panel.text(
             x,
             y,
             text,
             color=line.get_color(),
             fontsize=_SIZE,
-            rotation=np.degrees(angle),
+            rotation=angle,
             rotation_mode="anchor",
             ha="center",
             va="center",
             zorder=4.0,
             path_effects=[withStroke(linewidth=1.5, foreground="white")],
         )
-        taken.append(np.array([corners.min(axis=0), corners.max(axis=0)]))
+        taken.append(box)
 
 
-def _pixels(panel: Axes, line: Line2D) -> Float[np.ndarray, "points 2"]:
-    """Points of a line on the screen, in pixels."""
-    points = np.asarray(line.get_xydata(), float)
-    return panel.transData.transform(points[(points > 0.0).all(axis=1)])
+def _pixels(panel: Axes, points: Any) -> Complex[np.ndarray, " points"]:
+    """Points on the screen, x + iy in pixels, without those that are not on a logarithmic scale."""
+    xy = np.asarray(points, float)
+    return panel.transData.transform(xy[(xy > 0.0).all(axis=1)]) @ (1.0, 1.0j)
 
 
 def _roomiest(
     panel: Axes,
-    line: Float[np.ndarray, "points 2"],
-    text: str,
-    others: Sequence[Float[np.ndarray, "_ 2"]],
-    taken: Sequence[Float[np.ndarray, "2 2"]],
-) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "4 2"]] | None:
-    """Middle, angle and corners of the place beside a line that is farthest from everything else.
+    line: Complex[np.ndarray, " points"],
+    letters: int,
+    others: Sequence[Complex[np.ndarray, " _"]],
+    taken: Sequence[tuple[complex, complex]],
+) -> tuple[complex, float, tuple[complex, complex]] | None:
+    """Middle, angle [deg] and corners of the place beside a line that is farthest from everything else.
 
     None if there is no place inside the panel that another text has not taken.
     """
-    size = _SIZE * panel.figure.dpi / 72.0
-    half = np.array([0.5 * _WIDTH * len(text), 0.5 * _HEIGHT]) * size
-    box = panel.bbox
-    lower, upper = np.array([box.x0, box.y0]) + 4.0, np.array([box.x1, box.y1]) - 4.0
+    from scipy.spatial import KDTree
+
     if len(line) < 2 or not others:
         return None
-    obstacles = np.concatenate(others)
-    obstacles = obstacles[((obstacles > lower - 50.0) & (obstacles < upper + 50.0)).all(axis=1)]
+    size = _SIZE * panel.figure.dpi / 72.0
+    half = 0.5 * _WIDTH * letters * size
+    lower, upper = complex(*panel.bbox.p0) + 4.0 + 4.0j, complex(*panel.bbox.p1) - 4.0 - 4.0j
     # Places along the line, at equal distances on the screen, on either side of it, near and not so near.
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    along = np.concatenate([[0.0], np.cumsum(abs(np.diff(line)))])
     at = np.linspace(0.0, along[-1], _PLACES)
-    before, after = (np.clip(at + sign * half[0], 0.0, along[-1]) for sign in (-1.0, 1.0))
-    points, starts, ends = (
-        np.stack([np.interp(s, along, line[:, i]) for i in (0, 1)], axis=1) for s in (at, before, after)
-    )
-    direction = (ends - starts) / np.maximum(np.hypot(*(ends - starts).T), 1e-9)[:, None]
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    away = np.repeat([_AWAY, -_AWAY, 1.7 * _AWAY, -1.7 * _AWAY], _PLACES)[:, None] * size
-    points, direction, normal = (np.tile(x, (4, 1)) for x in (points, direction, normal))
-    middle = points + away * normal
+    points, starts, ends = (np.interp(s, along, line) for s in (at, at - half, at + half))
+    direction = np.tile((ends - starts) / np.maximum(abs(ends - starts), 1e-9), 4)
+    away = np.repeat([_AWAY, -_AWAY, 1.7 * _AWAY, -1.7 * _AWAY], _PLACES) * size
+    middle = np.tile(points, 4) + away * 1.0j * direction
     # A grid of points of each text's box.
-    u, v = np.meshgrid(np.linspace(-1.0, 1.0, 9), np.linspace(-1.0, 1.0, 3))
-    grid = (
-        middle[:, None]
-        + (u.ravel() * half[0])[:, None] * direction[:, None]
-        + (v.ravel() * half[1])[:, None] * normal[:, None]
-    )
-    corners = grid[:, [0, 8, 18, 26]]
-    fits = _free(corners, lower, upper, taken)
+    u, v = np.meshgrid(np.linspace(-half, half, 9), np.linspace(-0.5, 0.5, 3) * _HEIGHT * size)
+    grid = middle[:, None] + direction[:, None] * (u + 1.0j * v).ravel()
+    low, high = (end(grid.real, axis=1) + 1.0j * end(grid.imag, axis=1) for end in (np.min, np.max))
+    fits = _parts(low - lower, upper - high).min(axis=0) > 0.0
+    for a, b in taken:
+        fits &= _parts(a - high, low - b).max(axis=0) > 2.0
     if not fits.any():
         return None
-    distance = np.full(len(grid), -1.0)
-    for k in np.flatnonzero(fits):
-        distance[k] = np.sqrt(((grid[k][:, None] - obstacles) ** 2).sum(axis=2).min())
-    best = int(np.argmax(distance))
-    return middle[best], float(np.arctan2(direction[best, 1], direction[best, 0])), corners[best]
+    obstacles = np.concatenate(others)
+    obstacles = obstacles[_parts(obstacles - lower, upper - obstacles).min(axis=0) > -50.0]
+    distance, _ = KDTree(_parts(obstacles).T).query(_parts(grid[fits]).T)
+    best = np.flatnonzero(fits)[np.argmax(distance.min(axis=0))]
+    return middle[best], np.degrees(np.angle(direction[best])), (low[best], high[best])
 
 
-def _free(
-    corners: Float[np.ndarray, "places 4 2"],
-    lower: Float[np.ndarray, " 2"],
-    upper: Float[np.ndarray, " 2"],
-    taken: Sequence[Float[np.ndarray, "2 2"]],
-) -> Bool[np.ndarray, " places"]:
-    """Whether each box is inside the panel and clear of those taken."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    fits = (low > lower).all(axis=1) & (high < upper).all(axis=1)
-    for a, b in taken:
-        fits &= ((high < a - 2.0) | (low > b + 2.0)).any(axis=1)
-    return fits
+def _parts(*z: Complex[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+    """Real and imaginary parts, one after the other."""
+    return np.stack([part for x in z for part in (x.real, x.imag)])
