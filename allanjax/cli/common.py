@@ -49,13 +49,7 @@ def epilog(*examples: str) -> str:
 
 
 class Input(NamedTuple):
-    """Recording that a command works on.
-
-    Attributes:
-        path: file that is read.
-        label: its name in messages.
-        name: name of its results, which no other recording has.
-    """
+    """Recording that a command works on: its file, its name in messages, and that of its results alone."""
 
     path: Path
     label: str
@@ -63,19 +57,12 @@ class Input(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a command has found in a file.
-
-    Attributes:
-        told: what is printed.
-        document: the same as JSON.
-        written: files of results.
-        missing: what is wrong with axes that have no result.
-    """
+    """What a command has found in a file, in words and as JSON; what it wrote; which axes have no result."""
 
     told: str
     document: Mapping[str, Any]
     written: Sequence[Path]
-    missing: Sequence[str]
+    without_result: Sequence[str]
 
 
 def work_through(
@@ -114,7 +101,7 @@ def work_through(
             if done.written:
                 told = ", ".join(map(str, done.written))
                 print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
-            errors += [_reported(file, message) for message in done.missing]
+            errors += [_reported(file, message) for message in done.without_result]
     if as_json:
         print_json({**document(documents, len(given)), "errors": errors})
     exit_if_failed(errors, len(given))
@@ -246,10 +233,8 @@ def result_names(files: Sequence[Path]) -> list[str]:
     names: list[str] = []
     for file in files:
         stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
-        name, number = stem, 1
         # Some file systems do not tell case apart.
-        while name.casefold() in (taken.casefold() for taken in names):
-            number += 1
-            name = f"{stem}-{number}"
-        names.append(name)
+        taken = {name.casefold() for name in names}
+        numbered = (f"{stem}-{number}" for number in range(2, len(files) + 1))
+        names.append(next(name for name in (stem, *numbered) if name.casefold() not in taken))
     return names

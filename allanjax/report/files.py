@@ -1,23 +1,26 @@
 """Files of a fit: JSON after `fit.schema.json`, CSV tables and figures."""
 
-import csv
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from allanjax.base.wording import finite_or_none
-from allanjax.estimate.as_json import _numbers, to_dict
+from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.result import Fit
 from allanjax.record.units import rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum
 
 # List of numbers in JSON, one in each line.
 _NUMBERS = re.compile(r"\[\n\s+((?:-?[\d.eE+-]+|null)(?:,\n\s+(?:-?[\d.eE+-]+|null))*)\n\s+\]")
+
+_COEFFICIENT_COLUMNS = (
+    *("axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit"),
+    *("detected", "held", "measured", "upper_limit_95", "reason"),
+)
 
 
 def write_json(fit: Fit, path: str | os.PathLike[str]) -> None:
@@ -35,19 +38,19 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     Each axis is in its recording's unit, which the header states; where that is one of increments, in rad/s
     or m/s². The model's column is empty for an axis without result.
     """
-    header, columns = ["cluster_time [s]"], [fit.curve.cluster_time]
-    lower, upper = fit.curve.confidence_interval(0.68)
+    curve = fit.curve
+    columns = {"cluster_time [s]": curve.cluster_time}
+    lower, upper = curve.confidence_interval(0.68)
     for k, result in enumerate(fit.results):
         unit, scale = rate_unit_of(result.axis.unit, result.axis.sensor)
         name = result.axis.name
-        model = (
-            fit.model_deviation(name, fit.curve.cluster_time)
-            if result.converged
-            else np.full(len(fit.curve.cluster_time), np.nan)
-        )
-        header += [f"{name} {kind} [{unit}]" for kind in ("deviation", "lower_68", "upper_68", "model")]
-        columns += [part / scale for part in (fit.curve.deviation[:, k], lower[:, k], upper[:, k], model)]
-    _write_csv(path, header, ([finite_or_none(x) for x in row] for row in np.stack(columns, axis=1)))
+        parts = {"deviation": curve.deviation[:, k], "lower_68": lower[:, k], "upper_68": upper[:, k]}
+        parts["model"] = np.full(len(lower), np.nan)
+        if result.converged:
+            parts["model"] = fit.model_deviation(name, curve.cluster_time)
+        columns |= {f"{name} {kind} [{unit}]": part / scale for kind, part in parts.items()}
+    table = np.stack(list(columns.values()), axis=1)
+    _write_csv(path, list(columns), np.where(np.isfinite(table), table, np.nan))
 
 
 def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
@@ -56,24 +59,17 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     A coefficient that is not a measurement (see `AxisFit.measured`) has no error and no interval, but a
     reason.
     """
-    header = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit"]
-    header += ["detected", "held", "measured"]
-    rows: list[list[Any]] = []
+    rows: list[dict[Any, Any]] = []
     for result in fit.results:
         if not result.converged:
-            rows.append([result.axis.name, *[""] * len(header), result.reason])
+            rows.append({"axis": result.axis.name, "reason": result.reason})
             continue
-        for c in result.coefficients.values():
-            shown = c.in_unit()
-            n = _numbers(shown)
-            numbers = [n["value"], n["std"], *n["interval_95"]]
-            flags = [str(x).lower() for x in (c.detected, c.held, c.measured)]
-            reason = "" if c.measured else result.verdict()
-            rows.append(
-                [result.axis.name, c.label, *numbers, shown.unit, *flags, n["upper_limit_95"], reason]
-            )
-    rows += [[dead.axis.name, *[""] * len(header), dead.reason] for dead in fit.dead]
-    _write_csv(path, [*header, "upper_limit_95", "reason"], rows)
+        table = result.to_dataframe().replace([np.inf, -np.inf], np.nan)
+        for row, c in zip(table.to_dict("records"), result.coefficients.values(), strict=True):
+            flags = {name: str(getattr(c, name)).lower() for name in ("detected", "held", "measured")}
+            rows.append({**row, **flags, "reason": "" if c.measured else result.verdict()})
+    rows += [{"axis": dead.axis.name, "reason": dead.reason} for dead in fit.dead]
+    _write_csv(path, _COEFFICIENT_COLUMNS, rows)
 
 
 #: What is written of every fit: the end of the file's name, and what writes it.
@@ -105,8 +101,7 @@ def write_results(
     return tuple(paths)
 
 
-def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with Path(path).open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(header)
-        writer.writerows(rows)
+def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Any) -> None:
+    import pandas as pd
+
+    pd.DataFrame(rows, columns=list(header)).to_csv(path, index=False, lineterminator="\r\n")

@@ -34,9 +34,22 @@ def schema(name: Name) -> dict[str, Any]:
     """
     if name == "fleet":
         return _of_fleet()
-    document, plural = _document(name), f"{name}s"
+    path = files(__package__).joinpath(f"{name}.schema.json")
+    document, plural = json.loads(path.read_text(encoding="utf-8")), f"{name}s"
     definitions = document.pop("$defs")
     single = {key: value for key, value in document.items() if key not in ("$schema", "title")}
+    properties = single["properties"]
+    own = {key: value for key, value in properties.items() if key != "errors"}
+    entry = {**single, "properties": {"file": _FILE, **own}, "required": ["file", *single["required"]]}
+    entries = {
+        "type": "array",
+        "description": "One entry a file, without those that failed.",
+        "items": entry,
+    }
+    bundle = _closed(
+        f"What --json prints: the {plural} of all files, and the errors.",
+        {"schema_version": properties["schema_version"], plural: entries, "errors": _ERRORS},
+    )
     return {
         "$schema": _DRAFT,
         "title": f"allanjax {name}",
@@ -44,35 +57,17 @@ def schema(name: Name) -> dict[str, Any]:
         "if": {"required": [plural]},
         "then": {"$ref": "#/$defs/bundle"},
         "else": {"$ref": f"#/$defs/{name}"},
-        "$defs": {
-            name: single,
-            "bundle": _bundle(plural, single),
-            **definitions,
-        },
+        "$defs": {name: single, "bundle": bundle, **definitions},
     }
 
 
-def _bundle(plural: str, single: dict[str, Any]) -> dict[str, Any]:
-    """Schema of several documents, each with its file, and of errors."""
-    properties = {key: value for key, value in single["properties"].items() if key != "errors"}
-    entry = {
-        **single,
-        "properties": {"file": _FILE, **properties},
-        "required": ["file", *single["required"]],
-    }
+def _closed(description: str, properties: dict[str, Any]) -> dict[str, Any]:
+    """Schema of an object that has these properties and no others."""
     return {
         "type": "object",
-        "description": f"What --json prints: the {plural} of all files, and the errors.",
-        "properties": {
-            "schema_version": single["properties"]["schema_version"],
-            plural: {
-                "type": "array",
-                "description": "One entry a file, without those that failed.",
-                "items": entry,
-            },
-            "errors": _ERRORS,
-        },
-        "required": ["schema_version", plural, "errors"],
+        "description": description,
+        "properties": properties,
+        "required": list(properties),
         "additionalProperties": False,
     }
 
@@ -80,34 +75,27 @@ def _bundle(plural: str, single: dict[str, Any]) -> dict[str, Any]:
 def _of_fleet() -> dict[str, Any]:
     """Schema of a recording of a fleet."""
     fit = schema("fit")
-    key = {
+    options = {
         "type": "object",
-        "description": "What the result depends on: a later run takes it if all of this is the same.",
-        "properties": {
+        "description": "How it was read and fitted; numbers as text.",
+        "required": [option.name for option in fields(FitOptions)],
+    }
+    key = _closed(
+        "What the result depends on: a later run takes it if all of this is the same.",
+        {
             "path": {"type": "string", "description": "The file."},
             "size": {"type": "integer", "description": "Its size in bytes."},
             "modified_ns": {"type": "integer", "description": "When it was last changed, in UNIX ns."},
-            "options": {
-                "type": "object",
-                "description": "How it was read and fitted; numbers as text.",
-                "required": [option.name for option in fields(FitOptions)],
-            },
+            "options": options,
             "allanjax_version": {"type": "string", "description": "Version of allanjax that fitted it."},
         },
-        "additionalProperties": False,
-    }
-    key["required"] = list(key["properties"])  # type: ignore[call-overload]
+    )
     return {
         "$schema": _DRAFT,
         "title": "allanjax recording of a fleet",
-        "description": "One recording of a fleet, as recordings/NAME.json holds it.",
-        "type": "object",
-        "properties": {"key": key, "fit": {"$ref": "#/$defs/fit"}},
-        "required": ["key", "fit"],
-        "additionalProperties": False,
+        **_closed(
+            "One recording of a fleet, as recordings/NAME.json holds it.",
+            {"key": key, "fit": {"$ref": "#/$defs/fit"}},
+        ),
         "$defs": {name: part for name, part in fit["$defs"].items() if name != "bundle"},
     }
-
-
-def _document(name: str) -> dict[str, Any]:
-    return json.loads(files(__package__).joinpath(f"{name}.schema.json").read_text(encoding="utf-8"))
