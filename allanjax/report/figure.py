@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 # Okabe and Ito's colours, for the colour-blind; the dashes tell terms apart in black and white.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
@@ -167,6 +168,13 @@ def add_legend(
         borderaxespad=0.0,
         **style,
     )
+
+
+def points_entry(label: str, colour: str = POINTS) -> Line2D:
+    """Entry of a figure's key for points with error bars."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, marker="o", markersize=3, linewidth=0.8, label=label)
 
 
 def add_grid(panel: Axes) -> None:

@@ -32,6 +32,7 @@ from allanjax.report.figure import (
     literal,
     marks,
     place,
+    points_entry,
     save_and_close,
     style,
     write_title,
@@ -161,12 +162,11 @@ def _facts(table: pd.DataFrame, letters: int) -> list[str]:
 
 def _key(table: pd.DataFrame) -> list[Any]:
     """Entries of the key for points, lines and bands."""
-    points: dict[str, Any] = {"marker": "o", "markersize": 3, "linewidth": 0.8}
     hollow: dict[str, Any] = {"marker": "v", "markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
     return [
-        *(Line2D([], [], color=colour, label=name, **points) for name, colour in _group_colours(table)),
+        *(points_entry(name, colour) for name, colour in _group_colours(table)),
         Line2D([], [], color=_LIMIT, label="not detected: 95 % limit", **hollow),
-        Line2D([], [], color=_OUTLYING, label="outlying", **points),
+        points_entry("outlying", _OUTLYING),
         Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
         Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
     ]

@@ -24,6 +24,7 @@ from allanjax.report.figure import (
     mark_2_and_5,
     marks,
     place,
+    points_entry,
     save,
     save_and_close,
     style,
@@ -164,8 +165,7 @@ class Frame:
         most = int(figure.get_figwidth() * 8)
         title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
         write_title(figure, _LEFT, title, self.facts)
-        look = {"color": POINTS, "marker": "o", "markersize": 3, "linewidth": 0.8}
-        handles = [Line2D([], [], label="measured, 68 % interval", **look)]  # type: ignore[arg-type]
+        handles = [points_entry("measured, 68 % interval")]
         if self.has_model:
             handles.append(Line2D([], [], **{**MODEL, "label": "model, sum of its terms"}))
         add_legend(figure, handles, "upper left", _LEFT, 0.65, ncols=2)

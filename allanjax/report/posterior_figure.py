@@ -30,11 +30,11 @@ from allanjax.report.figure import (
     COLOURS,
     DOTS,
     FONT_SIZE,
-    POINTS,
     add_grid,
     add_legend,
     mark_2_and_5,
     place,
+    points_entry,
     save_and_close,
     style,
     write_title,
@@ -230,9 +230,8 @@ def plot_posterior(
         name = posterior.fit.name or "posterior"
         facts = f"{measured.n:,} samples at {measured.rate:g} Hz; model under the posterior"
         write_title(figure, _LEFT, name if len(name) < 70 else f"{name[:69]}…", facts)
-        look: dict[str, Any] = {"color": POINTS, "marker": "o", "markersize": 3, "linewidth": 0.8}
         handles = [
-            Line2D([], [], label="measured, 68 % interval", **look),
+            points_entry("measured, 68 % interval"),
             Line2D([], [], color=_COLOUR, linewidth=1.2, label="model, median"),
             Patch(color=_COLOUR, alpha=0.45, linewidth=0.0, label="68 %"),
             Patch(color=_COLOUR, alpha=0.2, linewidth=0.0, label="95 %"),
