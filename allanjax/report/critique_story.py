@@ -8,14 +8,7 @@ import numpy as np
 
 from allanjax.base.plain import printable
 from allanjax.base.wording import duration, plain
-from allanjax.critic.result import (
-    AxisCritique,
-    CoefficientChange,
-    Critique,
-    Discrepancy,
-    DriftChange,
-    Finding,
-)
+from allanjax.critic.result import AxisCritique, CoefficientChange, Critique, Discrepancy, Finding
 from allanjax.estimate.misfit import LIMIT
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
@@ -110,17 +103,17 @@ def paragraph(finding: Finding, known: str = "") -> str:
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
     """Discrepancy that the finding reduced most, before and after, if it was significant before."""
-    pairs = [p for p in finding.discrepancies if p[0].p_value < UNEXPLAINED and _much(p)]
-    best = max(pairs, key=_mended, default=None)
-    if best is None:
+    # Of those whose log p-value has lost at least half of its size.
+    pairs = [
+        pair
+        for pair in finding.discrepancies
+        if pair[0].p_value < UNEXPLAINED and _mended(pair) > -0.5 * np.log(pair[0].p_value)
+    ]
+    if not pairs:
         return None
-    known = next((p for p in pairs if p[0].statistic == _KNOWN), None)
-    return known if known is not None and _CLEARER * _mended(known) >= _mended(best) else best
-
-
-def _much(pair: tuple[Discrepancy, Discrepancy]) -> bool:
-    """Whether the log p-value has lost at least half of its size."""
-    return _mended(pair) > -0.5 * np.log(pair[0].p_value)
+    best = max(pairs, key=_mended)
+    known = next((pair for pair in pairs if pair[0].statistic == _KNOWN), best)
+    return known if _CLEARER * _mended(known) >= _mended(best) else best
 
 
 def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
@@ -149,7 +142,11 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     found = [_coefficient(c, axis) for c in finding.coefficients if _notable(c.before, c.after)]
     drift = finding.drift
     if drift is not None and _notable(drift.before, drift.after):
-        found.append(_drift(drift))
+        measured, before, after = (plain(x, 3) for x in (drift.measured, drift.before, drift.after))
+        found.append(
+            f"drift over {duration(drift.horizon)}: measured {measured} {drift.unit}, "
+            f"predicted {before} before and {after} after"
+        )
     return found
 
 
@@ -177,18 +174,15 @@ def _of_axis(axis: AxisCritique, shared: set[str]) -> list[str]:
         own = _unexplained(remains) if remains else "nothing of its own; see what axes share"
         return [_wrapped(f"{name}: {own}")]
     known = what(wrong[0]) if wrong else ""
-    lines = [_wrapped(f"{name}: {_headline(wrong, count)}")]
+    headline = "no test by itself fails"
+    if wrong:
+        fail = "tests fail" if len(wrong) > 1 else "tests fails"
+        headline = f"{known} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
+    lines = [_wrapped(f"{name}: {headline}")]
     for finding in causes:
         lines += [_wrapped(paragraph(finding, known), "  - ", "    "), *format_changes(finding, axis.axis)]
     left = _unexplained(remains) if remains else f"left: nothing, all {count} tests pass"
     return [*lines, _wrapped(left, "  ", "    ")]
-
-
-def _headline(wrong: Sequence[Discrepancy], count: int) -> str:
-    if not wrong:
-        return "no test by itself fails"
-    fail = "tests fail" if len(wrong) > 1 else "tests fails"
-    return f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
 
 
 def _wrong(found: Sequence[Discrepancy]) -> list[Discrepancy]:
@@ -211,13 +205,6 @@ def _coefficient(c: CoefficientChange, axis: Axis) -> str:
     before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
     change = f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
     return f"{title_of(c.label, axis)} {change}"
-
-
-def _drift(drift: DriftChange) -> str:
-    return (
-        f"drift over {duration(drift.horizon)}: measured {plain(drift.measured, 3)} {drift.unit}, "
-        f"predicted {plain(drift.before, 3)} before and {plain(drift.after, 3)} after"
-    )
 
 
 def _notable(before: float, after: float) -> bool:

@@ -91,11 +91,8 @@ def suited(unit: str, value: float) -> tuple[str, float]:
     """Unit in which a small value is easy to read, and the factor to it; a ratio has an empty name."""
     if unit in ("", "1"):
         return "", 1.0
-    base = max(
-        (name for name in _FINER if unit == name or unit.startswith((f"{name}/[", f"{name}/√"))),
-        key=len,
-        default="",
-    )
+    known = (name for name in _FINER if unit == name or unit.startswith((f"{name}/[", f"{name}/√")))
+    base = max(known, key=len, default="")
     name, factor = base, 1.0
     for finer, times in _FINER.get(base, ()):
         if not 0.0 < factor * abs(value) < _SMALL:
@@ -162,12 +159,5 @@ def _factor(x: float) -> str:
 def wrap(text: str, width: int, first: str = "", rest: str = "") -> str:
     """Text broken into lines, but not between a number and its unit."""
     kept = _TOGETHER.sub("\u00a0", text)
-    lines = textwrap.wrap(
-        kept,
-        width,
-        initial_indent=first,
-        subsequent_indent=rest,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return "\n".join(lines).replace("\u00a0", " ")
+    wrapper = textwrap.TextWrapper(width, first, rest, break_long_words=False, break_on_hyphens=False)
+    return wrapper.fill(kept).replace("\u00a0", " ")
