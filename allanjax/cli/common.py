@@ -72,16 +72,10 @@ def work_through(
     work: Callable[[Input, Path | None], Outcome],
     document: Callable[[list[dict[str, Any]], int], dict[str, Any]],
 ) -> None:
-    """Do a command's work on files, of which bad ones do not stop the others, and print what comes of it.
+    """Do a command's `work` on files, of which bad ones do not stop the others, and print what comes of it.
 
-    Args:
-        files: names, patterns or - for standard input.
-        out: folder for the results; by default `RESULTS`, and none with JSON.
-        as_json: whether to print JSON.
-        work: what is done with a file and the folder.
-        document: what is printed of the documents, and of how many files there were.
-
-    Ends the program if files failed.
+    As JSON that is what `document` makes of the files' documents and of how many files there were. Ends the
+    program if files failed.
     """
     directory = out if as_json else out or RESULTS
     prepare(directory)

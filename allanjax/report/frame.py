@@ -102,11 +102,7 @@ class Frame:
     def draw(
         self, rows: Sequence[Sequence[Panel]], path: str | os.PathLike[str] | None, ax: Axes | None
     ) -> Figure:
-        """Draw the panels, saved if there is a path; or the only one of them into `ax`.
-
-        Raises:
-            AllanjaxError: `ax` for more than one panel.
-        """
+        """Draw the panels, saved if there is a path; or the only one of them into `ax`."""
         import matplotlib.pyplot as plt
 
         with style():

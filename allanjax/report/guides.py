@@ -47,13 +47,7 @@ def draw_slopes(panel: Axes) -> None:
 
 
 def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None:
-    """Write N, B and K with their units on the lines of their terms, where there is most room.
-
-    Args:
-        panel: panel with all its points and lines, its scales set.
-        result: fit of the axis.
-        drawn: line of each term, by its label.
-    """
+    """Write N, B and K with their units on the lines `drawn` of their terms, where there is most room."""
     from matplotlib.patheffects import withStroke
 
     others = [_pixels(panel, line.get_xydata()) for line in panel.get_lines() if line.get_zorder() > 1.0]

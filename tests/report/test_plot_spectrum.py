@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from figures import panels, texts
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from figures import check_texts_apart, panels, texts
 
 import allanjax as aj
 from allanjax.noise.notation import parse_model
@@ -157,21 +156,7 @@ def test_no_two_texts_overlap(spectrum, small_fit, half_failed_fit):
         plot_psd(spectrum),
         plot_psd(spectrum, small_fit, axes=["gyro_x"]),
     ):
-        # A canvas of its own: pyplot may have closed the figure.
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        renderer = canvas.get_renderer()
-        drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
-        drawn += [axes._left_title for axes in figure.axes] + list(figure.texts)
-        drawn += figure.legends[0].get_texts()
-        boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in drawn if text.get_text()]
-        assert len(boxes) > 6
-        for i, (first, a) in enumerate(boxes):
-            assert 0 <= a.x0 < a.x1 <= figure.bbox.x1, first
-            assert 0 <= a.y0 < a.y1 <= figure.bbox.y1, first
-            for second, b in boxes[i + 1 :]:
-                overlap = min(a.x1, b.x1) - max(a.x0, b.x0) > 1 and min(a.y1, b.y1) - max(a.y0, b.y0) > 1
-                assert not overlap, (first, second)
+        assert check_texts_apart(figure) > 6
 
 
 def test_an_axis_without_result_shows_what_was_measured_and_says_so(spectrum, half_failed_fit):

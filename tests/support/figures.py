@@ -1,6 +1,7 @@
 """What a figure shows."""
 
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 
@@ -13,3 +14,22 @@ def texts(figure: Figure) -> list[str]:
     """Texts within the panels, then those of the figure."""
     in_panels = [text.get_text() for axes in figure.axes for text in axes.texts]
     return in_panels + [text.get_text() for text in figure.texts]
+
+
+def check_texts_apart(figure: Figure) -> int:
+    """Check that no two texts overlap and none leaves the figure; returns how many there are."""
+    # A canvas of its own: pyplot may have closed the figure.
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
+    drawn += [axes._left_title for axes in figure.axes] + list(figure.texts)
+    drawn += figure.legends[0].get_texts()
+    boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in drawn if text.get_text()]
+    for i, (first, a) in enumerate(boxes):
+        assert 0 <= a.x0 < a.x1 <= figure.bbox.x1, first
+        assert 0 <= a.y0 < a.y1 <= figure.bbox.y1, first
+        for second, b in boxes[i + 1 :]:
+            overlap = min(a.x1, b.x1) - max(a.x0, b.x0) > 1 and min(a.y1, b.y1) - max(a.y0, b.y0) > 1
+            assert not overlap, (first, second)
+    return len(boxes)
