@@ -108,7 +108,11 @@ def _fit_options(
         typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
     ] = False,
 ) -> FitOptions:
-    model = None if terms is None else fit_model(terms)
+    model = None if terms is None else parsed_model(terms)
+    for p in () if model is None else model.parameters:
+        if p.parameter.is_amplitude and p.start is not None:
+            wrong = f"{p.label} is what the fit estimates; leave out its value"
+            raise typer.BadParameter(wrong, param_hint="--terms")
     names = (name.strip() for name in (regressors or "").split(","))
     return FitOptions(reading, model, objective, tuple(name for name in names if name), as_is, vibrating)
 
@@ -124,14 +128,3 @@ def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
         return parse_model(terms, sensor)
     except AllanjaxError as error:
         raise typer.BadParameter(str(error), param_hint="--terms") from error
-
-
-def fit_model(terms: str) -> "Model":
-    """Model that a fit starts from: without amplitudes, which it estimates."""
-    model = parsed_model(terms)
-    for p in model.parameters:
-        if p.parameter.is_amplitude and p.start is not None:
-            raise typer.BadParameter(
-                f"{p.label} is what the fit estimates; leave out its value", param_hint="--terms"
-            )
-    return model

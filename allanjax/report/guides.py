@@ -28,6 +28,9 @@ _FAINT, _FAINT_TEXT, _SIZE = "0.78", "0.55", 6.5
 _WIDTH, _HEIGHT, _AWAY = 0.56, 1.0, 0.95
 # Places along a line that are tried.
 _PLACES = 60
+# Points of the screen, x + iy, and the lower left and upper right corner of a box.
+_Pixels = Complex[np.ndarray, " _"]
+_Box = tuple[complex, complex]
 
 
 def draw_slopes(panel: Axes) -> None:
@@ -87,19 +90,15 @@ def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None
         taken.append(box)
 
 
-def _pixels(panel: Axes, points: Any) -> Complex[np.ndarray, " points"]:
+def _pixels(panel: Axes, points: Any) -> _Pixels:
     """Points on the screen, x + iy in pixels, without those that are not on a logarithmic scale."""
     xy = np.asarray(points, float)
     return panel.transData.transform(xy[(xy > 0.0).all(axis=1)]) @ (1.0, 1.0j)
 
 
 def _roomiest(
-    panel: Axes,
-    line: Complex[np.ndarray, " points"],
-    letters: int,
-    others: Sequence[Complex[np.ndarray, " _"]],
-    taken: Sequence[tuple[complex, complex]],
-) -> tuple[complex, float, tuple[complex, complex]] | None:
+    panel: Axes, line: _Pixels, letters: int, others: Sequence[_Pixels], taken: Sequence[_Box]
+) -> tuple[complex, float, _Box] | None:
     """Middle, angle [deg] and corners of the place beside a line that is farthest from everything else.
 
     None if there is no place inside the panel that another text has not taken.

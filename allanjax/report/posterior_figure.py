@@ -22,6 +22,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import format_with_error, significant
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
+from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
@@ -42,6 +43,9 @@ from allanjax.report.figure import (
 from allanjax.spectrum.psd import density_unit
 
 _COLOUR = COLOURS[0]
+# Draws of a parameter, and the ends of its scale.
+_Draws = Float[np.ndarray, " draws"]
+_Ends = tuple[float, float]
 
 # Inches: places are fixed, so that nothing can overlap.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.95, 0.2, 0.95, 0.55
@@ -90,8 +94,8 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
             corner = _CORNER_LEFT + column * step, _CORNER_BOTTOM + (count - 1 - row) * step
             panel = place(figure, *corner, _CORNER_PANEL, _CORNER_PANEL)
             if row == column:
-                prior = _prior_density(posterior, row, ranges[row], scales[row])
-                _draw_margin(panel, draws[:, row], ranges[row], prior)
+                prior = posterior.priors[posterior.labels[row]]
+                _draw_margin(panel, draws[:, row], ranges[row], prior, scales[row])
                 panel.set_title(_heading(marginals[row]), fontsize=FONT_SIZE)
             else:
                 _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
@@ -132,7 +136,7 @@ def _heading(m: Estimate) -> str:
     return "not detected" if shown.upper_limit is None else f"below {significant(shown.upper_limit)} (95 %)"
 
 
-def _range(x: Float[np.ndarray, " draws"]) -> tuple[float, float]:
+def _range(x: _Draws) -> _Ends:
     """Range in which nearly all draws lie."""
     low, high = np.quantile(x, [0.001, 0.999])
     margin = 0.08 * (high - low)
@@ -142,43 +146,26 @@ def _range(x: Float[np.ndarray, " draws"]) -> tuple[float, float]:
     return max(low - margin, 0.0) if x.min() >= 0.0 else low - margin, high + margin
 
 
-def _draw_margin(
-    panel: Axes,
-    x: Float[np.ndarray, " draws"],
-    limits: tuple[float, float],
-    prior: tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]],
-) -> None:
-    density, edges = np.histogram(x, bins=_BINS, range=limits)
+def _draw_margin(panel: Axes, x: _Draws, ends: _Ends, prior: Prior, scale: float) -> None:
+    """Draw the density of draws, and that of the prior, per unit that is shown."""
+    density, edges = np.histogram(x, bins=_BINS, range=ends)
     density = density / (len(x) * np.diff(edges))
     panel.stairs(density, edges, fill=True, color=_COLOUR, alpha=0.25)
     panel.stairs(density, edges, color=_COLOUR, linewidth=1.0)
-    panel.plot(*prior, color="0.45", linewidth=1.0, linestyle="--", label="prior")
+    some = np.linspace(*ends, 200)
+    prior_density = np.exp(np.asarray(prior.log_density(some * scale))) * scale
+    panel.plot(some, prior_density, color="0.45", linewidth=1.0, linestyle="--", label="prior")
     low, median, high = np.quantile(x, [0.16, 0.5, 0.84])
     panel.axvline(median, color="black", linewidth=1.2)
     for end in (low, high):
         panel.axvline(end, color="black", linewidth=0.7)
-    panel.set_xlim(limits)
+    panel.set_xlim(ends)
     panel.set_ylim(0.0, 1.08 * density.max())
     panel.set_yticks([])
 
 
-def _prior_density(
-    posterior: AxisPosterior, index: int, limits: tuple[float, float], scale: float
-) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """Points of the prior density, per unit that is shown."""
-    x = np.linspace(*limits, 200)
-    prior = posterior.priors[posterior.labels[index]]
-    return x, np.exp(np.asarray(prior.log_density(x * scale))) * scale
-
-
-def _draw_pair(
-    panel: Axes,
-    x: Float[np.ndarray, " draws"],
-    y: Float[np.ndarray, " draws"],
-    x_limits: tuple[float, float],
-    y_limits: tuple[float, float],
-) -> None:
-    counts, x_edges, y_edges = np.histogram2d(x, y, bins=_BINS, range=(x_limits, y_limits))
+def _draw_pair(panel: Axes, x: _Draws, y: _Draws, x_ends: _Ends, y_ends: _Ends) -> None:
+    counts, x_edges, y_edges = np.histogram2d(x, y, bins=_BINS, range=(x_ends, y_ends))
     # Mirrored, lest the density fade towards the bound of an amplitude.
     smooth = gaussian_filter(counts, 1.3, mode="reflect")
     descending = np.sort(smooth.ravel())[::-1]
@@ -189,8 +176,8 @@ def _draw_pair(
     panel.contourf(*centres, smooth.T, [*levels, 1.01 * smooth.max()], colors=_COLOUR, alpha=0.25)
     panel.contourf(*centres, smooth.T, [levels[-1], 1.01 * smooth.max()], colors=_COLOUR, alpha=0.3)
     panel.contour(*centres, smooth.T, levels, colors=_COLOUR, linewidths=0.8)
-    panel.set_xlim(x_limits)
-    panel.set_ylim(y_limits)
+    panel.set_xlim(x_ends)
+    panel.set_ylim(y_ends)
 
 
 def plot_posterior(
