@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -23,7 +21,6 @@ from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
-from allanjax.record.units import Sensor
 from allanjax.report.figure import (
     COLOURS,
     POINTS,
@@ -120,7 +117,7 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
                 left = _LEFT + column * (_PANEL_WIDTH + _GAP)
                 bottom = height - top - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
                 panel = place(figure, left, bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
-                _draw_panel(panel, of, coefficient, sensor, groups)
+                _draw_panel(panel, of, groups)
         return save_and_close(figure, path)
 
 
@@ -172,10 +169,10 @@ def _key(table: pd.DataFrame) -> list[Any]:
     ]
 
 
-def _draw_panel(
-    panel: Axes, of: pd.DataFrame, coefficient: str, sensor: Sensor, groups: Sequence[str]
-) -> None:
-    unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
+def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str]) -> None:
+    """Draw a coefficient of one kind of sensor."""
+    coefficient, sensor, unit = of[["coefficient", "sensor", "unit"]].iloc[0]
+    axes = list(of["axis"].unique())
     title = title_of(coefficient, Axis(axes[0], sensor, unit))
     panel.set_title(f"{SENSORS[sensor]}: {title}", loc="left", fontweight="bold")
     panel.set_ylabel(title if unit == "1" else f"{title} [{unit}]")
@@ -207,37 +204,29 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
     panel.yaxis.set_minor_locator(NullLocator())
 
 
-def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: Sequence[str]) -> None:
+def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: list[str]) -> None:
     """Draw the units' values on one axis about x = k, side by side, with a gap between groups."""
-    places = np.concatenate([np.flatnonzero(of["group"] == group) for group in groups])
-    of = of.iloc[places]
-    number = of["group"].map(list(groups).index).to_numpy()
+    of = of.sort_values("group", key=lambda names: names.map(groups.index), kind="stable")
+    number = of["group"].map(groups.index).to_numpy()
     apart = max(1, round(_APART * len(of)))
     steps = np.arange(len(of)) + apart * np.cumsum(np.diff(number, prepend=number[0]) > 0)
-    x = k + _SPREAD * (2.0 * steps / max(steps[-1], 1) - (steps[-1] > 0))
+    of = of.assign(x=k + _SPREAD * (2.0 * steps / max(steps[-1], 1) - (steps[-1] > 0)))
     for g in np.unique(number):
-        members = number == g
-        _draw_group(panel, x[members], of[members], _GROUPS[g % len(_GROUPS)])
-    odd = of["outlying"].to_numpy()
-    _name_units(panel, k, x[odd], of["height"].to_numpy()[odd], list(of.loc[odd, "recording"]))
+        _draw_group(panel, of[number == g], _GROUPS[g % len(_GROUPS)])
+    if of["outlying"].any():
+        _name_units(panel, k, of[of["outlying"]])
 
 
-def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, colour: str) -> None:
+def _draw_group(panel: Axes, of: pd.DataFrame, colour: str) -> None:
     """Draw the values of a group's units on one axis, and the band of most of them."""
-    y, detected, outlying = (of[name].to_numpy() for name in ("height", "detected", "outlying"))
+    x, y, detected, outlying = (of[name].to_numpy() for name in ("x", "height", "detected", "outlying"))
     usual = detected & ~outlying
     if usual.any():
         low, median, high = np.quantile(y[usual], (_BAND[0], 0.5, _BAND[1]))
         reach = [x[0] - _BESIDE_POINTS, x[-1] + _BESIDE_POINTS]
         panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
         panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
-    hollow: dict[str, Any] = {
-        "color": _LIMIT,
-        "markersize": 3.5,
-        "markerfacecolor": "none",
-        "markeredgewidth": 0.7,
-    }
-    panel.plot(x[~detected], y[~detected], "v", **hollow)
+    panel.plot(x[~detected], y[~detected], "v", color=_LIMIT, mfc="none", markersize=3.5, mew=0.7)
     # Many units' bars must not hide their points.
     bars = 0.8 if len(of) <= _MANY else 0.4
     ends = np.nan_to_num(np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y]), posinf=0.0)
@@ -246,17 +235,13 @@ def _draw_group(panel: Axes, x: Float[np.ndarray, " units"], of: pd.DataFrame, c
         panel.errorbar(x[rows], y[rows], np.maximum(ends[:, rows], 0.0), **look)
 
 
-def _name_units(
-    panel: Axes, k: int, x: Float[np.ndarray, " units"], y: Float[np.ndarray, " units"], names: list[str]
-) -> None:
+def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     """Write names in a column beside their points, from the lowest up, each clear of the one before."""
-    if not names:
-        return
-    to_share = panel.transLimits.transform
-    places = to_share(panel.transScale.transform(np.stack([x, y], axis=1)))
-    names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in names]
+    points = of[["x", "height"]].to_numpy()
+    places = panel.transLimits.transform(panel.transScale.transform(points))
+    names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in of["recording"]]
     # Where there is more room.
-    right = x.mean() <= k
+    right = of["x"].mean() <= k
     step = _NAME_HEIGHT / _PANEL_HEIGHT
     column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
     last = 1.0 - _LETTER * max(map(len, names))
@@ -273,7 +258,7 @@ def _name_units(
         more = len(names) - _NAMED
         panel.annotate(
             literal(names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more"),
-            (x[i], y[i]),
+            points[i],
             (column, level),
             textcoords="axes fraction",
             color=_OUTLYING,
