@@ -1,48 +1,49 @@
-"""Figure of a fit: Allan deviations, the model and its terms, and the residuals."""
+"""Figures of Allan deviations: of a fit with its model and terms, and of several curves over one another."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
-from allanjax.allan.deviation import AllanDeviation
+from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import title_of
 from allanjax.noise.terms import NoiseTerm
 from allanjax.noise.terms.transient import Transient
-from allanjax.record.recording import Recording
-from allanjax.report.allan_panel import (
-    CLUSTER_TIME,
-    Drawable,
-    allan_points,
-    fit_and_curve,
-    kind_of,
-    label_in,
-    times_to_draw,
-    unit_of,
-)
+from allanjax.record.recording import Axis, Recording
 from allanjax.report.figure import (
+    CLUSTER_TIME,
+    COLOURS,
     MODEL,
     KeyEntry,
     Points,
+    allan_points,
     drawn_terms,
     facts_of,
+    label_in,
     term_entries,
     term_style,
+    unit_of,
     wrapped,
 )
 from allanjax.report.frame import PRECISE, Frame, Panel, Residual, rows_of
 from allanjax.report.guides import draw_slopes, write_values
-from allanjax.report.overlay_figure import plot_several
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
+
+#: What can be drawn as an Allan deviation.
+Drawable: TypeAlias = Fit | AllanDeviation | Recording
+# Markers that tell curves apart in black and white.
+_MARKERS = "os^Dv*"
 
 
 def plot_allan(
@@ -77,21 +78,51 @@ def plot_allan(
         AllanjaxError: there is no such axis; not a label for each curve; `ax` for more than one axis.
     """
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
-        return plot_several(data, axes, path, labels, ax)
+        return _plot_several(data, axes, path, labels, ax)
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
-    fit, curve = fit_and_curve(data)
-    title = fit.name if fit is not None and fit.name else kind_of(curve)
+    fit, curve = _fit_and_curve(data)
+    title = fit.name if fit is not None and fit.name else _kind_of(curve)
     has_fit = fit is not None
     frame = Frame(title, facts_of(curve.n, curve.rate), CLUSTER_TIME, has_fit, has_fit)
     rows = rows_of(curve.names, curve.axes, axes)
     return frame.draw([[_panel(curve, fit, k) for k in row] for row in rows], path, ax)
 
 
+def _fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
+    """Fit, if there is one, and Allan deviations of what is to be drawn."""
+    if isinstance(data, Fit):
+        return data, data.curve
+    if isinstance(data, Recording):
+        return None, allan_deviation(data)
+    if isinstance(data, AllanDeviation):
+        return None, data
+    raise AllanjaxError(
+        f"cannot draw {type(data).__name__} as an Allan deviation: give a fit, what allan_deviation returns, "
+        "or a recording"
+    )
+
+
+def _times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
+    """Cluster times at which a model's curve is drawn [s].
+
+    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another.
+    """
+    return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
+
+
+def _kind_of(curve: AllanDeviation) -> str:
+    """Name of the curve's statistic, e.g. "Allan deviation"."""
+    return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"
+
+
+# --- One curve ----------------------------------------------------------------------------------------------
+
+
 def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     """Allan deviations of an axis and, of a fit, the model, its terms and residuals."""
     unit, scale = unit_of(None if curve.axes is None else curve.axes[k])
-    name, label = curve.names[k], label_in(kind_of(curve), unit)
+    name, label = curve.names[k], label_in(_kind_of(curve), unit)
     points = [allan_points(curve, k, scale)]
     if fit is None:
         return Panel(name, label, points, draw_slopes, ())
@@ -111,7 +142,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
 
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[str, Line2D]:
     """Draw the model and its terms; returns the lines of the terms, by their labels."""
-    time = times_to_draw(fit.curve)
+    time = _times_to_draw(fit.curve)
     total = np.zeros(len(time))
     lines = {}
     for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).terms, strict=True):
@@ -138,3 +169,105 @@ def _residual(fit: Fit, k: int) -> Residual:
 
 def _is_transient(term: NoiseTerm) -> bool:
     return isinstance(term, Transient)
+
+
+# --- Several ------------------------------------------------------------------------------------------------
+
+
+class _Curve(NamedTuple):
+    """One of the curves: its label, the fit that it comes from if any, and its style."""
+
+    label: str
+    fit: Fit | None
+    curve: AllanDeviation
+    colour: str
+    marker: str
+
+    def result(self, name: str) -> AxisFit | None:
+        """Fit of the axis of this name, if it has a result."""
+        found = None if self.fit is None else self.fit.results[self.curve.names.index(name)]
+        return found if found is not None and found.converged else None
+
+
+def _plot_several(
+    data: Sequence[Drawable],
+    axes: Sequence[str] | str | None,
+    path: str | os.PathLike[str] | None,
+    labels: Sequence[str] | None,
+    ax: Axes | None,
+) -> Figure:
+    """Draw several curves over one another; see `plot_allan`."""
+    curves = _curves(data, labels)
+    # The axes of all, in the order in which they come.
+    known: dict[str, Axis | None] = {}
+    for c in curves:
+        known |= zip(c.curve.names, c.curve.axes or [None] * len(c.curve.names), strict=True)
+    of_curves = [axis for axis in known.values() if axis]
+    if of_curves and len(of_curves) < len(known):
+        raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
+    names = list(known)
+    facts = "; ".join(dict.fromkeys(facts_of(c.curve.n, c.curve.rate) for c in curves))
+    has_model = any(c.fit is not None for c in curves)
+    frame = Frame(_kind_of(curves[0].curve), facts, CLUSTER_TIME, has_model, has_strip=False)
+    panels = [
+        _panel_of_several([c for c in curves if name in c.curve.names], name, axis, ax is not None)
+        for name, axis in known.items()
+    ]
+    return frame.draw([[panels[k] for k in row] for row in rows_of(names, of_curves or None, axes)], path, ax)
+
+
+def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, has_legend: bool) -> Panel:
+    """Curves of the axes of one name; the legend is for axes of the caller's, which have no key."""
+    unit, scale = unit_of(axis)
+
+    def draw(panel: Axes) -> None:
+        for c in curves:
+            if c.fit is not None and c.result(name) is not None:
+                time = _times_to_draw(c.curve)
+                y = c.fit.model_deviation(name, time) / scale
+                panel.plot(time, y, color=c.colour, linewidth=1.2, label=f"{c.label}: model", zorder=2.5)
+        draw_slopes(panel)
+        if has_legend:
+            panel.legend(handles=panel.containers[-len(curves) :], frameon=False)
+
+    points = [
+        dataclasses.replace(
+            allan_points(c.curve, c.curve.names.index(name), scale),
+            label=c.label,
+            style={"color": c.colour, "fmt": c.marker},
+        )
+        for c in curves
+    ]
+    label = label_in(_kind_of(curves[0].curve), unit)
+    return Panel(name, label, points, draw, [_entry(c, name) for c in curves])
+
+
+def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:
+    if not data:
+        raise AllanjaxError("nothing to draw: give a fit, or several in a list")
+    if labels is not None and len(labels) != len(data):
+        raise AllanjaxError(f"{len(labels)} labels for {len(data)} curves: give one for each")
+    pairs = [_fit_and_curve(x) for x in data]
+    kinds = {curve.kind for _, curve in pairs}
+    if len(kinds) > 1:
+        raise AllanjaxError(f"{' and '.join(sorted(kinds))} deviations do not compare: draw them apart")
+    own = [str(getattr(x, "name", "") or k) for k, x in enumerate(data, 1)]
+    # Two of one name would look like one.
+    own = own if len(set(own)) == len(own) else [str(k) for k in range(1, len(own) + 1)]
+    return [
+        _Curve(str(label), fit, curve, COLOURS[k % len(COLOURS)], _MARKERS[k % len(_MARKERS)])
+        for k, (label, (fit, curve)) in enumerate(zip(labels or own, pairs, strict=True))
+    ]
+
+
+def _entry(c: _Curve, name: str) -> KeyEntry:
+    """Entry of a curve in the key: its label and, of a fit, the coefficients that were detected."""
+    result, text = c.result(name), c.label
+    if c.fit is not None and result is None:
+        text += ": no result"
+    elif result is not None:
+        found = [x for x in result.coefficients.values() if x.detected]
+        values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in found)
+        text += f": {values or 'nothing detected'}"
+    style = {"color": c.colour, "marker": c.marker, "markevery": [1], "markersize": 3.5, "linewidth": 1.2}
+    return KeyEntry(wrapped(text), style)

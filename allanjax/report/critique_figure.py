@@ -18,10 +18,20 @@ from matplotlib.figure import Figure
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.result import AxisCritique, Critique, Finding
 from allanjax.record.recording import Axis
-from allanjax.report.allan_panel import CLUSTER_TIME, unit_of
 from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
 from allanjax.report.critique_words import p_value, what, wrap
-from allanjax.report.figure import DOTS, POINTS, add_grid, facts_of, literal, save_and_close, style
+from allanjax.report.figure import (
+    CLUSTER_TIME,
+    DOTS,
+    FREQUENCY,
+    POINTS,
+    add_grid,
+    facts_of,
+    literal,
+    save_and_close,
+    style,
+    unit_of,
+)
 from allanjax.spectrum.psd import density_unit
 
 _BEFORE, _AFTER = "#D55E00", "#0072B2"
@@ -156,7 +166,7 @@ def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals
 def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
     units = (unit_of(axis), density_unit(axis))
-    names = ((CLUSTER_TIME, "Allan deviation"), ("frequency f [Hz]", "one-sided PSD"))
+    names = ((CLUSTER_TIME, "Allan deviation"), (FREQUENCY, "one-sided PSD"))
     medians = []
     for record, label, colour, marker in stages:
         end = f" {label}" if label else ""
@@ -282,7 +292,7 @@ def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, f
     panel.axhline(1.0, color=_AFTER, linewidth=1.0, label="simulated, mean")
     _shade(panel, finding.span, nyquist)
     label = f"power over its expectation{', largest' if line else ''} [1]"
-    panel.set(xlabel="frequency f [Hz]", ylabel=label, yscale="log")
+    panel.set(xlabel=FREQUENCY, ylabel=label, yscale="log")
     panel.set_ylim(bottom=max(panel.get_ylim()[0], 0.1))
     _add_legend(panel)
 
@@ -313,7 +323,7 @@ def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
         name = f"{one.axis.name}, {other.axis.name}"
         panel.plot(frequency, r, "o-", markersize=2.4, linewidth=0.8, label=name)
     panel.axhline(0.0, color="0.5", linewidth=0.6)
-    panel.set(xscale="log", xlabel="frequency f [Hz]", ylabel="correlation of whitened residuals [1]")
+    panel.set(xscale="log", xlabel=FREQUENCY, ylabel="correlation of whitened residuals [1]")
     _add_legend(panel)
 
 

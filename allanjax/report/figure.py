@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.allan.deviation import AllanDeviation, rate_unit
 from allanjax.base.wording import duration
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import title_of
 from allanjax.noise.terms import NoiseTerm
+from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
@@ -46,6 +48,8 @@ MODEL: dict[str, Any] = {"color": "black", "linewidth": 1.4, "label": "model", "
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 62
 FONT_SIZE = 8.5
+CLUSTER_TIME = "cluster time T [s]"
+FREQUENCY = "frequency f [Hz]"
 _WINDOWLESS = frozenset({"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"})
 # The figure that was drawn last where there are no windows, if it was not saved.
 _waiting: weakref.WeakSet[Figure] = weakref.WeakSet()
@@ -78,6 +82,12 @@ class Points:
         """Draw the points with their error bars."""
         style = {**marks(2.6), **self.style}
         panel.errorbar(self.x, self.y, self.spread, label=self.label, zorder=3, **style)
+
+
+def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
+    """Estimates of an axis with their 68 % intervals, in the unit of this size."""
+    ends = [end[:, k] for end in curve.confidence_interval(0.68)]
+    return Points.of(curve.cluster_time, curve.deviation[:, k], ends, scale)
 
 
 class KeyEntry(NamedTuple):
@@ -239,3 +249,13 @@ def wrapped(text: str) -> str:
 def facts_of(n: int, rate: float) -> str:
     """Length and rate of a record, e.g. "200 s at 100 Hz, 20,000 samples"."""
     return f"{duration(n / rate)} at {rate:g} Hz, {n:,} samples"
+
+
+def unit_of(axis: Axis | None) -> tuple[str, float]:
+    """Unit in which an axis's deviations are drawn, and its factor to SI."""
+    return ("", 1.0) if axis is None else rate_unit(axis)
+
+
+def label_in(quantity: str, unit: str) -> str:
+    """Label of a vertical axis, with its unit if it has one."""
+    return f"{quantity}\n[{unit}]" if unit else quantity

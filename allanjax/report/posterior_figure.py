@@ -26,18 +26,20 @@ from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
-from allanjax.report.allan_panel import CLUSTER_TIME, allan_points, unit_of
 from allanjax.report.figure import (
+    CLUSTER_TIME,
     COLOURS,
     DOTS,
     FONT_SIZE,
     add_grid,
     add_legend,
+    allan_points,
     mark_2_and_5,
     place,
     points_entry,
     save_and_close,
     style,
+    unit_of,
     write_title,
 )
 from allanjax.spectrum.psd import density_unit

@@ -13,13 +13,14 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.report.allan_panel import label_in
 from allanjax.report.figure import (
+    FREQUENCY,
     MODEL,
     KeyEntry,
     Points,
     drawn_terms,
     facts_of,
+    label_in,
     term_entries,
     term_style,
     wrapped,
@@ -76,7 +77,7 @@ def plot_psd(
     title = fit.name if fit is not None and fit.name else "power spectral density"
     has_fit = fit is not None
     facts = facts_of(spectrum.n, spectrum.rate)
-    frame = Frame(title, facts, "frequency f [Hz]", has_fit, has_fit)
+    frame = Frame(title, facts, FREQUENCY, has_fit, has_fit)
     rows = rows_of(spectrum.names, spectrum.axes, axes)
     # In axes of the caller's there is no key to say what the band is.
     has_band = ax is None and spectrum.axes is not None
