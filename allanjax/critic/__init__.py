@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding, Rival
-from allanjax.critic.view import Candidate, Cause, Quantity, View
+from allanjax.critic.view import Candidate, Cause, View
 
 if TYPE_CHECKING:
     from allanjax.critic.bank import Bank
@@ -29,7 +29,6 @@ __all__ = [
     "Critique",
     "Discrepancy",
     "Finding",
-    "Quantity",
     "Rival",
     "View",
     "additive",

@@ -26,7 +26,7 @@ from allanjax.critic.result import (
 )
 from allanjax.critic.search import AcceptanceRule, Search, basic_model, extended, search, view_of
 from allanjax.critic.step import Step
-from allanjax.critic.view import Cause, Quantity, View
+from allanjax.critic.view import Cause, View
 from allanjax.estimate.fit import fit as fit_recording
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Recording
@@ -99,7 +99,7 @@ def criticize(
     )
     shared = tuple(
         common_mode(
-            recording.names,
+            recording.axes,
             [w.whitened_coefficients for w in last],
             [w.share(WHITE) for w in last],
             recording.rate,
@@ -210,6 +210,7 @@ def _finding(
         rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
         span=(float(candidate.support[0]), float(candidate.support[1])),
         domain=candidate.domain,
+        details=candidate.details,
         coefficients=coefficient_changes(step),
         drift=drift,
         discrepancies=pairs,
@@ -223,11 +224,14 @@ def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> lis
     if not left:
         return []
     worst = min(left, key=lambda d: d.p_value)
+    numbers = {
+        "where": (worst.where, worst.where_unit),
+        "measured": (worst.measured, worst.unit),
+        "simulated": (worst.simulated, worst.unit),
+    }
+    # Where a statistic has no place there is none.
     parameters = {
-        "statistic": Quantity((worst.statistic,), 0.0, ""),
-        "where": Quantity(worst.where, 0.0, worst.where_unit),
-        "measured": Quantity(worst.measured, 0.0, worst.unit),
-        "simulated": Quantity(worst.simulated, 0.0, worst.unit),
+        name: s.start.estimate(name, value, 0.0, unit) for name, (value, unit) in numbers.items() if unit
     }
     time = worst.where_unit == "s"
     span = (0.0, s.start.duration) if time else (0.0, s.start.rate / 2.0)
@@ -243,5 +247,6 @@ def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> lis
             span,
             "time" if time else "frequency",
             discrepancies=((worst, worst),),
+            details={"statistic": worst.statistic},
         )
     ]

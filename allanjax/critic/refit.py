@@ -90,10 +90,10 @@ def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
 def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]:
     """Noise and other waveforms that a step is conditional on, in units of changes that matter."""
     values = [
-        float(q.value) / (_DEVIATION * q.std)
+        q.value / (_DEVIATION * q.std)
         for other in _others(k, steps)
-        for q in other.candidate.parameters.values()
-        if isinstance(q.value, float) and q.std > 0.0
+        for q in other.candidate.estimates
+        if q.std > 0.0
     ]
     return np.concatenate([_levels(steps[k], end), values])
 

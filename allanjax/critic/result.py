@@ -14,9 +14,10 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import presented
-from allanjax.critic.view import Quantity
+from allanjax.critic.view import Detail, values_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import Fit
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis, DeadAxis
 
@@ -98,7 +99,7 @@ class Finding(ByValue):
     Attributes:
         cause: name of the cause, see `causes`.
         axes: axes that it concerns.
-        parameters: values in the recording's own units, times from its start [s].
+        parameters: estimates by label, in the recording's own units, times from its start [s].
         p_value: p-value of its statistic, corrected for the search.
         evidence: log Bayes factor for it, trials and Occam factors included [nats].
         gain: gain in log-likelihood on data that were used neither to find nor to fit it [nats].
@@ -107,11 +108,12 @@ class Finding(ByValue):
         coefficients: changes of the basic coefficients.
         drift: change of the predicted drift.
         discrepancies: pairs of a statistic before and after this finding, at the place that it improved most.
+        details: words and lists of numbers by name: a channel, the times of outliers, harmonics.
     """
 
     cause: str
     axes: tuple[str, ...]
-    parameters: Mapping[str, Quantity]
+    parameters: Mapping[str, Estimate]
     p_value: float
     evidence: float
     gain: float
@@ -121,6 +123,7 @@ class Finding(ByValue):
     coefficients: tuple[CoefficientChange, ...] = ()
     drift: DriftChange | None = None
     discrepancies: tuple[tuple[Discrepancy, Discrepancy], ...] = ()
+    details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
 
     @presented
     def __str__(self) -> str:
@@ -265,20 +268,11 @@ def _table(findings: Sequence[Finding]) -> pd.DataFrame:
     """Table with a row for each finding and parameter."""
     import pandas as pd
 
-    none = {"": Quantity(float("nan"), float("nan"), "")}
-    rows = [
-        {
-            "axes": ", ".join(f.axes),
-            "cause": f.cause,
-            "parameter": name,
-            "value": quantity.value,
-            "std": quantity.std,
-            "unit": quantity.unit,
-            "p_value": f.p_value,
-            "gain": f.gain,
-        }
-        for f in findings
-        for name, quantity in (f.parameters or none).items()
-    ]
     columns = ["axes", "cause", "parameter", "value", "std", "unit", "p_value", "gain"]
+    rows = []
+    for f in findings:
+        found: list[tuple[Any, ...]] = [(e.label, e.value, e.std, e.unit) for e in f.parameters.values()]
+        found += [(name, *values_of(detail)) for name, detail in f.details.items()]
+        for parameter in found or [("", float("nan"), float("nan"), "")]:
+            rows.append((", ".join(f.axes), f.cause, *parameter, f.p_value, f.gain))
     return pd.DataFrame(rows, columns=columns)

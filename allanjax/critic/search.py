@@ -12,8 +12,9 @@ from jaxtyping import Float
 from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.refit import refitted
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, Quantity, View, in_time
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, Detail, View, in_time
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.recording import Axis
@@ -199,7 +200,7 @@ def _grouped(steps: Sequence[Step]) -> list[Step]:
         first, others = left[0], []
         if first.candidate.cause == "sinusoid":
             family = [s for s in left if s is first or _harmonic(first, s)]
-            first = min(family, key=lambda s: _number(s.candidate.parameters["frequency"]))
+            first = min(family, key=lambda s: s.candidate.parameters["frequency"].value)
             others = [s for s in left if s is not first and _harmonic(first, s)]
             grouped.append(_with_harmonics(first, others) if others else first)
         elif first.candidate.cause == "outliers":
@@ -211,47 +212,42 @@ def _grouped(steps: Sequence[Step]) -> list[Step]:
     return grouped
 
 
-def _number(q: Quantity) -> float:
-    return float(np.asarray(q.value))
-
-
 def _harmonic(one: Step, other: Step) -> bool:
     """Whether two steps are lines, the higher frequency being a small multiple of the lower one."""
     if one is other or {one.candidate.cause, other.candidate.cause} != {"sinusoid"}:
         return False
-    low, high = sorted((s.candidate.parameters["frequency"] for s in (one, other)), key=_number)
-    order = np.rint(_number(high) / _number(low))
+    both = (s.candidate.parameters["frequency"] for s in (one, other))
+    low, high = sorted(both, key=lambda frequency: frequency.value)
+    order = np.rint(high.value / low.value)
     error = 4.0 * np.hypot(high.std, order * low.std)
-    return bool(2 <= order <= 20 and abs(_number(high) - order * _number(low)) < error)
+    return bool(2 <= order <= 20 and abs(high.value - order * low.value) < error)
 
 
 def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
     """Fundamental and harmonics as one finding."""
-    f = _number(step.candidate.parameters["frequency"])
-    orders = tuple(float(np.rint(_number(s.candidate.parameters["frequency"]) / f)) for s in others)
-    amplitudes = tuple(_number(s.candidate.parameters["amplitude"]) for s in others)
-    own = step.candidate.parameters["amplitude"]
-    return _together(
-        step,
-        others,
-        {
-            "harmonics": Quantity(orders, 0.0, "1"),
-            "harmonic_amplitudes": Quantity(amplitudes, own.std, own.unit),
-        },
-    )
+    found = [s.candidate.parameters for s in others]
+    view, fundamental = step.before, step.candidate.parameters["frequency"].value
+    orders = (np.rint(one["frequency"].value / fundamental) for one in found)
+    details: dict[str, Detail] = {
+        "harmonics": tuple(view.estimate("harmonic", order, 0.0, "1") for order in orders),
+        "harmonic_amplitudes": tuple(one["amplitude"] for one in found),
+    }
+    return _together(step, others, step.candidate.estimates, details)
 
 
 def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
     """Outliers that were found one after the other as one finding."""
-    own = step.candidate.parameters
-    found = [np.atleast_1d(s.candidate.parameters["times"].value) for s in (step, *others)]
-    times = tuple(np.sort(np.concatenate(found).astype(float)).tolist())
-    count = dataclasses.replace(own["count"], value=float(len(times)))
-    return _together(step, others, {"count": count, "times": dataclasses.replace(own["times"], value=times)})
+    found = [t for s in (step, *others) for t in s.candidate.details["times"] if isinstance(t, Estimate)]
+    times = sorted(found, key=lambda time: time.value)
+    count, *rest = step.candidate.estimates
+    count = step.before.estimate("count", len(times), count.std, "1")
+    return _together(step, others, [count, *rest], {"times": tuple(times)})
 
 
-def _together(step: Step, others: Sequence[Step], parameters: Mapping[str, Quantity]) -> Step:
-    """Several steps as one, with these parameters changed or added."""
+def _together(
+    step: Step, others: Sequence[Step], estimates: Sequence[Estimate], details: Mapping[str, Detail]
+) -> Step:
+    """Several steps as one, with these parameters and details."""
 
     def add_to_model(model: Model) -> Model:
         for s in (step, *others):
@@ -260,7 +256,8 @@ def _together(step: Step, others: Sequence[Step], parameters: Mapping[str, Quant
 
     candidate = dataclasses.replace(
         step.candidate,
-        parameters={**step.candidate.parameters, **parameters},
+        estimates=estimates,
+        details=details,
         gain=step.candidate.gain + sum(s.candidate.gain for s in others),
         add_to_model=add_to_model,
     )

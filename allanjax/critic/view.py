@@ -6,16 +6,16 @@ import copy
 import dataclasses
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
-from typing import ClassVar, Literal
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
-from allanjax.base.equality import ByValue
 from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 
@@ -36,23 +36,56 @@ ONE_SIDED = 1.645
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Quantity(ByValue):
-    """Parameter of a finding: value (a number, or several), standard deviation, unit.
+# Standard deviations to the ends of a 95 % interval of the normal law.
+_TWO_SIDED = 1.959963984540054
+#: Side of a 95 % limit on which a parameter is; "" where it is not a limit that is known of it.
+Limit: TypeAlias = Literal["", "above", "below"]
+#: What a finding says beside its parameters: a word, several words, or a list of numbers.
+Detail: TypeAlias = str | tuple[str, ...] | tuple[Estimate, ...]
+
+
+def parameter_estimate(
+    axis: Axis,
+    label: str,
+    value: float,
+    std: float,
+    unit: str,
+    limit: Limit = "",
+    log_normal: bool = False,
+) -> Estimate:
+    """Parameter of a finding, with the intervals of a normal law of the value or of its logarithm.
 
     Where the search ended at a bound of its range, or the record ends where the effect may go on, the value
     is a 95 % `limit`: the parameter is "above" or "below" it, and has no standard deviation.
     """
+    value, std = float(value), float("nan") if limit else float(std)
 
-    value: float | tuple[float, ...] | tuple[str, ...]
-    std: float
-    unit: str
-    limit: Literal["", "above", "below"] = ""
+    def interval(deviations: float) -> tuple[float, float]:
+        if log_normal:
+            factor = float(np.exp(deviations * std / value))
+            return value / factor, value * factor
+        return value - deviations * std, value + deviations * std
 
-    @classmethod
-    def beyond(cls, value: float, limit: Literal["above", "below"], unit: str) -> Quantity:
-        """Quantity of which only a 95 % limit is known."""
-        return cls(value, float("nan"), unit, limit)
+    return Estimate(
+        axis=axis,
+        label=label,
+        value=value,
+        std=std,
+        interval=interval(_TWO_SIDED),
+        interval_68=interval(1.0),
+        unit=unit,
+        usual_unit=unit,
+        source="critique",
+        upper_limit=value if limit == "below" else None,
+        lower_limit=value if limit == "above" else None,
+    )
+
+
+def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], float, str]:
+    """Words or values of a detail, the standard deviation of the first one, and their unit."""
+    words = (detail,) if isinstance(detail, str) else tuple(x for x in detail if isinstance(x, str))
+    numbers = [x for x in detail if isinstance(x, Estimate)]
+    return (tuple(x.value for x in numbers), numbers[0].std, numbers[0].unit) if numbers else (words, 0.0, "")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -295,18 +328,29 @@ class View:
         c[0] = np.sqrt(self.n) * self.samples.mean()
         return idct(c, norm="ortho", workers=-1)
 
-    def time(self, sample: float, std: float) -> Quantity:
-        """Time of a sample; within its deviation of an end of the record, a limit."""
-        if sample <= std:
-            return Quantity.beyond((sample and sample + ONE_SIDED * std) / self.rate, "below", "s")
-        if sample >= self.n - std:
-            beyond = self.n if sample >= self.n else sample - ONE_SIDED * std
-            return Quantity.beyond(beyond / self.rate, "above", "s")
-        return Quantity(sample / self.rate, std / self.rate, "s")
+    def estimate(self, label: str, value: float, std: float, unit: str, limit: Limit = "") -> Estimate:
+        """Parameter of a finding in this axis, see `parameter_estimate`."""
+        return parameter_estimate(self.axis, label, value, std, unit, limit)
 
-    def own(self, value: float, std: float, per: str = "") -> Quantity:
-        """Amplitude in the recording's own unit."""
-        return Quantity(value / self.scale, std / self.scale, self.axis.unit + per)
+    def log_estimate(self, label: str, log: float, std: float, limit: Limit, unit: str) -> Estimate:
+        """Parameter that is known by its logarithm and the standard deviation of that."""
+        value = float(np.exp(log))
+        return parameter_estimate(self.axis, label, value, value * std, unit, limit, log_normal=True)
+
+    def time_estimate(self, label: str, sample: float, std: float) -> Estimate:
+        """Time of a sample; within its deviation of an end of the record, a limit."""
+        limit: Limit = ""
+        if sample <= std:
+            sample, limit = sample and sample + ONE_SIDED * std, "below"
+        elif sample >= self.n - std:
+            sample, limit = self.n if sample >= self.n else sample - ONE_SIDED * std, "above"
+        return self.estimate(label, sample / self.rate, std / self.rate, "s", limit)
+
+    def amplitude_estimate(
+        self, label: str, value: float, std: float, per: str = "", limit: Limit = ""
+    ) -> Estimate:
+        """Amplitude in the recording's own unit, by that in SI."""
+        return self.estimate(label, value / self.scale, std / self.scale, self.axis.unit + per, limit)
 
 
 def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -329,7 +373,7 @@ class Candidate:
 
     Attributes:
         cause: name of the cause.
-        parameters: values with standard deviations, in the recording's units.
+        estimates: its parameters, in the recording's units.
         gain: log Bayes factor for it [nats], trials and Occam factors included.
         p_value: p-value of its statistic, corrected for the search.
         after: view without the effect.
@@ -339,10 +383,11 @@ class Candidate:
         add_to_model: adds it to a model of noise terms.
         has_waveform: whether it subtracts a known waveform from the lowest coefficients.
         parts: the single effects, in order, where only several together explain anything.
+        details: words and lists of numbers by name.
     """
 
     cause: str
-    parameters: Mapping[str, Quantity]
+    estimates: Sequence[Estimate]
     gain: float
     p_value: float
     after: View
@@ -352,6 +397,12 @@ class Candidate:
     add_to_model: Callable[[Model], Model] = lambda model: model
     has_waveform: bool = False
     parts: tuple[Candidate, ...] = ()
+    details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """The estimates by their labels."""
+        return {estimate.label: estimate for estimate in self.estimates}
 
 
 class Cause(ABC):

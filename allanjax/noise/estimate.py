@@ -18,25 +18,27 @@ from allanjax.record.units import Sensor, convert, default_coefficient_unit, si_
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(ByValue):
-    """A value with its uncertainty, in a unit: a coefficient of a model, or what follows from one.
+    """A value with its uncertainty, in a unit: a coefficient, what follows from one, a finding's parameter.
 
     A fit's and a posterior's numbers are in SI; `in_unit` gives them in a unit for people.
 
     Attributes:
         axis: whose it is.
         label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time"; or of what follows
-            from a model, e.g. "angle error after 60 s".
+            from a model, e.g. "angle error after 60 s"; or of a finding's parameter, e.g. "frequency".
         value: the estimate, of a posterior the median; zero for an amplitude that the data do not call for.
         std: its standard deviation.
-        interval: 95 % interval; its lower end is zero where zero is not excluded.
+        interval: 95 % interval; of an amplitude its lower end is zero where zero is not excluded; nan where
+            only a limit is known.
         interval_68: 68 % interval.
         unit: the unit that all these numbers are in; the SI one if none is given.
         usual_unit: the unit for people, e.g. "deg/√h"; a model's parameter knows its own.
-        source: where it comes from: "fit", "posterior" or "spectrum".
+        source: where it comes from: "fit", "posterior", "spectrum" or "critique".
         parameter: the parameter of a noise term that it is, and `term` the term's name; None for what follows
-            from a model.
+            from a model and for a finding's parameters.
         upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
-            below, down to what a record of this length and rate shows nothing of: then `std` is nan.
+            below, down to what a record of this length and rate shows nothing of: then `std` is nan, and of a
+            finding's parameter the limit is the `value`, too.
         lower_limit: the same of a parameter that may be anywhere above.
         detected: whether zero is excluded.
         held: whether the value was given and not estimated.
@@ -57,7 +59,7 @@ class Estimate(ByValue):
     interval_68: tuple[float, float]
     unit: str = ""
     usual_unit: str = ""
-    source: Literal["fit", "posterior", "spectrum"] = "fit"
+    source: Literal["fit", "posterior", "spectrum", "critique"] = "fit"
     parameter: Parameter | None = None
     term: str = ""
     upper_limit: float | None = None
@@ -117,6 +119,8 @@ class Estimate(ByValue):
             UnitError: for an unknown unit or one of another dimension.
         """
         unit = self.usual_unit if unit is None else unit
+        if unit == self.unit:
+            return self
         factor = convert(1.0, self.unit, unit, self.axis.sensor)
         numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
         return dataclasses.replace(self, unit=unit, **numbers)
@@ -182,7 +186,8 @@ class Estimate(ByValue):
         else:
             number = format_with_error(self.value, self.std)
         amount = number if self.unit == "1" else f"{number} {self.unit}"
-        return amount if self.parameter else f"{amount} (95 %: {self.describe_interval()})"
+        bare = self.parameter is not None or not self.interval[0] < self.interval[1]
+        return amount if bare else f"{amount} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:
         """The phrase in which an amount is told, e.g. "not detectable, below 3.2 deg/h (95 %)"."""

@@ -98,6 +98,8 @@ _SYMBOLS = str.maketrans(
     {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "″": "arcsec", "”": "arcsec", '"': "arcsec", "′": "arcmin"}
     | dict.fromkeys("·⋅×", "*")
 )
+# A unit per unit of another channel, whose own is not known, e.g. `deg/s/[temperature]`.
+_PER_CHANNEL = re.compile(r"(.+)/(\[.+\])")
 # pint would take `rads` and `degs` as plurals of an angle; people may mean rad/s and deg/s.
 _AMBIGUOUS_PLURAL = re.compile(r"\b[a-z]?(rad|deg|g|h|hr|ft|arcsec|arcmin)s\b")
 
@@ -173,6 +175,8 @@ def si_unit(unit: str) -> str:
     Raises:
         UnitError: the unit is unknown.
     """
+    if per_channel := _PER_CHANNEL.fullmatch(unit):
+        return f"{si_unit(per_channel[1])}/{per_channel[2]}"
     known = _known(unit, None)
     usual = next((label for label in _SI_UNITS if _known(label, None).dimension == known.dimension), None)
     if usual is not None:
@@ -244,6 +248,9 @@ def _parse(text: str) -> _Unit | None:
     """Unit named by `text`, or None if it is unknown."""
     import pint
 
+    if per_channel := _PER_CHANNEL.fullmatch(text):
+        own = _parse(per_channel[1])
+        return own and _Unit(own.scale, {**own.dimension, f"channel {per_channel[2]}": -1.0})
     expression = _expression(text)
     if not _is_product(expression) or _AMBIGUOUS_PLURAL.search(expression):
         return None

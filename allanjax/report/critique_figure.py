@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.result import AxisCritique, Critique, Finding
+from allanjax.critic.view import values_of
 from allanjax.record.recording import Axis
 from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
 from allanjax.report.critique_words import p_value, what, wrap
@@ -226,9 +227,8 @@ def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, f
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
     panel.fill_between(time, low, high, color="0.75", linewidth=0.5, label="range of samples")
     panel.plot(time, np.add.reduceat(e, edges) / length, color=_AFTER, linewidth=0.9, label="mean")
-    times = finding.parameters["times"].value if finding.cause == "outliers" else ()
-    if isinstance(times, tuple) and times:
-        t = np.asarray(times, float)
+    if "times" in finding.details:
+        t = np.array(values_of(finding.details["times"])[0], float)
         k = np.clip(np.rint(t * record.rate).astype(int), 0, record.n - 1)
         panel.plot(t, record.whitened[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
     else:

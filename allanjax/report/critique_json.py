@@ -11,11 +11,12 @@ from typing import Any
 
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding
-from allanjax.critic.view import Quantity
-from allanjax.noise.estimate import usual_unit
+from allanjax.critic.view import Detail, values_of
+from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
+from allanjax.report.critique_words import side_of_limit
 
 SCHEMA_VERSION = 1
 
@@ -81,7 +82,10 @@ def _finding(finding: Finding) -> dict[str, Any]:
         drift = {"horizon_s": finding.drift.horizon, **changed}
     return {
         **_fields(finding, "cause", "axes"),
-        "parameters": {name: _quantity(q) for name, q in finding.parameters.items()},
+        "parameters": {
+            **{name: _parameter(estimate) for name, estimate in finding.parameters.items()},
+            **{name: _detail(detail) for name, detail in finding.details.items()},
+        },
         "p_value": finding.p_value,
         "evidence_nats": finding.evidence,
         "gain_nats": finding.gain,
@@ -104,8 +108,13 @@ def _discrepancy(d: Discrepancy) -> dict[str, Any]:
     }
 
 
-def _quantity(q: Quantity) -> dict[str, Any]:
-    return _plain({**_fields(q, "value", "std", "unit"), "limit": q.limit or None})
+def _parameter(e: Estimate) -> dict[str, Any]:
+    return {**_fields(e, "value", "std", "unit"), "limit": side_of_limit(e) or None}
+
+
+def _detail(detail: Detail) -> dict[str, Any]:
+    values, std, unit = values_of(detail)
+    return {"value": values, "std": std, "unit": unit, "limit": None}
 
 
 def _model(model: Model, axis: Axis) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def paragraph(finding: Finding, known: str = "") -> str:
     """Description of a finding: what was wrong (unless `known`), the cause, the remainder, gain, rivals."""
     if finding.cause == "unexplained":
         return f"unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
-    cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding.parameters)])
+    cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding)])
     pair = headline_discrepancy(finding)
     if pair is None:
         text = f"{cause} ({p_value(finding.p_value)}). "
@@ -227,5 +227,5 @@ def finding_text(finding: Finding) -> str:
 
 def finding_repr(finding: Finding) -> str:
     """Finding in one line: its cause, its parameters, its gain."""
-    found = ", ".join([f"{finding.cause} in {' and '.join(finding.axes)}", *parameters(finding.parameters)])
+    found = ", ".join([f"{finding.cause} in {' and '.join(finding.axes)}", *parameters(finding)])
     return f"<Finding {found}; gain {nats(finding.gain)} on held-out data>"

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from allanjax.base.wording import format_with_error, plain
-from allanjax.critic.result import Discrepancy
-from allanjax.critic.view import Quantity
+from allanjax.critic.result import Discrepancy, Finding
+from allanjax.critic.view import Detail, Limit, values_of
+from allanjax.noise.estimate import Estimate
 
 # Statistics whose two values compare as a ratio: their name, and what stands before a place.
 _RELATIVE = {
@@ -43,25 +44,33 @@ _SMALL = 0.1
 _TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<]) |(?<=\d) (?=[A-Za-zµσ(])|(?<=[pτ]) ")
 
 
-def parameters(values: Mapping[str, Quantity]) -> list[str]:
-    """Parameters in words, each with its error, e.g. "frequency 0.55200 ± 0.00010 Hz"."""
-    return [f"{name.replace('_', ' ')} {quantity(q, name)}" for name, q in values.items() if name != "axes"]
+def parameters(finding: Finding) -> list[str]:
+    """Parameters in words, each with its error, e.g. "frequency 0.55200 ± 0.00010 Hz", and the details."""
+    told = [(name, amount(e)) for name, e in finding.parameters.items()]
+    # The axes stand before the finding.
+    told += [(name, several(detail)) for name, detail in finding.details.items() if name != "axes"]
+    return [f"{name.replace('_', ' ')} {text}" for name, text in told]
 
 
-def quantity(q: Quantity, name: str = "") -> str:
-    """Value, error and unit; counts are whole, shares in per cent, a long list is cut short."""
-    if isinstance(q.value, tuple):
-        return _several(q.value, q.unit)
-    if q.limit:
-        unit, factor = suited(q.unit, q.value)
-        number = f"{round(q.value):,}" if name in _COUNTS else f"{factor * q.value:.3g}"
-        return f"{_beyond(q.limit, name)} {number}{f' {unit}' if unit else ''}"
-    if name in _COUNTS and np.isfinite(q.value):
-        return f"{round(q.value):,}{'' if q.unit in ('', '1') else f' {q.unit}'}"
-    if name == "fraction":
-        return f"{plain(100.0 * q.value, 3)} %"
-    unit, factor = (q.unit, 1.0) if name in _AS_RECORDED else suited(q.unit, q.value)
-    value, std = factor * q.value, factor * q.std
+def side_of_limit(e: Estimate) -> Limit:
+    """Side of its 95 % limit on which a finding's parameter is, "" if more is known of it."""
+    if e.lower_limit is not None:
+        return "above"
+    return "" if e.upper_limit is None else "below"
+
+
+def amount(e: Estimate) -> str:
+    """Value, error and unit of a finding's parameter; counts are whole, shares in per cent."""
+    if limit := side_of_limit(e):
+        unit, factor = suited(e.unit, e.value)
+        number = f"{round(e.value):,}" if e.label in _COUNTS else f"{factor * e.value:.3g}"
+        return f"{_beyond(limit, e.label)} {number}{f' {unit}' if unit else ''}"
+    if e.label in _COUNTS and np.isfinite(e.value):
+        return f"{round(e.value):,}{'' if e.unit == '1' else f' {e.unit}'}"
+    if e.label == "fraction":
+        return f"{plain(100.0 * e.value, 3)} %"
+    unit, factor = (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
+    value, std = factor * e.value, factor * e.std
     known = std > _EXACT * abs(value)
     text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
     return f"{text}{f' {unit}' if unit else ''}"
@@ -76,10 +85,9 @@ def _beyond(limit: str, name: str) -> str:
     return limit
 
 
-def _several(values: tuple[float, ...] | tuple[str, ...], unit: str) -> str:
-    """List of values with their unit, cut short."""
-    if not values:
-        return "none"
+def several(detail: Detail) -> str:
+    """Words or a list of numbers with their unit, cut short."""
+    values, _, unit = values_of(detail)
     numbers = [v for v in values if not isinstance(v, str)]
     unit, factor = suited(unit, max(numbers, key=abs, default=0.0))
     shown = [v if isinstance(v, str) else plain(factor * v, 4) for v in values[:_SHOWN]]

@@ -25,12 +25,13 @@ from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange, _ratio
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.noise import MARKOV
-from allanjax.critic.view import EVERYTHING, Quantity
+from allanjax.critic.result import Finding
+from allanjax.critic.view import EVERYTHING, parameter_estimate
 from allanjax.record.recording import Axis
-from allanjax.report.critique_json import _quantity
-from allanjax.report.critique_words import parameters, quantity
+from allanjax.report.critique_json import _parameter
+from allanjax.report.critique_words import amount, parameters, side_of_limit
 
-N, RATE = 30_000, 50.0
+N, RATE, NAN = 30_000, 50.0, float("nan")
 
 
 def white(seed):
@@ -39,32 +40,40 @@ def white(seed):
 
 def check(q, limit, truth):
     """A limit that holds, told as one everywhere."""
-    assert q.limit == limit
-    assert np.isnan(q.std)
-    for text in (quantity(q), quantity(q, "start"), quantity(q, "order")):
+    assert side_of_limit(q) == limit
+    assert np.isnan([q.std, *q.interval, *q.interval_68]).all()
+    q = dataclasses.replace(q, label="width")
+    for text in (amount(dataclasses.replace(q, label=label)) for label in ("width", "start", "order")):
         assert "±" not in text
-    assert quantity(q).startswith(f"{limit} ")
-    assert _quantity(q) == {"value": q.value, "std": None, "unit": q.unit, "limit": limit}
-    json.dumps(_quantity(q), allow_nan=False)
+    assert amount(q).startswith(f"{limit} ")
+    assert q.describe().startswith(f"{limit} ")
+    assert str(q).endswith(" (95 %)")
+    assert _parameter(q) == {"value": q.value, "std": None, "unit": q.unit, "limit": limit}
+    json.dumps(_parameter(q), allow_nan=False)
     assert (q.value < truth) if limit == "above" else (q.value > truth)
+
+
+def told(*estimates):
+    """The parameters of a finding, in words."""
+    by_label = {e.label: e for e in estimates}
+    return parameters(Finding("any", ("gyro_x",), by_label, 0.0, 0.0, 0.0, (), (0.0, 1.0), "time"))
 
 
 # --- Words --------------------------------------------------------------------------------------------------
 
 
 def test_limits_in_words():
-    said = parameters(
-        {
-            "ratio": Quantity.beyond(0.1, "below", "1"),
-            "quality_factor": Quantity.beyond(438.24, "above", "1"),
-            "start": Quantity.beyond(0.0, "below", "s"),
-            "end": Quantity.beyond(600.0, "above", "s"),
-            "order": Quantity.beyond(4.0, "above", "1"),
-            "bandwidth": Quantity.beyond(48.91, "above", "Hz"),
-            "amplitude": Quantity.beyond(-0.00201, "below", "deg/s"),
-        }
+    limits = (
+        ("ratio", 0.1, "1", "below"),
+        ("quality_factor", 438.24, "1", "above"),
+        ("start", 0.0, "s", "below"),
+        ("end", 600.0, "s", "above"),
+        ("order", 4.0, "1", "above"),
+        ("bandwidth", 48.91, "Hz", "above"),
+        ("amplitude", -0.00201, "deg/s", "below"),
     )
-    assert said == [
+    axis = Axis("gyro_x", "gyro", "deg/s")
+    assert told(*(parameter_estimate(axis, name, x, NAN, unit, side) for name, x, unit, side in limits)) == [
         "ratio below 0.1",
         "quality factor above 438",
         "start at or before 0 s",
@@ -116,16 +125,18 @@ def test_noise_that_all_but_vanishes_has_a_ratio_below_a_limit():
     found = VarianceChange().detect(view_of(np.where(inside, 0.02, 1.0) * white(1))).parameters
     check(found["ratio"], "below", 0.02)
     # Its scatter is that of what is known, not of a bound.
-    assert _ratio(-0.5, 0.01) == Quantity(float(np.sqrt(0.5)), 0.01 / (2.0 * float(np.sqrt(0.5))), "1")
-    assert _ratio(-0.97, 0.03).limit == "below"
-    assert _ratio(-0.97, 0.03).value == pytest.approx(np.sqrt(0.03 + 1.645 * 0.03))
+    view = view_of(np.zeros(N))
+    ratio = _ratio(view, -0.5, 0.01)
+    assert (ratio.value, ratio.std) == pytest.approx((np.sqrt(0.5), 0.01 / (2.0 * np.sqrt(0.5))))
+    assert ratio.interval == pytest.approx((ratio.value - 1.96 * ratio.std, ratio.value + 1.96 * ratio.std))
+    assert _ratio(view, -0.97, 0.03).upper_limit == pytest.approx(np.sqrt(0.03 + 1.645 * 0.03))
 
 
 def test_noise_that_is_louder_to_the_end_ends_at_or_after_it():
     found = VarianceChange().detect(view_of(np.where(K > 19_000, 1.3, 1.0) * white(2))).parameters
-    assert (found["end"].value, found["end"].limit) == (N / RATE, "above")
-    assert parameters({"end": found["end"]}) == ["end at or after 600 s"]
-    assert not found["ratio"].limit
+    assert (found["end"].lower_limit, found["end"].upper_limit) == (N / RATE, None)
+    assert told(found["end"]) == ["end at or after 600 s"]
+    assert not side_of_limit(found["ratio"])
 
 
 @pytest.mark.parametrize(("time_constant", "limit"), [(2000.0, "above"), (0.2, "below"), (40.0, "")])
@@ -155,7 +166,7 @@ def test_a_filter_steeper_than_all_is_of_at_least_the_steepest_ones_order():
     found = LowPass().detect(view_of(x)).parameters
     assert max(order for order, _ in _FILTERS) == 4
     check(found["order"], "above", 8.0)
-    assert parameters({"order": found["order"]}) == ["order at least 4"]
+    assert told(found["order"]) == ["order at least 4"]
 
 
 def test_a_bandwidth_below_all_that_are_looked_for():
@@ -231,19 +242,20 @@ def test_dwell_times_beyond_those_that_are_compared(path, limit):
     levels = {"one jump": k > 1500, "always": k // 2 % 2 == 0, "some": k // 60 % 2 == 0}[path]
     found = two_levels(5.0 * levels + 0.5 * np.random.default_rng(15).standard_normal(2048), 0.5)
     assert found.limit == limit
-    assert np.isnan(found.dwell[1]) == bool(limit)
+    assert np.isnan(found.log_dwell_std) == bool(limit)
     if limit:
-        assert (found.dwell[0] < 1500.0) if limit == "above" else (found.dwell[0] > 2.0)
+        assert (found.dwell < 1500.0) if limit == "above" else (found.dwell > 2.0)
 
 
 def test_a_step_at_the_ends_of_the_record_and_one_inside():
     """The likelihood is all at the first place that is looked at; or at that of a finer bank, inside."""
     places, view = np.arange(30.0, N, 30.0), view_of(np.zeros(N))
     likelihood = np.exp(-np.arange(len(places)) / 2.0)
-    check(step_parameters(view, places, 1.0, 0.1, likelihood)["time"], "below", 0.0)
-    check(step_parameters(view, places, 1.0, 0.1, likelihood[::-1])["time"], "above", N / RATE)
+    check(step_parameters(view, places, 1.0, 0.1, likelihood)[0], "below", 0.0)
+    check(step_parameters(view, places, 1.0, 0.1, likelihood[::-1])[0], "above", N / RATE)
     inside = np.arange(10_000.0, 10_060.0)
-    assert not step_parameters(view, inside, 1.0, 0.1, np.exp(-np.arange(60.0) / 2.0))["time"].limit
+    time = step_parameters(view, inside, 1.0, 0.1, np.exp(-np.arange(60.0) / 2.0))[0]
+    assert not side_of_limit(time)
 
 
 @pytest.mark.parametrize("side", ["start", "end"])
@@ -251,23 +263,24 @@ def test_handling_at_an_end_began_before_or_ended_after(side):
     loud = K < 300 if side == "start" else K >= N - 300
     found = Disturbance().detect(view_of(white(11) + np.where(loud, 10.0 * np.sin(K / 40.0), 0.0))).parameters
     other = {"start": "end", "end": "start"}[side]
-    assert found[side].limit == {"start": "below", "end": "above"}[side]
-    assert "±" not in parameters({side: found[side]})[0]
+    assert side_of_limit(found[side]) == {"start": "below", "end": "above"}[side]
+    assert "±" not in told(found[side])[0]
     assert found[other].std > 0.0
 
 
 def test_the_scale_of_outliers_of_which_one_or_only_the_faintest_are_seen():
     assert _known(np.array([90.0]), 5.0)[2] == "above"
     assert _known(np.array([5.2, -5.4, 5.1, 5.6, -5.3]), 5.0)[2] == "below"
-    scale, relative, limit = _known(30.0 * np.random.default_rng(16).standard_normal(40), 5.0)
+    log_scale, std, limit = _known(30.0 * np.random.default_rng(16).standard_normal(40), 5.0)
     assert limit == ""
-    assert scale == pytest.approx(30.0, rel=4.0 * relative)
+    assert log_scale == pytest.approx(np.log(30.0), abs=4.0 * std)
 
 
 @pytest.mark.parametrize(("own", "limit"), [(1e-3, "above"), (0.3, "")])
 def test_axes_that_are_the_same_are_correlated_by_more_than_a_limit(own, limit):
+    axes = [Axis(name, "gyro", "deg/s") for name in ("gyro_x", "gyro_y")]
     z, other = np.random.default_rng(17).standard_normal((2, 4000))
-    (found,) = common_mode(["gyro_x", "gyro_y"], [z, z + own * other], [None, None], RATE, 0.01)
+    (found,) = common_mode(axes, [z, z + own * other], [None, None], RATE, 0.01)
     q = found.parameters["correlation"]
     if limit:
         check(q, limit, 1.0 / np.sqrt(1.0 + own**2))
@@ -291,4 +304,4 @@ def test_levels_of_saturation_have_one_name_each_and_are_told_in_one_unit(sides)
     assert levels == pytest.approx({k: v for k, v in expected.items() if sides in ("both", k.split("_")[0])})
     for name, q in found.items():
         if name.endswith("level"):
-            assert quantity(q, name) == f"{q.value:.4g} g"
+            assert amount(q) == f"{q.value:.4g} g"

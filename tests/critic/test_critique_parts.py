@@ -23,6 +23,40 @@ from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.noise import FIXED, MARKOV, Noise, NoiseFamily, centred, family_of
 from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
+from allanjax.record.recording import Axis
+from allanjax.record.units import UnitError
+
+# --- Parameters of findings ---------------------------------------------------------------------------------
+
+
+def test_parameters_of_findings_are_estimates_as_those_of_a_fit():
+    axis = Axis("gyro_x", "gyro", "deg/s")
+    view = dataclasses.replace(view_of(np.zeros(N)), axis=axis, scale=np.pi / 180.0)
+    slope = view.amplitude_estimate("coefficient", np.pi / 180.0, 0.1 * np.pi / 180.0, "/[temperature]")
+    assert slope.source == "critique"
+    assert (slope.value, slope.std) == pytest.approx((1.0, 0.1))
+    assert slope.interval == pytest.approx(norm.interval(0.95, 1.0, 0.1))
+    assert slope.interval_68 == pytest.approx((0.9, 1.1))
+    hourly = slope.in_unit("deg/h/[temperature]")
+    assert (hourly.value, hourly.std, hourly.unit) == pytest.approx((3600.0, 360.0, "deg/h/[temperature]"))
+    assert hourly.describe() == "3,600 ± 360 deg/h/[temperature] (95 %: 2,890 … 4,310)"
+    assert slope.in_unit() == hourly.in_unit() == slope
+    assert str(slope).startswith("gyro_x coefficient: 1.00 ± 0.10 deg/s/[temperature] (95 %: 0.80 … 1.20)")
+    for other in ("deg/h", "deg/h/[pressure]", "m/s²/[temperature]"):
+        with pytest.raises(UnitError):
+            slope.in_unit(other)
+    # Known by its logarithm: e times as long is as far off as e times as short.
+    time = view.log_estimate("time_constant", np.log(50.0), 0.5, "", "s")
+    assert np.log(time.interval) == pytest.approx(norm.interval(0.95, np.log(50.0), 0.5))
+    assert (time.value, time.std) == pytest.approx((50.0, 25.0))
+    assert time.in_unit("min").interval[1] == pytest.approx(50.0 * np.exp(0.98) / 60.0, rel=1e-3)
+    # What is counted, and what is only known to be beyond.
+    assert str(view.estimate("longest", 29, 0.0, "samples")) == "gyro_x longest: 29 samples"
+    end = view.time_estimate("end", N - 1, 5.0)
+    assert (end.upper_limit, end.lower_limit) == (None, end.value)
+    assert str(end) == f"gyro_x end: above {(N - 1 - 5.0 * 1.645) / RATE:.3g} s (95 %)"
+    assert end.in_unit("min").lower_limit == pytest.approx(end.value / 60.0)
+
 
 # --- Noise --------------------------------------------------------------------------------------------------
 
@@ -194,18 +228,16 @@ def test_two_levels_are_found_in_noise():
     found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048), 1.0)
     assert np.mean((found.upper > 0.5) == truth) > 0.995
     # Four jumps in 2048 blocks: the mean time between them, 410, may be half the record: the search's end.
-    limit, spread = found.dwell
     assert found.limit == "above"
-    assert np.isnan(spread)
-    assert 100.0 < limit < 410.0
+    assert np.isnan(found.log_dwell_std)
+    assert 100.0 < found.dwell < 410.0
     # Twenty: it is known to a factor of about 1 + 1/√20.
     jumps = np.cumsum(rng.exponential(100.0, 20)).astype(int)
     truth = np.searchsorted(jumps[jumps < 2048], np.arange(2048), side="right") % 2
     found = two_levels(5.0 + 1.5 * truth + rng.standard_normal(2048), 1.0)
-    dwell, spread = found.dwell
     assert found.limit == ""
-    assert abs(np.log(dwell / 100.0)) < 3.0 * spread / dwell
-    assert 0.1 < spread / dwell < 0.5
+    assert abs(np.log(found.dwell / 100.0)) < 3.0 * found.log_dwell_std
+    assert 0.1 < found.log_dwell_std < 0.5
 
 
 def test_a_telegraph_has_the_levels_that_it_jumps_between():
@@ -262,16 +294,16 @@ def test_the_p_value_of_a_correlation():
 
 def test_shared_noise_is_found_as_often_as_said_where_there_is_none():
     rng = np.random.default_rng(12)
-    names, alpha = ("x", "y", "z"), 0.1
+    axes, alpha = [Axis(name, "gyro", "rad/s") for name in "xyz"], 0.1
     white = [np.linspace(0.2, 1.0, 1023)] * 3
     alarms = [
-        bool(common_mode(names, list(rng.standard_normal((3, 1023))), white, RATE, alpha)) for _ in range(400)
+        bool(common_mode(axes, list(rng.standard_normal((3, 1023))), white, RATE, alpha)) for _ in range(400)
     ]
     # Nested bands are not independent, and what is found must hold on held-out data too.
     assert np.mean(alarms) < alpha + 3.0 * np.sqrt(alpha / 400)
     shared = rng.standard_normal(1023)
     z = 0.5 * rng.standard_normal((3, 1023)) + [[1.0], [0.0], [-1.0]] * shared
-    (finding,) = common_mode(names, list(z), [None] * 3, RATE, 1e-3)
+    (finding,) = common_mode(axes, list(z), [None] * 3, RATE, 1e-3)
     assert finding.axes == ("x", "z")
     assert finding.parameters["correlation"].value == pytest.approx(0.8, abs=0.05)
 
@@ -294,15 +326,14 @@ def test_shared_white_noise_beside_noise_that_is_not_shared(r, signs):
     rng = np.random.default_rng(13)
     k, trials = 8191, 100
     white = 1.0 / (1.0 + np.linspace(0.0, 3.0, k) ** 2)
+    axes = [Axis(f"{i}", "gyro", "rad/s") for i in range(len(signs))]
     errors = []
     for _ in range(trials):
         common = rng.standard_normal(k) * np.array(signs)[:, None]
         own = rng.standard_normal((2, len(signs), k))
         z = np.sqrt(white) * (np.sqrt(r) * common + np.sqrt(1.0 - r) * own[0]) + np.sqrt(1.0 - white) * own[1]
-        (finding,) = common_mode(
-            [f"{i}" for i in range(len(signs))], list(z), [white] * len(signs), RATE, 1e-3
-        )
-        assert finding.parameters["noise"].value == ("white",)
+        (finding,) = common_mode(axes, list(z), [white] * len(signs), RATE, 1e-3)
+        assert finding.details["noise"] == "white"
         found = finding.parameters["correlation"]
         errors.append((found.value - r) / found.std)
     # Four standard errors of a mean and of a standard deviation of 100 values.

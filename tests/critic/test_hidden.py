@@ -108,7 +108,7 @@ class Hump(Cause):
             self.name,
             Bank(slow),
             lambda k: shape,
-            lambda k, amplitude, std, likelihood: {"amplitude": view.own(amplitude, std)},
+            lambda k, amplitude, std, likelihood: [view.amplitude_estimate("amplitude", amplitude, std)],
             lambda k: (0.4 * view.duration, 0.6 * view.duration),
         )
 

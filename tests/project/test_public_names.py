@@ -88,7 +88,7 @@ def test_a_name_that_there_is_not_is_an_error():
 
 AUTHORS = {
     "a term": "NoiseTerm parameter Model AllanjaxError",
-    "a cause": "Cause Finding critic.View critic.Candidate critic.Quantity critic.Bank critic.CAUSES "
+    "a cause": "Cause Finding critic.View critic.Candidate Estimate critic.Bank critic.CAUSES "
     "critic.additive critic.centred",
 }
 

@@ -27,12 +27,12 @@ from allanjax.critic.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critic.view import Quantity
+from allanjax.critic.view import parameter_estimate
 from allanjax.record.io import write
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.report.critique_figure import plot_critique
 from allanjax.report.critique_story import format_remainder, headline_discrepancy, sentence
-from allanjax.report.critique_words import describe, parameters, quantity, suited, wrap
+from allanjax.report.critique_words import amount, describe, parameters, suited, wrap
 
 N, RATE = 8192, 100.0
 MG = 9.80665e-3
@@ -70,7 +70,10 @@ def critique_of(findings):
 LINE = Finding(
     "sinusoid",
     ("accel_x",),
-    {"frequency": Quantity(0.552, 1e-4, "Hz"), "amplitude": Quantity(5.0, 0.02, "mg")},
+    {
+        "frequency": parameter_estimate(ACCEL, "frequency", 0.552, 1e-4, "Hz"),
+        "amplitude": parameter_estimate(ACCEL, "amplitude", 5.0, 0.02, "mg"),
+    },
     1e-60,
     5310.0,
     5310.2,
@@ -83,7 +86,11 @@ LINE = Finding(
 STEP = dataclasses.replace(
     LINE,
     cause="outliers",
-    parameters={"times": Quantity(tuple(np.arange(9.0)), 0.01, "s"), "kind": Quantity(("x",), 0.0, "")},
+    parameters={},
+    details={
+        "times": tuple(parameter_estimate(ACCEL, "time", t, 0.01, "s") for t in np.arange(9.0)),
+        "kind": "x",
+    },
     span=(10.0, 20.0),
     domain="time",
     rivals=(),
@@ -180,36 +187,37 @@ def test_a_finding_without_discrepancies_reads_well():
 
 
 @pytest.mark.parametrize(
-    ("q", "text"),
+    ("value", "std", "unit", "text"),
     [
-        (Quantity(0.552, 1e-4, "Hz"), "0.55200 ± 0.00010 Hz"),
-        (Quantity(1.5, 0.1, "1"), "1.50 ± 0.10"),
-        (Quantity(3.0, 0.0, "samples"), "3 samples"),
-        (Quantity(2.0, NAN, "mg"), "2 mg"),
-        (Quantity((), 0.0, "s"), "none"),
-        (Quantity(("temperature",), 0.0, ""), "temperature"),
+        (0.552, 1e-4, "Hz", "0.55200 ± 0.00010 Hz"),
+        (1.5, 0.1, "1", "1.50 ± 0.10"),
+        (3.0, 0.0, "samples", "3 samples"),
+        (2.0, NAN, "mg", "2 mg"),
         # What is small is told in a finer unit, without digits that mean nothing.
-        (Quantity(0.012, 0.001, "g"), "12.0 ± 1.0 mg"),
-        (Quantity(4.7e-6, 3e-7, "g"), "4.70 ± 0.30 µg"),
-        (Quantity(-0.01, 0.001, "deg/s"), "-36.0 ± 3.6 deg/h"),
-        (Quantity(6e-4, 1e-4, "g/[temperature]"), "0.60 ± 0.10 mg/[temperature]"),
-        (Quantity(0.004, 0.0, "deg/s/√Hz"), "14.4 deg/h/√Hz"),
-        (Quantity(0.564012345, 1e-9, "Hz"), "0.564012 Hz"),
+        (0.012, 0.001, "g", "12.0 ± 1.0 mg"),
+        (4.7e-6, 3e-7, "g", "4.70 ± 0.30 µg"),
+        (-0.01, 0.001, "deg/s", "-36.0 ± 3.6 deg/h"),
+        (6e-4, 1e-4, "g/[temperature]", "0.60 ± 0.10 mg/[temperature]"),
+        (0.004, 0.0, "deg/s/√Hz", "14.4 deg/h/√Hz"),
+        (0.564012345, 1e-9, "Hz", "0.564012 Hz"),
     ],
 )
-def test_quantities(q, text):
-    assert quantity(q) == text
+def test_amounts(value, std, unit, text):
+    sensor = "gyro" if unit.startswith("deg") else "accel"
+    assert amount(parameter_estimate(Axis("x", sensor, "1"), "any", value, std, unit)) == text
 
 
 def test_counts_are_whole_shares_per_cent_and_resolutions_as_recorded():
-    found = {
-        "axes": Quantity(("accel_x",), 0.0, ""),
-        "step": Quantity(0.00333, 3.3e-12, "g"),
-        "count": Quantity(1916.0, 9.8, "1"),
-        "fraction": Quantity(0.0668, 0.0012, "1"),
-        "longest": Quantity(29.0, 0.0, "samples"),
+    numbers = {
+        "step": (0.00333, 3.3e-12, "g"),
+        "count": (1916.0, 9.8, "1"),
+        "fraction": (0.0668, 0.0012, "1"),
+        "longest": (29.0, 0.0, "samples"),
     }
-    assert parameters(found) == ["step 0.00333 g", "count 1,916", "fraction 6.68 %", "longest 29 samples"]
+    found = {name: parameter_estimate(ACCEL, name, *own) for name, own in numbers.items()}
+    finding = dataclasses.replace(LINE, parameters=found, details={"axes": ("accel_x",), "channel": "heat"})
+    said = ["step 0.00333 g", "count 1,916", "fraction 6.68 %", "longest 29 samples", "channel heat"]
+    assert parameters(finding) == said
 
 
 def test_units_that_have_no_finer_one_stay():

@@ -114,10 +114,10 @@ def compared(finding: Finding, effect: Effect, duration: float) -> dict[str, Com
             true = abs(true)
         if (q := finding.parameters.get(_OTHER_NAMES.get(name, name))) is not None:
             scale = unit_scale(q.unit, sensor) if effect.cause in TERMS and q.unit != "s" else 1.0
-            value, std = float(q.value) * scale, float(q.std) * scale
-            if q.limit:
+            value, std = q.value * scale, q.std * scale
+            if q.lower_limit is not None or q.upper_limit is not None:
                 # Right if the truth is on that side of it.
-                value, std = (max if q.limit == "above" else min)(true, value), 0.0
+                value, std = (min if q.lower_limit is None else max)(true, value), 0.0
         place = name in ("time", "start", "end", "lag")
         near = NEAR_PLACE * duration if place else NEAR * abs(true)
         table[name] = Compared(true, value, std, _slack(effect.cause, name, true, duration), near)
@@ -135,11 +135,11 @@ def _told(finding: Finding, effect: Effect) -> dict[str, Any]:
     """What the finding can have meant: of two steps the nearer one, of faint outliers those found."""
     truth: dict[str, Any] = effect.parameters
     if effect.cause == "bias_step" and "time_2" in truth:
-        time = float(np.asarray(finding.parameters["time"].value))
+        time = finding.parameters["time"].value
         if abs(time - truth["time_2"]) < abs(time - truth["time"]):
             return {"time": truth["time_2"], "amplitude": truth["amplitude_2"]}
     if effect.cause == "outliers":
-        times = np.asarray(finding.parameters["times"].value)
+        times = np.array([t.value for t in finding.details["times"]])
         there = [t for t in truth["all_times"] if np.any(np.isclose(times, t, atol=1e-6))]
         return truth | {"count": float(len({*there, *truth["times"]}))}
     return truth

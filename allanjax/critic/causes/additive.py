@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +12,8 @@ from jaxtyping import Float
 from allanjax.critic.bank import Bank
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.template_evidence import log_evidence
-from allanjax.critic.view import Candidate, Quantity, View
+from allanjax.critic.view import Candidate, Detail, Limit, View
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
@@ -31,10 +31,11 @@ def additive(
     cause: str,
     bank: Bank,
     shape: Callable[[int], Float[np.ndarray, " n"]],
-    parameters: Callable[[int, float, float, Float[np.ndarray, " shapes"]], Mapping[str, Quantity]],
+    parameters: Callable[[int, float, float, Float[np.ndarray, " shapes"]], Sequence[Estimate]],
     span: Callable[[int], tuple[float, float]],
     more: float = 0.0,
     term: Callable[[int, float], NoiseTerm] | None = None,
+    details: Mapping[str, Detail] | None = None,
 ) -> Candidate | None:
     """Best candidate of a bank, with the noise marginalized.
 
@@ -48,6 +49,7 @@ def additive(
         span: gives start and end in time [s] by index.
         more: further log trials factor of the search [nats].
         term: gives the noise term by index and amplitude [SI], if there is one.
+        details: words and lists of numbers by name.
     """
     best: Candidate | None = None
     tried: set[int] = set()
@@ -74,7 +76,7 @@ def additive(
         if best is None or gain > best.gain:
             best = Candidate(
                 cause,
-                {},
+                (),
                 gain,
                 1.0,
                 after,
@@ -83,6 +85,7 @@ def additive(
                 "time",
                 adding(term and term(k, float(scan.amplitude[k]))),
                 has_waveform=True,
+                details=details or {},
             )
             searched, place = (noise, float(scan.snr[k])), (k, float(scan.amplitude[k]))
     if best is None or not best.gain > 0.0:
@@ -90,7 +93,7 @@ def additive(
     # Noise alone has an evidence of e^gain against it with no more than this probability.
     p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
     found = parameters(*place, *known(view, best.after, bank, *place))
-    return dataclasses.replace(best, p_value=p_value, parameters=found)
+    return dataclasses.replace(best, p_value=p_value, estimates=found)
 
 
 def known(
@@ -125,7 +128,7 @@ def shape_parameter(
     values: Float[np.ndarray, " shapes"],
     likelihood: Float[np.ndarray, " shapes"],
     spacing: float | Float[np.ndarray, " shapes"] = 1.0,
-) -> tuple[float, float, Literal["", "above", "below"]]:
+) -> tuple[float, float, Limit]:
     """Mean and standard deviation of a shape's parameter, or a limit where an end of the bank is likely.
 
     Args:

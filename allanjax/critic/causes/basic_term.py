@@ -12,7 +12,8 @@ from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.causes.spectral import SHAPE, FineLevels, limited, relative_errors
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, coefficient_folds
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, View, coefficient_folds
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 
@@ -68,7 +69,7 @@ class BasicTerm(Cause):
             "time",
         )
 
-    def _parameters(self, view: View, allowed: Sequence[str], noise: Noise, term: str) -> dict[str, Quantity]:
+    def _parameters(self, view: View, allowed: Sequence[str], noise: Noise, term: str) -> list[Estimate]:
         """Parameters of the best subset; deviations include the spread between plausible subsets."""
         sets = view.model_evidence.likely(allowed, (term,), most=SETS)
         found = [_value(view, other, term) for other in sets]
@@ -79,15 +80,15 @@ class BasicTerm(Cause):
         parameter = declared.amplitude_parameter()
         unit = default_coefficient_unit(view.axis.sensor, parameter.time_exponent)
         scale = unit_scale(unit, view.axis.sensor)
-        parameters = {parameter.name: Quantity(value / scale, std / scale, unit)}
-        if term == MARKOV:
-            time = _correlation_time(view, noise)
-            parameters["correlation_time"] = time
-            if time.limit == "below":
-                # Of a shorter one it is larger: white noise is all that is seen of it.
-                least = max(value - ONE_SIDED * std, 0.0) / scale
-                parameters[parameter.name] = Quantity.beyond(least, "above", unit)
-        return parameters
+        amplitude = view.estimate(parameter.name, value / scale, std / scale, unit)
+        if term != MARKOV:
+            return [amplitude]
+        time = _correlation_time(view, noise)
+        if time.upper_limit is not None:
+            # Of a shorter one it is larger: white noise is all that is seen of it.
+            least = max(value - ONE_SIDED * std, 0.0) / scale
+            amplitude = view.estimate(parameter.name, least, np.nan, unit, "above")
+        return [amplitude, time]
 
 
 def _value(view: View, noise: Noise, term: str) -> tuple[float, float]:
@@ -112,7 +113,7 @@ def _p_value(view: View, term: str) -> float:
     return float(chi2.sf(ratio, 1)) * (1.0 if term == RAMP else 0.5)
 
 
-def _correlation_time(view: View, noise: Noise) -> Quantity:
+def _correlation_time(view: View, noise: Noise) -> Estimate:
     """Correlation time by maximum likelihood, between the neighbours of its place in the grid."""
     levels = FineLevels(view)
 
@@ -125,6 +126,4 @@ def _correlation_time(view: View, noise: Noise) -> Quantity:
     u = levels.shape_of(likelihood, (middle - step, middle + step))[0]
     std = relative_errors(view, noise)[SHAPE]
     # Beyond the grid a Markov process is another term: white noise, or a random walk.
-    u, std, limit = limited(u, std, (times[0], times[-1]))
-    T = float(np.exp(u))
-    return Quantity(T, std * T, "s", limit)
+    return view.log_estimate("correlation_time", *limited(u, std, (times[0], times[-1])), "s")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from functools import cache, partial
 
 import numpy as np
@@ -11,8 +10,9 @@ import numpy as np
 from allanjax.critic.bank import FINEST, Bank, log_occam_factor, step_bank, step_coefficients
 from allanjax.critic.causes.additive import adding, additive, known, mean_and_std, shape_parameter
 from allanjax.critic.template_pairs import best_pair
-from allanjax.critic.view import Candidate, Cause, Quantity, View
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise import terms
+from allanjax.noise.estimate import Estimate
 
 # Gain of a step [nats] from which on no pair of steps is tried in its place: a judgement.
 _SURE = 20.0
@@ -47,7 +47,7 @@ class BiasStep(Cause):
         if found is None:
             return None
         time = found.parameters["time"]
-        k = float(np.asarray(time.value)) * view.rate
+        k = time.value * view.rate
         spacing = places[1] - places[0]
         if spacing > 1.0 and time.std * view.rate < spacing:
             fine = np.unique(np.rint(k + np.linspace(-2.0, 2.0, _FINER) * spacing).clip(1, view.n - 1))
@@ -101,7 +101,7 @@ class BiasStep(Cause):
         first = dataclasses.replace(first, after=view.with_samples(view.samples - both[0]))
         return Candidate(
             self.name,
-            first.parameters,
+            first.estimates,
             gain,
             min(max(first.p_value, second.p_value), float(np.exp(-gain))),
             after,
@@ -142,14 +142,14 @@ def _term(view: View, place: float, amplitude: float) -> terms.BiasStep:
 
 def _parameters(
     view: View, places: np.ndarray, amplitude: float, std: float, likelihood: np.ndarray
-) -> Mapping[str, Quantity]:
+) -> list[Estimate]:
     spacing = places[1] - places[0]
     place, spread, limit = shape_parameter(places, likelihood)
     # Only at the record's ends does a bank end where a step might be beyond it.
     if limit and (places[0] if limit == "below" else view.n - places[-1]) > 2.0 * spacing:
         (place, spread), limit = mean_and_std(places, likelihood), ""
     spread = np.hypot(spread, spacing / np.sqrt(12.0))
-    return {
-        "time": Quantity(place / view.rate, float(spread) / view.rate, "s", limit),
-        "amplitude": view.own(amplitude, std),
-    }
+    return [
+        view.estimate("time", place / view.rate, spread / view.rate, "s", limit),
+        view.amplitude_estimate("amplitude", amplitude, std),
+    ]

@@ -14,7 +14,8 @@ from scipy.special import betainc
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.noise import NEARLY_ALL
 from allanjax.critic.result import Finding
-from allanjax.critic.view import Quantity
+from allanjax.critic.view import Limit, parameter_estimate
+from allanjax.record.recording import Axis
 
 NAME = "common_mode"
 # Correlations are looked for in all coefficients, in the lowest quarter, its lowest quarter, and so on.
@@ -106,9 +107,9 @@ class _Link:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Axes:
-    """Names, whitened coefficients, and the share of white noise in each of these."""
+    """Axes, their whitened coefficients, and the share of white noise in each of these."""
 
-    names: Sequence[str]
+    axes: Sequence[Axis]
     z: Sequence[Float[np.ndarray, " n-1"]]
     white: Sequence[Float[np.ndarray, " n-1"] | None]
 
@@ -118,7 +119,7 @@ Links: TypeAlias = dict[tuple[int, int], tuple[_Link, float]]
 
 
 def common_mode(
-    names: Sequence[str],
+    axes: Sequence[Axis],
     z: Sequence[Float[np.ndarray, " n-1"]],
     white: Sequence[Float[np.ndarray, " n-1"] | None],
     rate: float,
@@ -127,27 +128,27 @@ def common_mode(
     """Groups of axes whose whitened cosine coefficients are correlated.
 
     Args:
-        names: names of the axes.
+        axes: the axes.
         z: whitened coefficients of each.
         white: share of the white noise in each axis's noise, None where there is none.
         rate: sample rate [Hz].
         alpha: probability of a false finding.
     """
     # Where white noise is nearly all that an axis has there is nothing to tell it from.
-    axes = _Axes(names, z, [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white])
+    whitened = _Axes(axes, z, [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white])
     tops = [len(z[0])]
     while tops[-1] // _SPLIT >= _LEAST:
         tops.append(tops[-1] // _SPLIT)
     pairs = [(a, b) for a in range(len(z)) for b in range(a)]
     linked: Links = {}
     for a, b in pairs:
-        noises = ("all",) if axes.white[a] is None or axes.white[b] is None else ("all", "white")
-        links = [_Link.of(axes, a, b, noise, top) for noise in noises for top in tops]
+        noises = ("all",) if whitened.white[a] is None or whitened.white[b] is None else ("all", "white")
+        links = [_Link.of(whitened, a, b, noise, top) for noise in noises for top in tops]
         link = min((link for link in links if link.size >= _LEAST), key=lambda link: link.p_value)
         p = any_of(link.p_value, len(pairs) * len(links))
         if p < alpha and link.held_out > 0.0:
             linked[a, b] = link, p
-    return [_finding(axes, group, linked, rate) for group in _groups(linked)]
+    return [_finding(whitened, group, linked, rate) for group in _groups(linked)]
 
 
 def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Finding:
@@ -158,9 +159,9 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
     # One kind of noise for all of them: that which explains most.
     noises = ["all"] if any(axes.white[k] is None for pair in pairs for k in pair) else ["all", "white"]
     tops = {link.top for link in members.values()}
-    together = [[_Link.of(axes, *pair, noise, top) for pair in pairs] for noise in noises for top in tops]
+    sharing = [[_Link.of(axes, *pair, noise, top) for pair in pairs] for noise in noises for top in tops]
     # There, pairs that share hardly anything are another matter: what they share is elsewhere.
-    possible = [_strong(links) for links in together if all(link.size >= _LEAST for link in links)]
+    possible = [_strong(links) for links in sharing if all(link.size >= _LEAST for link in links)]
     evidence = np.array([sum(link.evidence for link in links) for links in possible])
     # The mean over the pairs, of which those with a minus sign share noise of opposite sign.
     means = np.array([np.mean([abs(link.correlation) for link in links]) for links in possible])
@@ -169,18 +170,21 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
     likelihood = np.exp(evidence - evidence[best])
     # What it is the correlation of is part of what is not known.
     spread = likelihood @ (means - mean) ** 2 / likelihood.sum()
-    top, names = links[0].top, tuple(axes.names[k] for k in sorted(group))
-    signs = tuple(f"{axes.names[a]}/{axes.names[b]}: {members[a, b].correlation:+.3g}" for a, b in pairs)
+    top, shared = links[0].top, [axes.axes[k] for k in sorted(group)]
+    names = tuple(axis.name for axis in shared)
+    together = Axis(" and ".join(names), shared[0].sensor, shared[0].unit)
+    signs = tuple(
+        f"{axes.axes[a].name}/{axes.axes[b].name}: {members[a, b].correlation:+.3g}" for a, b in pairs
+    )
+    limit: Limit = "" if mean < _STRONGEST - 1e-9 else "above"
+    std = np.hypot(_error(mean, links), np.sqrt(spread))
     return Finding(
         cause=NAME,
         axes=names,
         parameters={
-            "axes": Quantity(names, 0.0, ""),
-            "correlation": Quantity(mean, float(np.hypot(_error(mean, links), np.sqrt(spread))), "1")
-            if mean < _STRONGEST - 1e-9
-            else Quantity.beyond(_STRONGEST, "above", "1"),
-            "noise": Quantity((links[0].noise,), 0.0, ""),
-            "pairs": Quantity(signs, 0.0, ""),
+            "correlation": parameter_estimate(
+                together, "correlation", _STRONGEST if limit else mean, std, "1", limit
+            )
         },
         p_value=min(linked[pair][1] for pair in pairs),
         evidence=float(evidence[best]),
@@ -188,6 +192,7 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
         rivals=(),
         span=(rate / (2.0 * len(axes.z[0]) + 2.0), top * rate / (2.0 * len(axes.z[0]) + 2.0)),
         domain="frequency",
+        details={"axes": names, "noise": links[0].noise, "pairs": signs},
     )
 
 

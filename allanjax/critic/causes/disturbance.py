@@ -69,11 +69,11 @@ class Disturbance(Cause):
         peak = float(np.max(abs(view.samples[start:end] - np.median(view.samples))))
         return Candidate(
             self.name,
-            {
-                "start": view.time(start, std),
-                "end": view.time(end, std),
-                "peak": view.own(peak, view.loo_residuals[1]),
-            },
+            [
+                view.time_estimate("start", start, std),
+                view.time_estimate("end", end, std),
+                view.amplitude_estimate("peak", peak, view.loo_residuals[1]),
+            ],
             gain,
             p_value,
             quiet,

@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float
 from scipy.fft import dct, dst
 from scipy.ndimage import uniform_filter1d
 
-from allanjax.critic.causes.spectral import SHARES, FineLevels, Limit, limited
+from allanjax.critic.causes.spectral import SHARES, FineLevels, limited
 from allanjax.critic.noise import MARKOV, density
-from allanjax.critic.view import EVERYTHING, Candidate, Cause, Quantity, View, coefficient_folds, in_time
+from allanjax.critic.view import EVERYTHING, Candidate, Cause, Limit, View, coefficient_folds, in_time
 from allanjax.noise import terms
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 
 # Smallest gain in log-likelihood [nats]: a judgement.
@@ -65,7 +66,7 @@ class LowPass(Cause):
         gains = screen.gains
         if gains.max() < _WORTH:
             return None
-        filter_, bandwidth, told = screen.best()
+        filter_, bandwidth, told = screen.best(view)
         response = screen.response(view, filter_, bandwidth)
         visible = _visible(view, response)
         after = view.with_factor(visible)
@@ -84,15 +85,11 @@ class LowPass(Cause):
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
         if filtered < noise.log_evidence - 4.0:
             return None
+        # Steeper filters than the steepest one that is looked for look like it.
+        steepest = filter_[0] == max(order for order, _ in _FILTERS)
         return Candidate(
             self.name,
-            {
-                "bandwidth": told,
-                # Steeper filters than the steepest one that is looked for look like it.
-                "order": Quantity.beyond(float(filter_[0]), "above", "1")
-                if filter_[0] == max(order for order, _ in _FILTERS)
-                else Quantity(float(filter_[0]), 0.0, "1"),
-            },
+            [told, view.estimate("order", filter_[0], 0.0, "1", "above" if steepest else "")],
             gain,
             float(np.exp(-max(gain, 0.0))),
             after,
@@ -266,7 +263,7 @@ class _Screen(FineLevels):
         value, powers = self.scored(passed, deep / passed)
         return value, float(powers[-1])
 
-    def best(self) -> tuple[tuple[int, bool], float, Quantity]:
+    def best(self, view: View) -> tuple[tuple[int, bool], float, Estimate]:
         """Best filter, its bandwidth [Hz], and its half-power frequency, averaged over plausible filters.
 
         The average is also over noise with and without quantization, which rises where a filter falls.
@@ -284,10 +281,9 @@ class _Screen(FineLevels):
         self.columns = best.columns
         weight = np.exp([one.gain - best.gain for one in found])
         off = [one.std**2 + (one.half_power - best.half_power) ** 2 for one in found]
-        if best.limit:
-            return best.filter_, best.bandwidth, Quantity.beyond(best.half_power, best.limit, "Hz")
-        std = float(np.sqrt(weight @ off / weight.sum()))
-        return best.filter_, best.bandwidth, Quantity(best.half_power, std, "Hz")
+        std = np.sqrt(weight @ off / weight.sum())
+        told = view.estimate("bandwidth", best.half_power, std, "Hz", best.limit)
+        return best.filter_, best.bandwidth, told
 
     def _leave_ends_out(self) -> None:
         """Leave out the highest frequencies, where only the ends are left.
@@ -351,7 +347,7 @@ def _held_out(view: View) -> float:
     gain = 0.0
     for fold in coefficient_folds(view.n):
         screen = _Screen(view, fold)
-        filter_, bandwidth, *_ = screen.best()
+        filter_, bandwidth, *_ = screen.best(view)
         factor = _visible(view, screen.response(view, filter_, bandwidth), fold)
         noise = view.model_evidence_of(fold, factor).best(view.allowed)
         gain += view.log_likelihood(noise, ~fold, factor)

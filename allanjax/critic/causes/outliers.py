@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +13,7 @@ from scipy.stats import norm
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
-from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
+from allanjax.critic.view import Candidate, Cause, Limit, View, in_time, values_of
 
 # Scales of outliers, in deviations of the noise, and shares of the samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -75,29 +74,30 @@ class Outliers(Cause):
             return None
         gain -= _log_trials_factor(view.n)
         # Of all that there are, also of those too small to be seen.
-        spread, relative, limit = _known(scores[missing], threshold)
-        spread *= bulk
-        parameters = {
-            "count": Quantity(float(len(times)), float(np.sqrt(len(times) * 0.05)), "1"),
-            "times": Quantity(tuple(float(k / view.rate) for k in times), 1.0 / view.rate, "s"),
-            "scale": dataclasses.replace(view.own(spread, relative * spread), limit=limit),
-        }
+        log_scale, spread, limit = _known(scores[missing], threshold)
+        estimates = [
+            view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
+            view.log_estimate("scale", log_scale + np.log(bulk / view.scale), spread, limit, view.axis.unit),
+        ]
         p_value = _p_value(float(np.max(abs(z))), view.n)
         return Candidate(
             self.name,
-            parameters,
+            estimates,
             float(gain),
             float(min(p_value, np.exp(-max(gain, 0.0)))),
             after,
             lambda: _held_out(z),
             (times[0] / view.rate, times[-1] / view.rate),
             "time",
+            details={
+                "times": tuple(view.estimate("time", k / view.rate, 1.0 / view.rate, "s") for k in times)
+            },
         )
 
     def again(self, view: View, found: Candidate) -> Candidate:
         """Finding of the same samples, imputed with the noise as it is estimated now."""
         missing = np.zeros(view.n, bool)
-        times = np.asarray(found.parameters["times"].value, float)
+        times = np.array(values_of(found.details["times"])[0], float)
         missing[np.rint(times * view.rate).astype(int)] = True
         return dataclasses.replace(found, after=impute_gaussian(view, missing))
 
@@ -166,10 +166,8 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     return -float(refined.fun), float(min(share, 0.5)), float(scale)
 
 
-def _known(
-    found: Float[np.ndarray, " k"], threshold: float
-) -> tuple[float, float, Literal["", "above", "below"]]:
-    """Scale of the outliers with scores above a threshold, and its relative deviation; or a limit.
+def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float, Limit]:
+    """Logarithm of the scale of outliers with scores above a threshold, and its deviation; or a limit.
 
     Only errors above the threshold are found: their law is a normal one truncated there.
     """
@@ -177,8 +175,7 @@ def _known(
     width = np.sqrt(1.0 + np.exp(2.0 * log))
     each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
     total = each.sum(axis=0)
-    middle, spread, limit = shape_parameter(log, np.exp(total - total.max()))
-    return float(np.exp(middle)), spread, limit
+    return shape_parameter(log, np.exp(total - total.max()))
 
 
 def _threshold(share: float, scale: float) -> float:

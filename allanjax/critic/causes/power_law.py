@@ -6,7 +6,7 @@ import numpy as np
 
 from allanjax.critic.causes.spectral import FineLevels, limited, relative_errors
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
-from allanjax.critic.view import MARGIN, Candidate, Cause, Quantity, View, coefficient_folds
+from allanjax.critic.view import MARGIN, Candidate, Cause, View, coefficient_folds
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
 # Distance from the best exponent of the grid within which the maximum is looked for.
@@ -44,10 +44,10 @@ class PowerLaw(Cause):
                 total += view.log_likelihood(with_it, ~fold)
             return total
 
-        parameters = {
-            "exponent": Quantity(exponent, std, "1", limit),
-            "amplitude": view.own(amplitude, 0.5 * relative * amplitude, "/√Hz"),
-        }
+        parameters = [
+            view.estimate("exponent", exponent, std, "1", limit),
+            view.amplitude_estimate("amplitude", amplitude, 0.5 * relative * amplitude, "/√Hz"),
+        ]
         low = view.rate / (2.0 * view.n)
         return Candidate(
             self.name,

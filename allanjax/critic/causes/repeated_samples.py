@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.gap_filling import impute_gaussian
-from allanjax.critic.view import Candidate, Cause, Quantity, View
+from allanjax.critic.view import Candidate, Cause, View
 
 # Fewest repeats that are reported: a judgement.
 _LEAST = 3
@@ -41,10 +41,10 @@ class RepeatedSamples(Cause):
         longest = int(np.max(np.diff(np.flatnonzero(np.diff(np.concatenate([[0], same, [0]]))))[::2]))
         return Candidate(
             self.name,
-            {
-                "fraction": Quantity(share, float(np.sqrt(share * (1.0 - share) / view.n)), "1"),
-                "longest": Quantity(float(longest), 0.0, "samples"),
-            },
+            [
+                view.estimate("fraction", share, np.sqrt(share * (1.0 - share) / view.n), "1"),
+                view.estimate("longest", longest, 0.0, "samples"),
+            ],
             gain,
             float(norm.sf(z)) if chance > 0.0 else 0.0,
             impute_gaussian(view, same),

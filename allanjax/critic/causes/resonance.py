@@ -10,8 +10,9 @@ from allanjax.critic.bank import any_of
 from allanjax.critic.causes.bump import LINE, LOWEST, Spectrum
 from allanjax.critic.causes.spectral import limited
 from allanjax.critic.noise import Noise
-from allanjax.critic.view import Candidate, Cause, Quantity, View, coefficient_folds
+from allanjax.critic.view import Candidate, Cause, View, coefficient_folds
 from allanjax.noise import terms
+from allanjax.noise.estimate import Estimate
 
 # Narrowest window [coefficients].
 _NARROWEST = 8
@@ -44,7 +45,7 @@ class Resonance(Cause):
         return self._near(view, window, np.log([middle * spacing, Q]), view.noise)
 
     def again(self, view: View, found: Candidate) -> Candidate | None:
-        about = [float(np.asarray(found.parameters[x].value)) for x in ("frequency", "quality_factor")]
+        about = [found.parameters[x].value for x in ("frequency", "quality_factor")]
         window = _conspicuous(view.coefficients**2 / view.variance())
         return self._near(view, window, np.log(about), found.after.noise)
 
@@ -86,11 +87,12 @@ class Resonance(Cause):
         relative = np.sqrt(np.diag(covariance))
         # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.
         spacing = view.rate / (2.0 * view.n)
-        parameters = {
-            "frequency": _logarithmic(theta[0], relative[0], (LOWEST * spacing, view.rate / 2.0), "Hz"),
-            "quality_factor": _logarithmic(theta[1], relative[1], (_BUMP_Q, f0 / (LINE * spacing)), "1"),
-            "amplitude": view.own(float(amplitude), float(relative[2] * amplitude)),
-        }
+        band, shapes = (LOWEST * spacing, view.rate / 2.0), (_BUMP_Q, f0 / (LINE * spacing))
+        parameters = [
+            _between(view, "frequency", theta[0], relative[0], band, "Hz"),
+            _between(view, "quality_factor", theta[1], relative[1], shapes, "1"),
+            view.amplitude_estimate("amplitude", amplitude, relative[2] * amplitude),
+        ]
         half = f0 / Q
         return Candidate(
             self.name,
@@ -105,10 +107,11 @@ class Resonance(Cause):
         )
 
 
-def _logarithmic(u: float, std: float, bounds: tuple[float, float], unit: str) -> Quantity:
-    """Quantity given by its logarithm, between bounds."""
-    u, std, limit = limited(float(u), float(std), (float(np.log(bounds[0])), float(np.log(bounds[1]))))
-    return Quantity(float(np.exp(u)), float(np.exp(u)) * std, unit, limit)
+def _between(
+    view: View, label: str, u: float, std: float, bounds: tuple[float, float], unit: str
+) -> Estimate:
+    """Estimate of e^u between bounds; at either of them a limit."""
+    return view.log_estimate(label, *limited(u, std, (np.log(bounds[0]), np.log(bounds[1]))), unit)
 
 
 def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " n-1"]:

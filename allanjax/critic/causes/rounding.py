@@ -38,7 +38,7 @@ class Rounding(Cause):
         gain = view.n * float(np.log(0.5 / _TOLERANCE))
         return Candidate(
             self.name,
-            {"step": view.own(q, q * _TOLERANCE / np.sqrt(view.n))},
+            [view.amplitude_estimate("step", q, q * _TOLERANCE / np.sqrt(view.n))],
             gain,
             float(np.exp(-min(gain, 700.0))),
             view.with_samples(x),

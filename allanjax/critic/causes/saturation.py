@@ -8,7 +8,8 @@ import numpy as np
 
 from allanjax.critic.causes.imputation import imputed
 from allanjax.critic.causes.rounding import lattice
-from allanjax.critic.view import Candidate, Cause, Quantity, View
+from allanjax.critic.view import Candidate, Cause, View
+from allanjax.noise.estimate import Estimate
 
 # Fewest runs of samples at the largest value, or fewest such samples, that are not by chance: judgements.
 _LEAST, _MANY = 4, 100
@@ -31,22 +32,21 @@ class Saturation(Cause):
         lower, upper = view.samples.copy(), view.samples.copy()
         far = 1e3 * float(np.std(raw)) + 1e-300
         count = 0
-        parameters: dict[str, Quantity] = {}
+        levels: list[Estimate] = []
         for side in sides:
             level = side * float(np.max(side * raw))
             clipped = raw == level
             count += int(clipped.sum())
             (upper if side > 0.0 else lower)[clipped] += side * far
-            parameters["upper_level" if side > 0.0 else "lower_level"] = view.own(level, 0.0)
+            levels.append(view.amplitude_estimate("upper_level" if side > 0.0 else "lower_level", level, 0.0))
         if count > 0.9 * view.n:
             return None
         x, sigma = imputed(view.samples, lower, upper, count)
-        parameters["fraction"] = Quantity(count / view.n, 0.0, "1")
         # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit.
         gain = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
         return Candidate(
             self.name,
-            parameters,
+            [*levels, view.estimate("fraction", count / view.n, 0.0, "1")],
             gain,
             float(np.exp(-min(gain, 700.0))),
             dataclasses.replace(

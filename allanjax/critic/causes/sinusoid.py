@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Float
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from allanjax.critic.bank import folds
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, View, in_time
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
@@ -47,14 +45,20 @@ class Sinusoid(Cause):
         # Prior: the amplitude's of `evidence`, any phase, any frequency.
         gain -= np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE)
         gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
-        parameters = {"frequency": Quantity(f, f_std, "Hz"), "amplitude": view.own(amplitude, std)}
+        parameters = [
+            view.estimate("frequency", f, f_std, "Hz"),
+            view.amplitude_estimate("amplitude", amplitude, std),
+        ]
         # One of fewer periods is seen as near to it as is looked at, and less of it.
         if (
             f < _PERIODS / view.duration
             and refined(view.coefficients, v, f - 1.0 / view.duration, view.rate)[-1] > z
         ):
-            least = dataclasses.replace(view.own(amplitude - ONE_SIDED * std, np.nan), limit="above")
-            parameters = {"frequency": Quantity.beyond(float(f), "below", "Hz"), "amplitude": least}
+            least = amplitude - ONE_SIDED * std
+            parameters = [
+                view.estimate("frequency", f, np.nan, "Hz", "below"),
+                view.amplitude_estimate("amplitude", least, np.nan, limit="above"),
+            ]
 
         def held_out() -> float:
             root = np.sqrt(v)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar, nnls
 
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, density
-from allanjax.critic.view import ONE_SIDED, View
+from allanjax.critic.view import ONE_SIDED, Limit, View
 from allanjax.noise.terms import Markov, PowerLaw
 
-Limit: TypeAlias = Literal["", "above", "below"]
 # Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
 _AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
 #: Name of the free shape in the result of `relative_errors`.

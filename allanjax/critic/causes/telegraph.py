@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,8 +11,9 @@ from scipy.stats import chi2
 from allanjax.critic.bank import Bank, folds
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
-from allanjax.critic.view import Candidate, Cause, Quantity, View, in_time
+from allanjax.critic.view import Candidate, Cause, Limit, View, in_time
 from allanjax.noise import terms
+from allanjax.noise.estimate import Estimate
 
 # Most blocks that samples are averaged in.
 _BLOCKS = 2048
@@ -49,15 +48,14 @@ class Telegraph(Cause):
         if jumps < _LEAST_JUMPS:
             return None
         whole = np.concatenate([np.repeat(path, length), np.full(view.n - blocks * length, path[-1])])
-        dwell, spread = (x * length / view.rate for x in found.dwell)
-        limit = found.limit
+        dwell = found.dwell * length / view.rate
 
-        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
-            return {
-                "amplitude": view.own(abs(a), std),
-                "dwell_time": Quantity(dwell, spread, "s", limit),
-                "jumps": Quantity(float(jumps), 0.0, "1"),
-            }
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
+            return [
+                view.amplitude_estimate("amplitude", abs(a), std),
+                view.log_estimate("dwell_time", np.log(dwell), found.log_dwell_std, found.limit, "s"),
+                view.estimate("jumps", jumps, 0.0, "1"),
+            ]
 
         shape = Bank(centred(whole)[None, : 4 * _BLOCKS])
         candidate = additive(
@@ -86,7 +84,7 @@ class TwoStateFit:
     Attributes:
         sigma: standard deviation of the blocks' noise.
         upper: probability that a block is on the second level.
-        dwell: mean time between jumps [blocks], and its standard deviation.
+        dwell, log_dwell_std: mean time between jumps [blocks], and the standard deviation of its logarithm.
         limit: side of `dwell` on which that time is, if only a limit is known.
         log_likelihood: log-likelihood of all blocks, averaged over paths and dwell times, relative to blocks
             at their level [nats].
@@ -94,9 +92,10 @@ class TwoStateFit:
 
     sigma: float
     upper: Float[np.ndarray, " blocks"]
-    dwell: tuple[float, float]
+    dwell: float
+    log_dwell_std: float
     log_likelihood: float
-    limit: Literal["", "above", "below"] = ""
+    limit: Limit
 
     def log_trials_factor(
         self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]
@@ -142,14 +141,8 @@ def two_levels(
     total, upper = _chain(likelihoods(values[[int(np.argmax(total))]]), dwells)
     probable = np.exp(total - np.logaddexp.reduce(total))
     log, spread, limit = shape_parameter(np.log(dwells), probable)
-    dwell = float(np.exp(log))
-    return TwoStateFit(
-        sigma,
-        probable @ upper,
-        (dwell, dwell * spread),
-        float(np.logaddexp.reduce(total) - np.log(_DWELLS)),
-        limit,
-    )
+    log_likelihood = float(np.logaddexp.reduce(total) - np.log(_DWELLS))
+    return TwoStateFit(sigma, probable @ upper, float(np.exp(log)), spread, log_likelihood, limit)
 
 
 def _chain(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct, idct
@@ -11,7 +9,8 @@ from scipy.fft import dct, idct
 from allanjax.critic.bank import SLOW, Bank, any_of
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
-from allanjax.critic.view import Candidate, Cause, Quantity, View
+from allanjax.critic.view import Candidate, Cause, View
+from allanjax.noise.estimate import Estimate
 
 # Most lags that are compared.
 _LAGS = 48
@@ -51,16 +50,15 @@ class Temperature(Cause):
             delay = round(lags[k] * step)
             return np.concatenate([np.full(delay, z[0]), z[: view.n - delay]]) - z.mean()
 
-        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
             # The bank is not evenly spaced: its points count by the lags they stand for.
             spacing = np.gradient(lags.astype(float))
             lag, spread, limit = shape_parameter(lags * step, likelihood, spacing)
             spread = np.hypot(spread, step * np.interp(lag, lags * step, spacing) / np.sqrt(12.0))
-            return {
-                "coefficient": view.own(a, std, f"/[{name}]"),
-                "lag": Quantity(lag / view.rate, float(spread) / view.rate, "s", limit),
-                "channel": Quantity((name,), 0.0, ""),
-            }
+            return [
+                view.amplitude_estimate("coefficient", a, std, f"/[{name}]"),
+                view.estimate("lag", lag / view.rate, spread / view.rate, "s", limit),
+            ]
 
         return additive(
             view,
@@ -70,6 +68,7 @@ class Temperature(Cause):
             parameters,
             lambda k: (0.0, view.duration),
             float(np.log(len(view.auxiliary))),
+            details={"channel": name},
         )
 
 

@@ -12,7 +12,8 @@ from scipy.stats import multivariate_normal, norm
 
 from allanjax.critic.bank import any_of, extrapolated, folds
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View, in_time
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, View, in_time
+from allanjax.noise.estimate import Estimate
 
 # Most blocks that intervals are made of.
 _BLOCKS = 256
@@ -131,36 +132,36 @@ class VarianceChange(Cause):
         excess = max(found, _LEAST)
         # The ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
         scatter = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m))))
-        ratio = _ratio(found, scatter)
         quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
         after = view.with_samples(view.recoloured(np.where(inside, quieter, view.whitened)))
         return Candidate(
             self.name,
-            {
-                "start": view.time(a, spreads[0]),
-                "end": view.time(b, spreads[1]),
-                "ratio": ratio,
-                "noise": Quantity((kind.name,), 0.0, ""),
-            },
+            [
+                view.time_estimate("start", a, spreads[0]),
+                view.time_estimate("end", b, spreads[1]),
+                _ratio(view, found, scatter),
+            ],
             mean - 3.0,
             _p_value(float(score.max()), kinds),
             after,
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
             "time",
+            details={"noise": kind.name},
         )
 
 
-def _ratio(excess: float, scatter: float) -> Quantity:
+def _ratio(view: View, excess: float, scatter: float) -> Estimate:
     """Ratio of the noise's deviations, by the relative growth of its power and the scatter of that.
 
     Of a noise that has all but vanished only an upper limit is known.
     """
     if excess < max(_LEAST, 2.0 * scatter - 1.0):
-        return Quantity.beyond(float(np.sqrt(1.0 + max(excess + ONE_SIDED * scatter, _LEAST))), "below", "1")
-    ratio = float(np.sqrt(1.0 + excess))
+        largest = np.sqrt(1.0 + max(excess + ONE_SIDED * scatter, _LEAST))
+        return view.estimate("ratio", largest, np.nan, "1", "below")
+    ratio = np.sqrt(1.0 + excess)
     # d ratio = d excess / (2 ratio).
-    return Quantity(ratio, scatter / (2.0 * ratio), "1")
+    return view.estimate("ratio", ratio, scatter / (2.0 * ratio), "1")
 
 
 def _p_value(score: float, kinds: Sequence[_Kind]) -> float:

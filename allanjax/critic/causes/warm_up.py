@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.causes.additive import additive, shape_parameter
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Quantity, View
+from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Limit, View
 from allanjax.noise import terms
+from allanjax.noise.estimate import Estimate
 
 # Time constants that are compared.
 _TIMES = 48
@@ -33,17 +32,16 @@ class WarmUp(Cause):
         t = np.arange(view.n) / view.rate
         times, bank = _bank(view.n, view.rate)
 
-        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> Mapping[str, Quantity]:
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
             log_time, spread, limit = shape_parameter(np.log(times), likelihood)
             spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
-            T = float(np.exp(log_time))
-            # More of a slower or a faster one is outside the record or between its samples.
-            least = a - np.sign(a) * ONE_SIDED * std
-            beyond = dataclasses.replace(view.own(least, np.nan), limit="above" if a > 0.0 else "below")
-            return {
-                "amplitude": beyond if limit else view.own(a, std),
-                "time_constant": Quantity(T, float(spread) * T, "s", limit),
-            }
+            amplitude = view.amplitude_estimate("amplitude", a, std)
+            if limit:
+                # More of a slower or a faster one is outside the record or between its samples.
+                least = a - np.sign(a) * ONE_SIDED * std
+                side: Limit = "above" if a > 0.0 else "below"
+                amplitude = view.amplitude_estimate("amplitude", least, np.nan, limit=side)
+            return [amplitude, view.log_estimate("time_constant", log_time, spread, limit, "s")]
 
         return additive(
             view,
