@@ -14,17 +14,11 @@ from jaxtyping import Int
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
-from allanjax.noise.estimate import Estimate
 from allanjax.posterior.likelihood import Likelihood, likelihood_of
-from allanjax.posterior.marginals import (
-    absent_marginal,
-    held_marginal,
-    sampled_marginals,
-    undetermined,
-)
+from allanjax.posterior.marginals import absent_marginal, sampled_marginals, undetermined
 from allanjax.posterior.priors import Prior, default_priors
 from allanjax.posterior.result import AxisPosterior, PosteriorWarning
-from allanjax.posterior.sampling import Chains, LogPosterior, Options, Target, first_walkers, run
+from allanjax.posterior.sampling import Chains, Convergence, LogPosterior, Target, first_walkers, run
 from allanjax.posterior.unsampled_limits import absent_amplitude
 
 # Default number of walkers, or four a parameter if that is more.
@@ -39,19 +33,12 @@ class AxisSampler:
     priors: Mapping[str, Prior]
     seed: int
     walkers: int | None
-    max_steps: int
-    min_length: float
-    max_change: float
-    max_r_hat: float
+    convergence: Convergence
     absent_draws: int
 
     def __post_init__(self) -> None:
-        for name, least in (("max_steps", 10), ("absent_draws", 2)):
-            if not getattr(self, name) >= least:
-                raise AllanjaxError(f"{name} must be at least {least}, got {getattr(self, name)!r}")
-        for name, bound in (("min_length", 0.0), ("max_change", 0.0), ("max_r_hat", 1.0)):
-            if not getattr(self, name) > bound:
-                raise AllanjaxError(f"{name} must be above {bound:g}, got {getattr(self, name)!r}")
+        if not self.absent_draws >= 2:
+            raise AllanjaxError(f"absent_draws must be at least 2, got {self.absent_draws!r}")
         if not (isinstance(self.seed, int | np.integer) and self.seed >= 0):
             raise AllanjaxError(f"seed must be an integer of at least 0, got {self.seed!r}")
 
@@ -74,18 +61,16 @@ class AxisSampler:
         likelihood = likelihood_of(self.fit, name)
         posterior = LogPosterior.of(likelihood, self._all_priors(likelihood))
         sampled = self._sampled(likelihood, name)
-        options = Options(
-            self._walkers(len(sampled)), self.max_steps, self.min_length, self.max_change, self.max_r_hat
-        )
-        target = Target.of(posterior, sampled, options.walkers // 2)
+        walkers = self._walkers(len(sampled))
+        target = Target.of(posterior, sampled, walkers // 2)
         # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
         streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
         random = np.random.RandomState(streams)
         try:
-            start = first_walkers(target, options.walkers, random)
+            start = first_walkers(target, walkers, random)
         except FitError as error:
             raise FitError(f"{name}: {error}") from None
-        chains = run(target, start, random, options, report)
+        chains = run(target, start, random, self.convergence, report)
         if not chains.converged:
             warnings.warn(self._complaint(name, likelihood, sampled, chains), PosteriorWarning, stacklevel=4)
         return self._result(name, target, chains, random)
@@ -106,8 +91,7 @@ class AxisSampler:
 
     def _sampled(self, likelihood: Likelihood, name: str) -> Int[np.ndarray, " sampled"]:
         """Indices of the parameters to sample."""
-        everything = not getattr(self.fit, "chosen", False)
-        sampled = np.flatnonzero(np.asarray(likelihood.found) | everything)
+        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
         if not sampled.size:
             raise FitError(f"{name}: no posterior, the fit found no term and no free parameter")
         return sampled
@@ -127,19 +111,19 @@ class AxisSampler:
         self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
     ) -> str:
         """Warning about chains that have not converged: the worst parameter, and the remedy."""
-        length = len(chains.y) / (self.min_length * chains.tau)
-        excess = (chains.r_hat - 1.0) / (self.max_r_hat - 1.0)
-        lack = np.nan_to_num(
-            np.maximum(1.0 / length, np.maximum(excess, chains.change / self.max_change)), nan=np.inf
-        )
+        wanted = self.convergence
+        length = wanted.min_length * chains.tau
+        excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
+        lack = np.max([length / len(chains.y), excess, chains.change / wanted.max_change], axis=0)
+        lack = np.nan_to_num(lack, nan=np.inf)
         worst = int(np.argmax(lack))
         label = likelihood.parameters[sampled[worst]].label
         return (
             f"{name}: the posterior has not converged in {chains.steps} steps; worst is {label} with τ = "
             f"{chains.tau[worst]:.3g} steps ({len(chains.y)} after the burn-in, "
-            f"{self.min_length * chains.tau[worst]:.0f} wanted; τ last changed by "
+            f"{length[worst]:.0f} wanted; τ last changed by "
             f"{100.0 * chains.change[worst]:.2g} %) and R̂ = {chains.r_hat[worst]:.4f}; "
-            f"allow more steps, e.g. max_steps={4 * self.max_steps}, or give narrower priors"
+            f"allow more steps, e.g. max_steps={4 * wanted.max_steps}, or give narrower priors"
         )
 
     def _result(
@@ -166,9 +150,10 @@ class AxisSampler:
             else:
                 known[i] = undetermined(p, fit.axis)
         marginals = {parameters[i].label: m for i, m in known.items()}
-        held = {c.label: held_marginal(c) for c in fit.coefficients.values() if c.held}
-        in_order = [p.label for p in self.fit.template.parameters]
-        every: dict[str, Estimate] = {x: (marginals | held)[x] for x in in_order if x in marginals | held}
+        for c in fit.coefficients.values():
+            if c.held:
+                marginals[c.label] = dataclasses.replace(c, source="posterior", sampled=False)
+        in_order = [p.label for p in self.fit.template.parameters if p.label in marginals]
         curve = self.fit.curve
         return AxisPosterior(
             axis=fit.axis,
@@ -176,7 +161,7 @@ class AxisSampler:
             draws=draws,
             chain=chain,
             log_probability=chains.log_density - jacobian,
-            coefficients=every,
+            coefficients={label: marginals[label] for label in in_order},
             priors=dict(zip((p.label for p in parameters), posterior.priors, strict=True)),
             converged=chains.converged,
             tau=chains.tau,

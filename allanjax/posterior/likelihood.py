@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -228,44 +229,29 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
     ramps = [owner for owner in spectrum.owners if isinstance(owner, int) and owner not in spectrum.lines]
     own = {p.term: [labels.index(q.label) for q in parameters if q.term == p.term] for p in parameters}
-    start, scatter = _estimates(result, parameters)
+    start = _start(result, parameters)
     mean = np.asarray(layout.power(jnp.asarray(start)) @ design.means(layout.shapes(jnp.asarray(start))))
     known = spectrum.bins.size > 0
     level = np.where(known, spectrum.squares / np.maximum(spectrum.bins.size, 1), np.inf)
-    prior_scale, ceiling = _amplitude_scales(
-        design,
-        layout,
-        start,
-        mean,
-        2.0 * mean**2 / np.maximum(share * spectrum.bins.size, 1e-9),
-        level,
-        0.0,
-        len(parameters),
-    )
+    variance = 2.0 * mean**2 / np.maximum(share * spectrum.bins.size, 1e-9)
+    prior_scale, ceiling = _amplitude_scales(design, layout, start, mean, variance, level, 0.0)
     for k, owner in enumerate(spectrum.owners):
         if isinstance(owner, int) and fit.template.terms[owner].has_free_amplitude:
             place = own[owner][0]
             u = float(np.sum(share * spectrum.gram[:, k, k] / mean))
             prior_scale[place] = 1.0 / np.sqrt(u)
             ceiling[place] = max(PRIOR_RANGE * prior_scale[place], _CEILING * start[place])
-    lower, upper = _ranges(parameters, result, fit, ceiling)
     return WhittleLikelihood(
-        parameters,
-        start,
-        _known_scatter(scatter, start, prior_scale),
-        lower,
-        upper,
-        prior_scale,
-        _found(result, parameters),
-        design,
-        layout,
+        **_common(fit, result, parameters, prior_scale, ceiling),
+        design=design,
+        layout=layout,
         # The likelihood ratio of each line neglects the other lines.
-        spectrum.squares - spectrum.overlap,
-        spectrum.cross[:, columns],
-        spectrum.gram[:, columns][:, :, columns],
-        share,
-        np.array([own[k][0] if k in own else -1 for k in ramps], int),
-        _lines(fit, spectrum, labels),
+        squares=spectrum.squares - spectrum.overlap,
+        cross=spectrum.cross[:, columns],
+        gram=spectrum.gram[:, columns][:, :, columns],
+        share=share,
+        ramps=np.array([own[k][0] if k in own else -1 for k in ramps], int),
+        lines=_lines(fit, spectrum, labels),
     )
 
 
@@ -295,7 +281,7 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
     design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
     layout = _ParameterLayout.of(fit.template, parameters, result)
-    start, scatter = _estimates(result, parameters)
+    start = _start(result, parameters)
     values = jnp.asarray(start)
     products = design.products(layout.shapes(values))
     power = layout.power(values)
@@ -303,49 +289,46 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     covariance = design.covariance(power, products)
     V = curve.variance[chosen, k]
     power_error = 2.0 * result.discrepancy
-    prior_scale, ceiling = _amplitude_scales(
-        design, layout, start, mean, covariance, V, power_error, len(parameters)
-    )
-    lower, upper = _ranges(parameters, result, fit, ceiling)
+    prior_scale, ceiling = _amplitude_scales(design, layout, start, mean, covariance, V, power_error)
     return AllanLikelihood(
-        parameters,
-        start,
-        _known_scatter(scatter, start, prior_scale),
-        lower,
-        upper,
-        prior_scale,
-        _found(result, parameters),
-        design,
-        layout,
-        V,
-        np.asarray(products),
-        np.asarray(power_error),
+        **_common(fit, result, parameters, prior_scale, ceiling),
+        design=design,
+        layout=layout,
+        variance=V,
+        products=np.asarray(products),
+        power_error=np.asarray(power_error),
     )
 
 
-def _known_scatter(
-    scatter: Float[np.ndarray, " params"],
-    start: Float[np.ndarray, " params"],
+def _common(
+    fit: Fit,
+    result: AxisFit,
+    parameters: tuple[ModelParameter, ...],
     prior_scale: Float[np.ndarray, " params"],
-) -> Float[np.ndarray, " params"]:
-    """Rough standard deviations, where the fit gives none a share of the prior's scale or of the start."""
+    ceiling: Float[np.ndarray, " params"],
+) -> dict[str, Any]:
+    """The fields of `Likelihood`, given prior scales and upper ends of the amplitudes."""
+    start = _start(result, parameters)
+    std = np.nan_to_num([result[p.label].std for p in parameters])
+    # Where the fit gives none it is a share of the prior's scale or of the start.
     rough = np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)
-    return np.where(scatter > 0.0, scatter, rough)
+    found = np.array([p.term_label in result.term_labels for p in parameters], bool)
+    lower, upper = _ranges(parameters, result, fit, ceiling)
+    return {
+        "parameters": parameters,
+        "start": start,
+        "scatter": np.where(std > 0.0, std, rough),
+        "lower": lower,
+        "upper": upper,
+        "prior_scale": prior_scale,
+        "found": found,
+    }
 
 
-def _estimates(
-    result: AxisFit, parameters: tuple[ModelParameter, ...]
-) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
-    """Values and standard deviations from the fit; shapes of absent terms have some value in their range."""
+def _start(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Float[np.ndarray, " params"]:
+    """Values of the fit; shapes of absent terms have some value in their range."""
     values = np.array([result[p.label].value for p in parameters])
-    std = np.array([result[p.label].std for p in parameters])
-    somewhere = np.array([p.parameter.lower + 1.0 for p in parameters])
-    return np.where(np.isfinite(values), values, somewhere), np.nan_to_num(std)
-
-
-def _found(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Bool[np.ndarray, " params"]:
-    """Which parameters belong to terms that the fit found."""
-    return np.array([p.term_label in result.term_labels for p in parameters], bool)
+    return np.where(np.isfinite(values), values, [p.parameter.lower + 1.0 for p in parameters])
 
 
 def _amplitude_scales(
@@ -356,16 +339,12 @@ def _amplitude_scales(
     covariance: ArrayLike,
     estimates: Float[np.ndarray, " m"],
     power_error: float,
-    count: int,
 ) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
     """Prior scale and upper end of the amplitudes of a design's terms; NaN for other parameters."""
-    prior_scale, ceiling = np.full(count, np.nan), np.full(count, np.nan)
+    prior_scale, ceiling = np.full((2, len(start)), np.nan)
     means = np.asarray(design.means(layout.shapes(jnp.asarray(start))))
-    relative = jnp.asarray((means / mean).T)
-    whitened = design.whiten(
-        jnp.asarray(covariance), jnp.asarray(mean), jnp.asarray(power_error), relative
-    ).values
-    own = np.sum(np.asarray(whitened) ** 2, axis=0) ** -0.25
+    known = (jnp.asarray(x) for x in (covariance, mean, power_error, (means / mean).T))
+    own = np.sum(np.asarray(design.whiten(*known).values) ** 2, axis=0) ** -0.25
     # The largest amplitude of a term whose curve fits under the data everywhere.
     fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
     for term, place in enumerate(layout.amplitude):
@@ -387,10 +366,8 @@ def _ranges(
         elif p.parameter.kind == "frequency":
             lower[k], upper[k] = rate / n, rate / 2.0
         elif p.parameter.kind == "number":
-            lower[k], upper[k] = (
-                p.parameter.lower + 1e-2,
-                min(p.parameter.lower + 1e4, p.parameter.upper - 1e-2),
-            )
+            lowest = p.parameter.lower
+            lower[k], upper[k] = lowest + 1e-2, min(lowest + 1e4, p.parameter.upper - 1e-2)
         elif p.parameter.kind == "line":
             f = result[p.label].value
             if fit.template.terms[p.term].deterministic:

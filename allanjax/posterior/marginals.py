@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 _DETECTED = 1.0 / 20.0
 # Below this coordinate, a third of the prior's scale, an amplitude cannot be told from zero.
 _INDISTINGUISHABLE = 0.3
-_CENTRAL_68 = (0.16, 0.84)
-_CENTRAL_95 = (0.025, 0.975)
+# Of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
+_QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 
 
 def sampled_marginals(
@@ -42,14 +42,11 @@ def sampled_marginals(
     """Marginals of the parameters with these indices from their draws [SI], by index."""
     parameters = posterior.likelihood.parameters
     found: dict[int, Estimate] = {}
-    evidence = {
-        i: bayes_factor(posterior, i, x)
-        for i, x in zip(chosen, draws.T, strict=True)
-        if posterior.amplitude[i]
-    }
+    by_index = dict(zip(chosen, draws.T, strict=True))
+    evidence = {i: bayes_factor(posterior, i, x) for i, x in by_index.items() if posterior.amplitude[i]}
     detected = {parameters[i].term: factor < _DETECTED for i, factor in evidence.items()}
-    for i, x in zip(chosen, draws.T, strict=True):
-        quantiles = np.quantile(x, [0.5, *_CENTRAL_68, *_CENTRAL_95, 0.68, 0.95])
+    for i, x in by_index.items():
+        quantiles = np.quantile(x, _QUANTILES)
         is_detected = detected.get(parameters[i].term, True)
         found[i] = _marginal(parameters[i], axis, quantiles, float(x.std()), is_detected, evidence.get(i))
     return found
@@ -57,7 +54,7 @@ def sampled_marginals(
 
 def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) -> Estimate:
     """Marginal of the amplitude of a term that was not sampled."""
-    quantiles = np.array([grid.quantile(u) for u in (0.5, *_CENTRAL_68, *_CENTRAL_95, 0.68, 0.95)])
+    quantiles = np.array([grid.quantile(u) for u in _QUANTILES])
     detected = grid.bayes_factor < _DETECTED
     return dataclasses.replace(
         _marginal(parameter, axis, quantiles, grid.std, detected, grid.bayes_factor), sampled=False
@@ -81,11 +78,6 @@ def undetermined(parameter: ModelParameter, axis: Axis) -> Estimate:
         detected=False,
         sampled=False,
     )
-
-
-def held_marginal(coefficient: Estimate) -> Estimate:
-    """A held coefficient of the fit as it is."""
-    return dataclasses.replace(coefficient, source="posterior", sampled=False)
 
 
 def _marginal(

@@ -59,6 +59,7 @@ def sample(
     """
     # Imported here, since emcee takes long to load.
     from allanjax.posterior.axis_sampler import AxisSampler
+    from allanjax.posterior.sampling import Convergence
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:
@@ -71,15 +72,6 @@ def sample(
                 f"{name}: no posterior, {fit[name].verdict()}; allanjax.critique looks for the cause; "
                 "name the other axes in axes=[…]"
             )
-    sampler = AxisSampler(
-        fit=fit,
-        priors=dict(priors or {}),
-        seed=seed,
-        walkers=walkers,
-        max_steps=max_steps,
-        min_length=min_length,
-        max_change=max_change,
-        max_r_hat=max_r_hat,
-        absent_draws=absent_draws,
-    )
+    convergence = Convergence(max_steps, min_length, max_change, max_r_hat)
+    sampler = AxisSampler(fit, dict(priors or {}), seed, walkers, convergence, absent_draws)
     return Posterior(fit, sampler.all_axes(names, progress))

@@ -14,7 +14,7 @@ import numpy as np
 from emcee.moves import DEMove, DESnookerMove, RedBlueMove
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from allanjax.base.errors import FitError
+from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.posterior.priors import Prior
 
 if TYPE_CHECKING:
@@ -189,22 +189,27 @@ def default_moves() -> list[tuple[RedBlueMove, float]]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
-    """Size of the ensemble and criteria of convergence.
+class Convergence:
+    """Criteria of convergence.
 
     Attributes:
-        walkers: number of walkers.
         max_steps: largest number of steps.
         min_length: least length of the chain, in autocorrelation times τ.
         max_change: largest relative change of τ since the last check.
         max_r_hat: largest R̂.
     """
 
-    walkers: int
     max_steps: int
     min_length: float
     max_change: float
     max_r_hat: float
+
+    def __post_init__(self) -> None:
+        if not self.max_steps >= 10:
+            raise AllanjaxError(f"max_steps must be at least 10, got {self.max_steps!r}")
+        for name, bound in (("min_length", 0.0), ("max_change", 0.0), ("max_r_hat", 1.0)):
+            if not getattr(self, name) > bound:
+                raise AllanjaxError(f"{name} must be above {bound:g}, got {getattr(self, name)!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,7 +233,7 @@ def run(
     target: Target,
     start: Float[np.ndarray, "walkers sampled"],
     random: np.random.RandomState,
-    options: Options,
+    wanted: Convergence,
     report: Callable[[int, int], None],
 ) -> Chains:
     """Run the ensemble until it has converged, or for `max_steps`; `report` gets steps done and expected."""
@@ -239,23 +244,23 @@ def run(
     expected = _FIRST_BLOCK
     while True:
         done = sampler.iteration
-        state = sampler.run_mcmc(
-            state, min(expected, options.max_steps) - done, skip_initial_state_check=True
-        )
+        state = sampler.run_mcmc(state, min(expected, wanted.max_steps) - done, skip_initial_state_check=True)
         steps = sampler.iteration
         tau, previous = _autocorrelation_time(sampler.get_chain(), tau), tau
         burn_in = min(int(np.ceil(_BURN_IN * np.nanmax([*tau, 1.0]))), steps // 2)
         chain = sampler.get_chain(discard=burn_in)
         change = np.abs(tau / previous - 1.0)
         r_hat = np.array([split_r_hat(chain[:, :, i]) for i in range(chain.shape[2])])
-        long_enough = len(chain) > options.min_length * tau
-        converged = bool(np.all(long_enough & (change < options.max_change) & (r_hat < options.max_r_hat)))
+        long_enough = len(chain) > wanted.min_length * tau
+        converged = bool(np.all(long_enough & (change < wanted.max_change) & (r_hat < wanted.max_r_hat)))
         # R̂² − 1 is inversely proportional to the length.
-        lack = max(1.0, np.nan_to_num(np.max((r_hat**2 - 1.0) / (options.max_r_hat**2 - 1.0)), nan=1.0))
-        wanted = burn_in + max(1.1 * options.min_length * np.nanmax([*tau, 1.0]), 1.1 * lack * len(chain))
-        expected = int(np.clip(wanted, 1.2 * steps, 2.0 * steps))
-        report(steps, steps if converged else min(expected, options.max_steps))
-        if converged or steps >= options.max_steps:
+        lack = max(1.0, np.nan_to_num(np.max((r_hat**2 - 1.0) / (wanted.max_r_hat**2 - 1.0)), nan=1.0))
+        expected_length = burn_in + max(
+            1.1 * wanted.min_length * np.nanmax([*tau, 1.0]), 1.1 * lack * len(chain)
+        )
+        expected = int(np.clip(expected_length, 1.2 * steps, 2.0 * steps))
+        report(steps, steps if converged else min(expected, wanted.max_steps))
+        if converged or steps >= wanted.max_steps:
             return Chains(
                 y=chain,
                 log_density=sampler.get_log_prob(discard=burn_in),

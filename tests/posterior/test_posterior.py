@@ -16,7 +16,7 @@ from allanjax.posterior.marginals import bayes_factor
 from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Uniform, default_priors
 from allanjax.posterior.result import PosteriorWarning
 from allanjax.posterior.sample import sample
-from allanjax.posterior.sampling import LogPosterior, Options, Target, first_walkers, run, split_r_hat
+from allanjax.posterior.sampling import Convergence, LogPosterior, Target, first_walkers, run, split_r_hat
 from allanjax.posterior.unsampled_limits import absent_amplitude
 
 
@@ -87,7 +87,7 @@ def test_a_gaussian_with_other_kinds_of_parameters_is_recovered():
     target = Target.of(LogPosterior.of(likelihood, default_priors(likelihood)), np.arange(3), 16)
     random = np.random.RandomState(1)
     start = first_walkers(target, 32, random)
-    chains = run(target, start, random, Options(32, 20_000, 50.0, 0.05, 1.01), lambda *_: None)
+    chains = run(target, start, random, Convergence(20_000, 50.0, 0.05, 1.01), lambda *_: None)
     values = target.posterior.values(chains.y).reshape(-1, 3)
     z = np.stack(
         [
@@ -114,8 +114,8 @@ def test_the_way_from_a_far_start_is_not_in_the_chain():
     """
     random = np.random.RandomState(2)
     start = 10.0 + random.standard_normal((32, 2))
-    options = Options(32, 20_000, 50.0, 0.05, 1.01)
-    chains = run(lambda y: -0.5 * np.sum(y**2, axis=1), start, random, options, lambda *_: None)
+    wanted = Convergence(20_000, 50.0, 0.05, 1.01)
+    chains = run(lambda y: -0.5 * np.sum(y**2, axis=1), start, random, wanted, lambda *_: None)
     assert chains.converged
     assert chains.steps - len(chains.y) == np.ceil(5.0 * chains.tau.max())
     assert len(chains.log_density) == len(chains.y)
