@@ -78,7 +78,7 @@ class Matched:
         shapes: cosine coefficients, one row a shape.
         root: standard deviation of the coefficients.
         whitened: the record, whitened.
-        free: orthonormal basis of the nuisance directions.
+        nuisances: orthonormal basis of the nuisance directions.
         common: products of the whitened shapes with these.
         lengths: norms of the whitened and projected shapes.
     """
@@ -86,18 +86,18 @@ class Matched:
     shapes: Float[np.ndarray, "shapes slow"]
     root: Float[np.ndarray, " slow"]
     whitened: Float[np.ndarray, " slow"]
-    free: Float[np.ndarray, "slow k"]
+    nuisances: Float[np.ndarray, "slow k"]
     common: Float[np.ndarray, "shapes k"]
     lengths: Float[np.ndarray, " shapes"]
 
     def products(self, z: Float[np.ndarray, " slow"]) -> Float[np.ndarray, " shapes"]:
         """Product of every projected shape with whitened coefficients."""
-        return self.shapes @ (z / self.root) - self.common @ (z @ self.free)
+        return self.shapes @ (z / self.root) - self.common @ (z @ self.nuisances)
 
     def rows(self, some: slice | Int[np.ndarray, " some"] = slice(None)) -> Float[np.ndarray, "some slow"]:
         """Some of the shapes, whitened and projected."""
         rows = self.shapes[some] / self.root
-        for k, q in enumerate(self.free.T):
+        for k, q in enumerate(self.nuisances.T):
             # In place: another array of this size would cost more than the product.
             rows = dger(-1.0, q, self.common[some, k], a=rows.T, overwrite_a=True).T
         return rows
@@ -119,19 +119,19 @@ class Bank:
         return self.shapes**2
 
     def matched(self, view: View, noise: Noise) -> Matched:
-        """Matched filters in this noise; its ramp and the shapes `view.beside` are nuisances."""
+        """Matched filters in this noise; its ramp and the shapes `view.nuisances` are nuisances."""
         J = self.shapes.shape[1]
         v = view.lowest(noise, J)
         root = np.sqrt(v)
         e, own = view.coefficients[:J] / root, self.squares @ (1.0 / v)
         others = [view.family.ramp] if noise.ramp else []
-        columns = [shape[:J] / root for shape in (*others, *view.beside)]
-        free = np.zeros((J, 0))
+        columns = [shape[:J] / root for shape in (*others, *view.nuisances)]
+        basis = np.zeros((J, 0))
         if columns:
-            free = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
-        common = self.shapes @ (free / root[:, None])
+            basis = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
+        common = self.shapes @ (basis / root[:, None])
         left = np.maximum(own - np.sum(common**2, axis=1), NOTHING * own)
-        return Matched(self.shapes, root, e - free @ (e @ free), free, common, np.sqrt(left))
+        return Matched(self.shapes, root, e - basis @ (e @ basis), basis, common, np.sqrt(left))
 
     def scan(self, view: View, noise: Noise) -> Scan:
         """Outputs of all matched filters, and the amplitudes that they estimate."""

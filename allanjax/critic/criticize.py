@@ -12,7 +12,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.common_mode import common_mode
 from allanjax.critic.comparison import StageResiduals
-from allanjax.critic.discrepancies import discrepancies, mended
+from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
 from allanjax.critic.result import (
@@ -38,7 +38,7 @@ _UNEXPLAINED = 1e-6
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 # Statistics of the samples themselves, by the cause that explains each.
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
-# Statistics of the samples' distribution: restored samples are drawn, by a simple rule, and show it.
+# Statistics of the samples' distribution: imputed samples are drawn, by a simple rule, and show it.
 _OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
 # Fewest samples of a record that is criticized: a judgement.
 _SHORTEST = 1024
@@ -110,13 +110,13 @@ def criticize(
     def judged(k: int) -> AxisCritique:
         s = searches[k]
         before = _compared(k, first, s.start.raw, recording)
-        after = _compared(k, last, s.end.samples if s.restored else s.start.raw, recording)
+        after = _compared(k, last, s.end.samples if s.preprocessed else s.start.raw, recording)
         tell(f"{s.start.axis.name}: measuring the gain")
         middle = [StageResiduals.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]
         pairs = [
             (*of_step, *_of_samples(step, before, after))
-            for step, of_step in zip(s.steps, mended(records, recording.auxiliary), strict=True)
+            for step, of_step in zip(s.steps, before_and_after(records, recording.auxiliary), strict=True)
         ]
         drifts = drift_changes(s.steps)
         findings = [_finding(*of_step) for of_step in zip(s.steps, pairs, drifts, strict=True)]
@@ -219,7 +219,7 @@ def _finding(
 
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
     """Finding of the most significant discrepancy that is left, if it is beyond doubt."""
-    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.restored else ())
+    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.preprocessed else ())
     left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
     if not left:
         return []

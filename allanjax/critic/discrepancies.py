@@ -41,7 +41,7 @@ def discrepancies(
 
     Args:
         record: the axis.
-        raw: its samples as recorded [SI]; restored ones once a cause that makes them what they are was found.
+        raw: its samples as recorded [SI]; imputed ones once a cause that makes them what they are was found.
         others: other axes by name.
         auxiliary: other channels by name.
         seed: seed of the simulation in which repeated values are counted.
@@ -61,7 +61,7 @@ def discrepancies(
     return tuple(found)
 
 
-def mended(
+def before_and_after(
     records: Sequence[StageResiduals], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
 ) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
     """Statistics before and after each finding, at the place where it improved them most.

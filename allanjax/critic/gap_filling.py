@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -29,10 +28,10 @@ def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     that of the other samples. Samples that were imputed before begin as they are.
     """
     rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
-    fresh, known = np.flatnonzero(missing & ~view.restored), np.flatnonzero(~missing)
+    fresh, known = np.flatnonzero(missing & ~view.imputed), np.flatnonzero(~missing)
     x = view.samples.copy()
     x[fresh] = np.interp(fresh, known, x[known])
-    after = dataclasses.replace(view.with_samples(x), restored=view.restored | missing)
+    after = view.with_samples(x, missing)
     v, changed = _own_variance(after), np.inf
     for _ in range(_DRAWS):
         draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + after.samples.mean()

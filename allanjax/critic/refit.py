@@ -42,7 +42,10 @@ def refitted(
         last: whether the search is over; before, nothing is done unless one is to be refitted "at once".
     """
     again = {cause.name: cause for cause in causes if cause.refit}
-    found = [s if s.beside is not None else dataclasses.replace(s, beside=_levels(s, view)) for s in steps]
+    found = list(steps)
+    for k, s in enumerate(found):
+        if s.conditions is None:
+            found[k] = dataclasses.replace(s, conditions=_levels(s, view))
     end, lost = view, set()
     for _ in range(_ROUNDS):
         stale = [k for k in range(len(found)) if found[k].candidate.cause in again and _stale(k, found, end)]
@@ -51,8 +54,8 @@ def refitted(
         for k in stale:
             cause = found[k].candidate.cause
             without = _without(found[k], end)
-            beside = without.with_findings(*without.found, beside=_shapes(found, k))
-            candidate = again[cause].again(beside, found[k].candidate)
+            given_others = without.with_findings(*without.found, nuisances=_shapes(found, k))
+            candidate = again[cause].again(given_others, found[k].candidate)
             if candidate is None or not candidate.gain > 0.0:
                 lost.add(k)
                 continue
@@ -62,7 +65,7 @@ def refitted(
             end = candidate.after.with_findings(*without.found, cause)
             candidate = dataclasses.replace(candidate, after=end)
             step = Step.of(candidate, gain, found[k].rivals, without)
-            found[k] = dataclasses.replace(step, beside=_beside(k, found, end))
+            found[k] = dataclasses.replace(step, conditions=_conditions(k, found, end))
     if end.noise.log_evidence < view.noise.log_evidence - _LOST:
         return list(steps), view
     # Only the weakest one: what is left when it is gone may explain the others.
@@ -78,16 +81,16 @@ def _without(step: Step, end: View) -> View:
     """View as it would be had this step not been made."""
     names = list(end.found)
     names.remove(step.candidate.cause)
-    return step.change.put_back(end).with_findings(*names)
+    return step.change.undo(end).with_findings(*names)
 
 
 def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
     """Whether the noise or the other findings have changed since the step was fitted."""
-    old, new = steps[k].beside, _beside(k, steps, end)
+    old, new = steps[k].conditions, _conditions(k, steps, end)
     return old is None or len(old) != len(new) or bool(np.max(abs(new - old)) > 1.0)
 
 
-def _beside(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]:
+def _conditions(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]:
     """Noise and other waveforms that a step is conditional on, in units of changes that matter."""
     values = [
         q.value / (_DEVIATION * q.std)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import presented
-from allanjax.critic.view import Detail, values_of
+from allanjax.critic.parameters import Detail, values_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.noise import RAMP, family_of
+from allanjax.critic.parameters import Detail
 from allanjax.critic.refit import refitted
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, Detail, View, in_time
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, in_time
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -42,7 +43,7 @@ class Search:
         end: view with all findings subtracted.
         tests: `Cause.p_value` at the start, of those causes that have one.
         notes: notes for the user: causes as probable as noise, or that the search ended early.
-        restored: whether a finding says that the samples are not what the sensor gave.
+        preprocessed: whether a finding says that the samples are not what the sensor gave.
     """
 
     start: View
@@ -50,7 +51,7 @@ class Search:
     end: View
     tests: Mapping[str, float]
     notes: tuple[str, ...] = ()
-    restored: bool = False
+    preprocessed: bool = False
 
 
 class AcceptanceRule(NamedTuple):
@@ -98,9 +99,9 @@ def search(
         ):
             steps.append(Step.of(candidate, gain, (), view))
             view = candidate.after
-    restored = bool(steps)
+    preprocessed = bool(steps)
     # In a record that is mostly imputed nothing else is looked for.
-    others = [c for c in causes if not c.is_preprocessing and np.mean(view.restored) < _TOO_MANY]
+    others = [c for c in causes if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
     tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
     notes: tuple[str, ...] = ()
     # Gains that causes offered last, if they may not have to be asked again.
@@ -142,7 +143,7 @@ def search(
     if anew or [s.candidate for s in steps] != [s.candidate for s in known]:
         steps = replay(start, steps)
     return Search(
-        start.without_caches(), tuple(_grouped(steps)), view.without_caches(), tests, notes, restored
+        start.without_caches(), tuple(_grouped(steps)), view.without_caches(), tests, notes, preprocessed
     )
 
 

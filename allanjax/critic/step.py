@@ -20,14 +20,14 @@ class Step:
         gain: gain in log-likelihood on held-out data [nats].
         rivals: other causes and the odds against them.
         before: view that it was found in.
-        beside: quantities that its fit was conditional on, see `critic.refit`.
+        conditions: quantities that its fit was conditional on, see `critic.refit`.
     """
 
     candidate: Candidate
     gain: float
     rivals: tuple[tuple[str, float], ...]
     before: View
-    beside: Float[np.ndarray, " k"] | None = None
+    conditions: Float[np.ndarray, " k"] | None = None
 
     @classmethod
     def of(cls, candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
@@ -50,17 +50,17 @@ class Change:
     Attributes:
         path: samples that are subtracted.
         factor: factor of the spectrum.
-        passes: power response, if the factor is a filter's.
+        filter_response: power response, if the factor is a filter's.
         added, removed: basic terms of the noise.
-        restored: samples that are imputed since.
+        imputed: samples that are imputed since.
     """
 
     path: Float[np.ndarray, " n"] | None
     factor: Float[np.ndarray, " n-1"] | None
-    passes: Float[np.ndarray, " n-1"] | None
+    filter_response: Float[np.ndarray, " n-1"] | None
     added: Collection[str]
     removed: Collection[str]
-    restored: Bool[np.ndarray, " n"] | None
+    imputed: Bool[np.ndarray, " n"] | None
 
     @classmethod
     def of(cls, before: View, after: View) -> Change:
@@ -71,43 +71,41 @@ class Change:
         return cls(
             None if after.samples is before.samples else before.samples - after.samples,
             factor,
-            None if after.passes is before.passes else after.passes,
+            None if after.filter_response is before.filter_response else after.filter_response,
             [t for t in after.allowed if t not in before.allowed],
             [t for t in before.allowed if t not in after.allowed],
-            None if after.restored is before.restored else after.restored & ~before.restored,
+            None if after.imputed is before.imputed else after.imputed & ~before.imputed,
         )
 
-    def taken_out(self, view: View) -> View:
+    def apply(self, view: View) -> View:
         """View without the finding, of one that has it."""
-        after = view if self.path is None else view.with_samples(view.samples - self.path)
-        after = after if self.factor is None else after.with_factor(self.factor)
-        after = after if self.passes is None else dataclasses.replace(after, passes=self.passes)
-        after = _with_terms(after, self.added, self.removed)
-        if self.restored is None:
-            return after
-        return dataclasses.replace(after, restored=after.restored | self.restored)
+        return self._made(view)
 
-    def put_back(self, view: View) -> View:
+    def undo(self, view: View) -> View:
         """View as it would be had the finding not been made."""
-        before = view if self.path is None else view.with_samples(view.samples + self.path)
-        before = before if self.factor is None else before.with_factor(1.0 / self.factor)
-        before = before if self.passes is None else dataclasses.replace(before, passes=None)
-        before = _with_terms(before, self.removed, self.added)
-        if self.restored is None:
-            return before
-        return dataclasses.replace(before, restored=before.restored & ~self.restored)
+        return self._made(view, undone=True)
 
-
-def _with_terms(view: View, more: Collection[str], less: Collection[str]) -> View:
-    """View with more of the basic terms, or with less."""
-    return view.allowing([*(t for t in view.allowed if t not in less), *more]) if more or less else view
+    def _made(self, view: View, undone: bool = False) -> View:
+        if self.path is not None:
+            view = view.with_samples(view.samples + self.path if undone else view.samples - self.path)
+        if self.factor is not None:
+            view = view.with_factor(1.0 / self.factor if undone else self.factor)
+        if self.filter_response is not None:
+            view = dataclasses.replace(view, filter_response=None if undone else self.filter_response)
+        more, less = (self.removed, self.added) if undone else (self.added, self.removed)
+        if more or less:
+            view = view.allowing([*(t for t in view.allowed if t not in less), *more])
+        if self.imputed is not None:
+            now = view.imputed & ~self.imputed if undone else view.imputed | self.imputed
+            view = dataclasses.replace(view, imputed=now)
+        return view
 
 
 def replay(start: View, steps: Iterable[Step]) -> list[Step]:
     """Steps made again one after the other, each in the view that the one before has left."""
     view, found = start, []
     for step in steps:
-        after = step.change.taken_out(view).with_findings(*view.found, step.candidate.cause)
+        after = step.change.apply(view).with_findings(*view.found, step.candidate.cause)
         candidate = dataclasses.replace(step.candidate, after=after)
         found.append(Step.of(candidate, step.gain, step.rivals, view))
         view = after

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import NOTHING, Bank, log_occam_factor
 from allanjax.critic.model_evidence import Sets
 from allanjax.critic.view import View
-
-
-class _Products(NamedTuple):
-    """Products of the shapes with the record and with themselves, in the noise of each subset."""
-
-    cross: Float[np.ndarray, "sets shapes"]
-    gram: Float[np.ndarray, "sets shapes"]
 
 
 def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: float) -> float:
@@ -42,8 +33,13 @@ def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: flo
     return float(np.logaddexp.reduce(sets.log_evidence - own + mean))
 
 
-def _products(view: View, bank: Bank, sets: Sets) -> _Products:
-    """Products of the shapes after projecting out the nuisances: a subset's ramp, other accepted shapes."""
+def _products(
+    view: View, bank: Bank, sets: Sets
+) -> tuple[Float[np.ndarray, "sets shapes"], Float[np.ndarray, "sets shapes"]]:
+    """Products of the shapes with the record and with themselves, in the noise of each subset.
+
+    The nuisances, a subset's ramp and other accepted shapes, are projected out.
+    """
     J = bank.shapes.shape[1]
     first = view.family.bins.first[view.family.keep] - 1
     first = first[first < J]
@@ -54,8 +50,8 @@ def _products(view: View, bank: Bank, sets: Sets) -> _Products:
 
     cross, gram = sums(bank.shapes * (weight * view.coefficients[:J])).T, sums(bank.squares * weight).T
     for some, others in (
-        (sets.ramp, (view.family.ramp, *view.beside)),
-        (~sets.ramp, view.beside),
+        (sets.ramp, (view.family.ramp, *view.nuisances)),
+        (~sets.ramp, view.nuisances),
     ):
         if not others or not some.any():
             continue
@@ -67,4 +63,4 @@ def _products(view: View, bank: Bank, sets: Sets) -> _Products:
         along = mixed @ np.linalg.pinv(among, hermitian=True)
         cross[some] -= np.einsum("skf,sf->sk", along, with_record)
         gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), NOTHING * gram[some])
-    return _Products(cross, gram)
+    return cross, gram

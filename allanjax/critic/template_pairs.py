@@ -51,9 +51,9 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
     if near is None:
         best = int(np.argmax(coarse))
         near = int(some[i[best]]), int(some[j[best]])
-    first, _ = _beside(matched, p, near[1])
-    second, price = _beside(matched, p, first)
-    price += _beside(matched, p, second)[1] - np.log(2.0)
+    first, _ = _best_given(matched, p, near[1])
+    second, price = _best_given(matched, p, first)
+    price += _best_given(matched, p, second)[1] - np.log(2.0)
     chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
     covariance = np.linalg.pinv(chosen @ chosen.T)
     amplitude = covariance @ p
@@ -77,7 +77,7 @@ def _gains(
     return 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
 
 
-def _beside(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
+def _best_given(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
     """Most likely shape given another one of any amplitude, and its log trials factor [nats].
 
     `p` are the shapes' products with the record.

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from scipy.fft import dct, idct
 
 from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
+from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estimate
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -30,62 +31,8 @@ MARGIN = 3.0
 #: Probability of a false finding in a record of one axis that `Cause.min_log_odds` and `Cause.max_p` are made
 #: for.
 FALSE_ALARMS = 0.01
-#: Standard deviations to a one-sided 95 % limit of the normal law.
-ONE_SIDED = 1.645
 #: Names of all basic terms.
 EVERYTHING = (*FIXED, MARKOV, RAMP)
-
-
-# Standard deviations to the ends of a 95 % interval of the normal law.
-_TWO_SIDED = 1.959963984540054
-#: Side of a 95 % limit on which a parameter is; "" where it is not a limit that is known of it.
-Limit: TypeAlias = Literal["", "above", "below"]
-#: What a finding says beside its parameters: a word, several words, or a list of numbers.
-Detail: TypeAlias = str | tuple[str, ...] | tuple[Estimate, ...]
-
-
-def parameter_estimate(
-    axis: Axis,
-    label: str,
-    value: float,
-    std: float,
-    unit: str,
-    limit: Limit = "",
-    log_normal: bool = False,
-) -> Estimate:
-    """Parameter of a finding, with the intervals of a normal law of the value or of its logarithm.
-
-    Where the search ended at a bound of its range, or the record ends where the effect may go on, the value
-    is a 95 % `limit`: the parameter is "above" or "below" it, and has no standard deviation.
-    """
-    value, std = float(value), float("nan") if limit else float(std)
-
-    def interval(deviations: float) -> tuple[float, float]:
-        if log_normal:
-            factor = float(np.exp(deviations * std / value))
-            return value / factor, value * factor
-        return value - deviations * std, value + deviations * std
-
-    return Estimate(
-        axis=axis,
-        label=label,
-        value=value,
-        std=std,
-        interval=interval(_TWO_SIDED),
-        interval_68=interval(1.0),
-        unit=unit,
-        usual_unit=unit,
-        source="critique",
-        upper_limit=value if limit == "below" else None,
-        lower_limit=value if limit == "above" else None,
-    )
-
-
-def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], float, str]:
-    """Words or values of a detail, the standard deviation of the first one, and their unit."""
-    words = (detail,) if isinstance(detail, str) else tuple(x for x in detail if isinstance(x, str))
-    numbers = [x for x in detail if isinstance(x, Estimate)]
-    return (tuple(x.value for x in numbers), numbers[0].std, numbers[0].unit) if numbers else (words, 0.0, "")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,10 +48,10 @@ class View:
         auxiliary: other channels.
         allowed: basic terms that the noise may have.
         family: noise family for records of this length and rate.
-        restored: samples that were imputed, which carry no information.
+        imputed: samples that were imputed, which carry no information.
         found: causes found so far.
-        passes: power response of a filter that was found before, which the factor includes.
-        beside: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
+        filter_response: power response of a filter that was found before, which the factor includes.
+        nuisances: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
     """
 
     axis: Axis
@@ -116,10 +63,10 @@ class View:
     auxiliary: Mapping[str, Float[np.ndarray, " n"]]
     allowed: Collection[str]
     family: NoiseFamily
-    restored: Bool[np.ndarray, " n"]
+    imputed: Bool[np.ndarray, " n"]
     found: tuple[str, ...] = ()
-    passes: Float[np.ndarray, " n-1"] | None = None
-    beside: tuple[Float[np.ndarray, " slow"], ...] = ()
+    filter_response: Float[np.ndarray, " n-1"] | None = None
+    nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()
 
     @property
     def n(self) -> int:
@@ -202,14 +149,12 @@ class View:
     @functools.cached_property
     def noises(self) -> tuple[Noise, ...]:
         """Most probable subset, and the best steadier ones: an effect may have been taken for drift."""
-        found = [self.noise]
-        for allowed in _STEADY:
-            if not set(allowed) & set(self.allowed) - {"quantization"}:
-                continue
-            other = self.model_evidence.best([t for t in allowed if t in self.allowed])
-            if all(set(other.terms) != set(known.terms) for known in found):
-                found.append(other)
-        return tuple(found)
+        found = {frozenset(self.noise.terms): self.noise}
+        for steady in _STEADY:
+            if set(steady) & set(self.allowed) - {"quantization"}:
+                other = self.model_evidence.best([t for t in steady if t in self.allowed])
+                found.setdefault(frozenset(other.terms), other)
+        return tuple(found.values())
 
     @functools.cached_property
     def cv_log_likelihood(self) -> float:
@@ -218,10 +163,23 @@ class View:
 
     def cv_log_likelihood_with(self, allowed: Collection[str]) -> float:
         """Cross-validated log-likelihood under noise of some of these basic terms."""
+        return self.cross_validated(
+            lambda fold: self.model_evidence_of(fold).approximate_map(allowed, self.model_evidence)
+        )
+
+    def cross_validated(
+        self,
+        fitted: Callable[[Bool[np.ndarray, " n-1"]], Noise | tuple[Noise, Float[np.ndarray, " n-1"]]],
+    ) -> float:
+        """Log-likelihood of each half of the coefficients under what is fitted to the other half.
+
+        That is noise, or noise and a further factor of the spectrum.
+        """
         total = 0.0
         for fold in coefficient_folds(self.n):
-            noise = self.model_evidence_of(fold).approximate_map(allowed, self.model_evidence)
-            total += self.log_likelihood(noise, ~fold)
+            found = fitted(fold)
+            noise, factor = found if isinstance(found, tuple) else (found, None)
+            total += self.log_likelihood(noise, ~fold, factor)
         return total
 
     def log_likelihood(
@@ -236,11 +194,9 @@ class View:
         predict.
         """
         v = self.variance(noise) if factor is None else self.variance(noise) * factor
-        c = (
-            self.coefficients - self.family.slope(self.coefficients, v, some)[0] * self.family.ramp
-            if noise.ramp
-            else self.coefficients
-        )
+        c = self.coefficients
+        if noise.ramp:
+            c = c - self.family.slope(c, v, some)[0] * self.family.ramp
         each = np.log(v) + c**2 / v
         return -0.5 * float(np.sum(each if some is None else each[some]))
 
@@ -264,6 +220,11 @@ class View:
         return after.expected_likelihood - self.expected_likelihood - (in_sample - cross_validated)
 
     @property
+    def squared_whitened(self) -> Float[np.ndarray, " n-1"]:
+        """Squared coefficients over their expectation."""
+        return self.coefficients**2 / self.variance()
+
+    @property
     def residual(self) -> Float[np.ndarray, " n-1"]:
         """Cosine coefficients without the ramp that the noise has."""
         return self.coefficients - self.slope * self.family.ramp if self.noise.ramp else self.coefficients
@@ -280,9 +241,12 @@ class View:
         precision = float(np.mean(1.0 / v))
         return in_time(self.residual / v) / precision, float(1.0 / np.sqrt(precision))
 
-    def with_samples(self, samples: Float[np.ndarray, " n"]) -> View:
-        """View of other samples."""
-        view = dataclasses.replace(self, samples=samples)
+    def with_samples(
+        self, samples: Float[np.ndarray, " n"], imputed: Bool[np.ndarray, " n"] | None = None
+    ) -> View:
+        """View of other samples, of which these are `imputed` besides those that were."""
+        imputed = self.imputed if imputed is None else self.imputed | imputed
+        view = dataclasses.replace(self, samples=samples, imputed=imputed)
         vars(view)["_mask"] = self._mask
         return view
 
@@ -299,15 +263,15 @@ class View:
         vars(view)["coefficients"] = self.coefficients
         return view
 
-    def with_findings(self, *found: str, beside: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
+    def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View, with all that has been computed of it, for which these causes have been found.
 
         Args:
             found: causes.
-            beside: coefficients of subtracted waveforms whose amplitudes are nuisances.
+            nuisances: coefficients of subtracted waveforms whose amplitudes are nuisances.
         """
         view = copy.copy(self)
-        vars(view).update(found=found, beside=beside)
+        vars(view).update(found=found, nuisances=nuisances)
         return view
 
     def without_caches(self) -> View:

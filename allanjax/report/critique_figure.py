@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
+from allanjax.critic.parameters import values_of
 from allanjax.critic.result import AxisCritique, Critique, Finding
-from allanjax.critic.view import values_of
 from allanjax.record.recording import Axis
 from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
 from allanjax.report.critique_words import p_value, what, wrap

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from allanjax.base.wording import finite_or_none
+from allanjax.critic.parameters import Detail, values_of
 from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding
-from allanjax.critic.view import Detail, values_of
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis

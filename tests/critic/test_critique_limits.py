@@ -14,7 +14,7 @@ from allanjax.critic.causes.bias_step import _parameters as step_parameters
 from allanjax.critic.causes.common_mode import common_mode
 from allanjax.critic.causes.disturbance import Disturbance
 from allanjax.critic.causes.low_pass import _FILTERS, LowPass
-from allanjax.critic.causes.outliers import _known
+from allanjax.critic.causes.outliers import _log_scale
 from allanjax.critic.causes.power_law import PowerLaw
 from allanjax.critic.causes.resonance import Resonance
 from allanjax.critic.causes.saturation import Saturation
@@ -25,8 +25,9 @@ from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange, _ratio
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.noise import MARKOV
+from allanjax.critic.parameters import parameter_estimate
 from allanjax.critic.result import Finding
-from allanjax.critic.view import EVERYTHING, parameter_estimate
+from allanjax.critic.view import EVERYTHING
 from allanjax.record.recording import Axis
 from allanjax.report.critique_json import _parameter
 from allanjax.report.critique_words import amount, parameters, side_of_limit
@@ -269,9 +270,9 @@ def test_handling_at_an_end_began_before_or_ended_after(side):
 
 
 def test_the_scale_of_outliers_of_which_one_or_only_the_faintest_are_seen():
-    assert _known(np.array([90.0]), 5.0)[2] == "above"
-    assert _known(np.array([5.2, -5.4, 5.1, 5.6, -5.3]), 5.0)[2] == "below"
-    log_scale, std, limit = _known(30.0 * np.random.default_rng(16).standard_normal(40), 5.0)
+    assert _log_scale(np.array([90.0]), 5.0)[2] == "above"
+    assert _log_scale(np.array([5.2, -5.4, 5.1, 5.6, -5.3]), 5.0)[2] == "below"
+    log_scale, std, limit = _log_scale(30.0 * np.random.default_rng(16).standard_normal(40), 5.0)
     assert limit == ""
     assert log_scale == pytest.approx(np.log(30.0), abs=4.0 * std)
 

@@ -91,13 +91,13 @@ def test_products_leave_out_what_is_free():
     rng = np.random.default_rng(7)
     x = simulated(N, 1, rng)[0] + 0.05 * np.arange(N) + 2.0 * (np.arange(N) >= 90)
     bank, places = step_bank(N)
-    beside = bank.shapes[len(places) // 4]
-    view = dataclasses.replace(view_of(x), beside=(beside,))
+    other = bank.shapes[len(places) // 4]
+    view = dataclasses.replace(view_of(x), nuisances=(other,))
     noise = view.model_evidence.best(("angle_random_walk", "rate_random_walk", "drift_ramp"), ("drift_ramp",))
     level = sum(p * view.family.unit(name, 0)[0] for name, p in noise.power.items())
     sets = Sets(np.zeros(2), np.stack([level, level]), np.array([True, False]))
     # What was found twice is no reason to fail.
-    cross, gram = _products(dataclasses.replace(view, beside=(beside, beside)), bank, sets)
+    cross, gram = _products(dataclasses.replace(view, nuisances=(other, other)), bank, sets)
     for row, ramp in enumerate(sets.ramp):
         scan = bank.scan(view, dataclasses.replace(noise, ramp=bool(ramp)))
         others = abs(gram[row]) > 1e-6 * gram[row].max()

@@ -13,7 +13,7 @@ from scipy.stats import kstest, norm
 from allanjax.critic.bank import Bank, extrapolated, step_coefficients
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.common_mode import _error, _Link, common_mode
-from allanjax.critic.causes.imputation import imputed
+from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.causes.saturation import Saturation
 from allanjax.critic.causes.sinusoid import refined
@@ -146,7 +146,7 @@ def test_filled_samples_have_the_conditional_law(monkeypatch):
     z = np.linalg.solve(root, (draws[:, missing] - mean).T)
     assert np.mean(z, axis=1) == pytest.approx(0.0, abs=4.0 / np.sqrt(1500))
     assert np.cov(z) == pytest.approx(np.eye(len(z)), abs=4.0 * np.sqrt(2.0 / 1500))
-    assert impute_gaussian(view, missing).restored.tolist() == missing.tolist()
+    assert impute_gaussian(view, missing).imputed.tolist() == missing.tolist()
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0, 3.0])
@@ -155,7 +155,7 @@ def test_rounded_samples_get_their_variance_back(step):
     n = 20_000
     slow = 2.0 * np.sin(2.0 * np.pi * np.arange(n) / n)
     rounded = step * np.round((slow + rng.standard_normal(n)) / step)
-    y, sigma = imputed(rounded, rounded - step / 2.0, rounded + step / 2.0, 1)
+    y, sigma = draw_between(rounded, rounded - step / 2.0, rounded + step / 2.0, 1)
     assert np.max(abs(y - rounded)) <= step / 2.0
     assert sigma == pytest.approx(1.0, abs=0.03)
     assert np.std(y - slow) == pytest.approx(1.0, abs=0.03)
@@ -166,7 +166,7 @@ def test_clipped_samples_get_their_variance_back():
     rng = np.random.default_rng(7)
     x = rng.standard_normal(20_000)
     clipped = np.minimum(x, 0.8)
-    y, sigma = imputed(clipped, clipped, np.where(clipped == 0.8, 1e3, clipped), 1)
+    y, sigma = draw_between(clipped, clipped, np.where(clipped == 0.8, 1e3, clipped), 1)
     assert np.all(y[x < 0.8] == x[x < 0.8])
     assert sigma == pytest.approx(1.0, abs=0.02)
     assert kstest(y, "norm").statistic < 0.015

@@ -15,8 +15,9 @@ import allanjax as aj
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.app import app
 from allanjax.critic.comparison import StageResiduals
-from allanjax.critic.discrepancies import discrepancies, mended
+from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.noise import family_of
+from allanjax.critic.parameters import parameter_estimate
 from allanjax.critic.result import (
     AxisCritique,
     CoefficientChange,
@@ -27,7 +28,6 @@ from allanjax.critic.result import (
     Rival,
     Snapshot,
 )
-from allanjax.critic.view import parameter_estimate
 from allanjax.record.io import write
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.report.critique_figure import plot_critique
@@ -59,7 +59,7 @@ def critique_of(findings):
     same = discrepancies(StageResiduals.of(GYRO, np.pi / 180.0, RATE, clean[0]), other)
     model = aj.Model((aj.AngleRandomWalk(WALK),))
     extended = model + aj.Sinusoid(5.0 * MG, 0.552)
-    (pairs,) = mended(records)
+    (pairs,) = before_and_after(records)
     findings = tuple(dataclasses.replace(f, discrepancies=pairs) for f in findings)
     tests = {"sinusoid": 1e-60, "outliers": 0.4}
     line = AxisCritique(ACCEL, findings, before, after, tests, stages[: len(findings) + 1], model, extended)
@@ -156,7 +156,7 @@ def test_every_finding_has_its_own_before_and_after():
     t = np.arange(N) / RATE
     slow, fast = (MG * np.cos(2.0 * np.pi * f * t) for f in (0.552, 11.0))
     stages = (snapshot(noise + slow + fast), snapshot(noise + fast), snapshot(noise))
-    first, second = mended([StageResiduals.of(ACCEL, MG, RATE, s) for s in stages])
+    first, second = before_and_after([StageResiduals.of(ACCEL, MG, RATE, s) for s in stages])
     for pairs, f in ((first, 0.552), (second, 11.0)):
         lines = {before.statistic: (before, after) for before, after in pairs}
         before, after = lines["psd_line"]

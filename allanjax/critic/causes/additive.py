@@ -11,8 +11,9 @@ from jaxtyping import Float
 
 from allanjax.critic.bank import Bank
 from allanjax.critic.model_evidence import SETS, odds
+from allanjax.critic.parameters import Detail, Limit
 from allanjax.critic.template_evidence import log_evidence
-from allanjax.critic.view import Candidate, Detail, Limit, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
@@ -92,11 +93,11 @@ def additive(
         return None
     # Noise alone has an evidence of e^gain against it with no more than this probability.
     p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
-    found = parameters(*place, *known(view, best.after, bank, *place))
+    found = parameters(*place, *marginal(view, best.after, bank, *place))
     return dataclasses.replace(best, p_value=p_value, estimates=found)
 
 
-def known(
+def marginal(
     view: View, after: View, bank: Bank, k: int, amplitude: float
 ) -> tuple[float, Float[np.ndarray, " shapes"]]:
     """Standard deviation of the amplitude and probability of each shape, averaged over plausible noise.

@@ -12,7 +12,8 @@ from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.causes.spectral import SHAPE, FineLevels, limited, relative_errors
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, View, coefficient_folds
+from allanjax.critic.parameters import ONE_SIDED
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -52,11 +53,10 @@ class BasicTerm(Cause):
                 # Its shape is known, and nearly all of it is in one coefficient: parts of the time, then.
                 shape = Bank(view.family.ramp[None, :SLOW])
                 return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
-            total = -view.cv_log_likelihood
-            for fold in coefficient_folds(view.n):
-                other = view.model_evidence_of(fold).best(allowed, required=(term,))
-                total += view.log_likelihood(other, ~fold)
-            return total
+            with_it = view.cross_validated(
+                lambda fold: view.model_evidence_of(fold).best(allowed, required=(term,))
+            )
+            return with_it - view.cv_log_likelihood
 
         return Candidate(
             term,

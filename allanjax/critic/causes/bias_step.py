@@ -8,7 +8,7 @@ from functools import cache, partial
 import numpy as np
 
 from allanjax.critic.bank import FINEST, Bank, log_occam_factor, step_bank, step_coefficients
-from allanjax.critic.causes.additive import adding, additive, known, mean_and_std, shape_parameter
+from allanjax.critic.causes.additive import adding, additive, marginal, mean_and_std, shape_parameter
 from allanjax.critic.template_pairs import best_pair
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise import terms
@@ -96,8 +96,8 @@ class BiasStep(Cause):
         if gain == least:
             return None
         pair, both, after = best
-        first = self._beside(view, bank, places, pair.members[0], both, after)
-        second = self._beside(view, bank, places, pair.members[1], both[::-1], after)
+        first = self._given_other(view, bank, places, pair.members[0], both, after)
+        second = self._given_other(view, bank, places, pair.members[1], both[::-1], after)
         first = dataclasses.replace(first, after=view.with_samples(view.samples - both[0]))
         return Candidate(
             self.name,
@@ -111,7 +111,7 @@ class BiasStep(Cause):
             parts=(first, second),
         )
 
-    def _beside(
+    def _given_other(
         self, view: View, bank: Bank, places: np.ndarray, k: int, steps: list[np.ndarray], without: View
     ) -> Candidate:
         """First of two steps as a finding in the record without the other, with the gain that it adds."""
@@ -120,7 +120,7 @@ class BiasStep(Cause):
         a = float(scan.amplitude[k])
         return Candidate(
             self.name,
-            _parameters(view, places, a, *known(alone, without, bank, k, a)),
+            _parameters(view, places, a, *marginal(alone, without, bank, k, a)),
             without.log_evidence - alone.log_evidence - scan.log_trials_factor,
             bank.p_value(alone, without.noise, float(scan.snr[k])),
             without,

@@ -59,7 +59,7 @@ class Spectrum:
         self._size = sums(self._used, self._first)
         factor = view.combined(np.ones(n - 1))
         self._factor, self._frequency = self._mean(factor), self._mean(family.frequency)
-        self._passes = 1.0 if view.passes is None else self._mean(view.passes)
+        self._filter_response = 1.0 if view.filter_response is None else self._mean(view.filter_response)
         weight = self._used / factor
         products = (
             weight * view.coefficients**2,
@@ -81,11 +81,11 @@ class Spectrum:
                 self._units[name, noise.index] = self._mean(noise.family.unit(name, noise.index)[1])
         return np.sum([p * self._units[name, noise.index] for name, p in noise.power.items()], axis=0)
 
-    def noise_behind(self, theta: Float[np.ndarray, " 3"], noise: Noise) -> Noise:
+    def noise_given(self, theta: Float[np.ndarray, " 3"], noise: Noise) -> Noise:
         """Noise with its powers estimated conditional on a bump, whose size is relative to `noise`."""
         view, f0, Q, amplitude = self._view, *(float(x) for x in np.exp(theta))
         bump = density(terms.Resonance(amplitude, f0, Q).sampled(view.rate), self._frequency, view.rate)
-        factor = 1.0 + view.rate * bump * self._passes / (self._level(noise) * self._factor)
+        factor = 1.0 + view.rate * bump * self._filter_response / (self._level(noise) * self._factor)
         squares, cross, gram = (np.add.reduceat(z / factor, self._own) for z in self._statistics)
         size = np.maximum(np.add.reduceat(self._size, self._own), 1e-9)
         columns = np.stack([view.family.unit(name, noise.index)[0] for name in noise.power])
@@ -109,7 +109,7 @@ class Spectrum:
             np.append(self._frequency, np.full(pad, self._frequency[-1])),
             np.append(self._size, np.zeros(pad)),
             np.append(self._statistics[0] / level, np.zeros(pad)),
-            np.append(level * self._factor / self._passes, np.ones(pad)),
+            np.append(level * self._factor / self._filter_response, np.ones(pad)),
         )
         near = abs(np.log(bins.frequency / f0)) < max(1.5 / np.exp(start[1]), 4.0 * self._spacing / f0)
         rate = self._view.rate

@@ -13,8 +13,8 @@ from scipy.special import betainc
 
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.noise import NEARLY_ALL
+from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.critic.result import Finding
-from allanjax.critic.view import Limit, parameter_estimate
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"

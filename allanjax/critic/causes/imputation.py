@@ -19,7 +19,7 @@ _WINDOW = 200
 _DEEP = 1e-12
 
 
-def imputed(
+def draw_between(
     x: Float[np.ndarray, " n"], lower: Float[np.ndarray, " n"], upper: Float[np.ndarray, " n"], seed: int
 ) -> tuple[Float[np.ndarray, " n"], float]:
     """Draw of samples between `lower` and `upper`, equal where one is exact, and their local deviation."""

@@ -12,8 +12,9 @@ from scipy.fft import dct, dst
 from scipy.ndimage import uniform_filter1d
 
 from allanjax.critic.causes.spectral import SHARES, FineLevels, limited
-from allanjax.critic.noise import MARKOV, density
-from allanjax.critic.view import EVERYTHING, Candidate, Cause, Limit, View, coefficient_folds, in_time
+from allanjax.critic.noise import MARKOV, Noise, density
+from allanjax.critic.parameters import Limit
+from allanjax.critic.view import EVERYTHING, Candidate, Cause, View, in_time
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -79,7 +80,7 @@ class LowPass(Cause):
             # What is below the response now is what was added, no longer the ends.
             visible = _visible(view.with_samples(after.samples), response)
             after = dataclasses.replace(after, factor=view.combined(visible))
-        after = dataclasses.replace(after, passes=visible)
+        after = dataclasses.replace(after, filter_response=visible)
         gain = filtered - basic.log_evidence
         # Odds among the bandwidths and orders: flat.
         gain -= float(gains.max() - np.logaddexp.reduce(gains.ravel()) + np.log(gains.size))
@@ -190,7 +191,7 @@ def _visible(view: View, response: _Response, fold: np.ndarray | None = None) ->
 
 
 def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.ndarray, " n-1"]) -> View:
-    """View whose ends are drawn anew in the filter's stop band; the ends count as restored.
+    """View whose ends are drawn anew in the filter's stop band; the ends count as imputed.
 
     Whitening amplifies the stop band, and with it the kinks of the mirrored record.
 
@@ -206,7 +207,7 @@ def _without_ends(view: View, deep: Bool[np.ndarray, " n-1"], share: Float[np.nd
     drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
     change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
     mended = view.samples + in_time(np.where(deep, root * dct(change, norm="ortho")[1:], 0.0))
-    return dataclasses.replace(view.with_samples(mended), restored=view.restored | (near > 0.0))
+    return view.with_samples(mended, near > 0.0)
 
 
 def _filtered(model: Model, bandwidth: float, order: int) -> Model:
@@ -344,11 +345,11 @@ def _half_power(rate: float, bandwidth: float, filter_: tuple[int, bool]) -> flo
 
 def _held_out(view: View) -> float:
     """Log-likelihood of each half of the coefficients under the filter and noise of the other half."""
-    gain = 0.0
-    for fold in coefficient_folds(view.n):
+
+    def fitted(fold: Bool[np.ndarray, " n-1"]) -> tuple[Noise, Float[np.ndarray, " n-1"]]:
         screen = _Screen(view, fold)
         filter_, bandwidth, *_ = screen.best(view)
         factor = _visible(view, screen.response(view, filter_, bandwidth), fold)
-        noise = view.model_evidence_of(fold, factor).best(view.allowed)
-        gain += view.log_likelihood(noise, ~fold, factor)
-    return gain
+        return view.model_evidence_of(fold, factor).best(view.allowed), factor
+
+    return view.cross_validated(fitted)

@@ -13,7 +13,8 @@ from scipy.stats import norm
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
-from allanjax.critic.view import Candidate, Cause, Limit, View, in_time, values_of
+from allanjax.critic.parameters import Limit, values_of
+from allanjax.critic.view import Candidate, Cause, View, in_time
 
 # Scales of outliers, in deviations of the noise, and shares of the samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -74,7 +75,7 @@ class Outliers(Cause):
             return None
         gain -= _log_trials_factor(view.n)
         # Of all that there are, also of those too small to be seen.
-        log_scale, spread, limit = _known(scores[missing], threshold)
+        log_scale, spread, limit = _log_scale(scores[missing], threshold)
         estimates = [
             view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
             view.log_estimate("scale", log_scale + np.log(bulk / view.scale), spread, limit, view.axis.unit),
@@ -166,7 +167,7 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     return -float(refined.fun), float(min(share, 0.5)), float(scale)
 
 
-def _known(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float, Limit]:
+def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float, Limit]:
     """Logarithm of the scale of outliers with scores above a threshold, and its deviation; or a limit.
 
     Only errors above the threshold are found: their law is a normal one truncated there.
@@ -191,7 +192,7 @@ def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
     At the record's ends quantization noise is not that of the mirrored record, and residuals scatter more:
     those that stand out there are compared with their own scatter.
     """
-    z = np.where(view.restored, 0.0, view.loo_residuals[0] / scale)
+    z = np.where(view.imputed, 0.0, view.loo_residuals[0] / scale)
     v, n = view.variance(), view.n
     for k in (*range(_END), *range(n - _END, n)):
         if abs(z[k]) > _NOTICED:

@@ -6,7 +6,7 @@ import numpy as np
 
 from allanjax.critic.causes.spectral import FineLevels, limited, relative_errors
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
-from allanjax.critic.view import MARGIN, Candidate, Cause, View, coefficient_folds
+from allanjax.critic.view import MARGIN, Candidate, Cause, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
 # Distance from the best exponent of the grid within which the maximum is looked for.
@@ -38,11 +38,10 @@ class PowerLaw(Cause):
         relative = relative_errors(view, noise)[POWER_LAW]
 
         def held_out() -> float:
-            total = -view.cv_log_likelihood
-            for fold in coefficient_folds(view.n):
-                with_it = view.model_evidence_of(fold).best(allowed, required=(POWER_LAW,))
-                total += view.log_likelihood(with_it, ~fold)
-            return total
+            with_it = view.cross_validated(
+                lambda fold: view.model_evidence_of(fold).best(allowed, required=(POWER_LAW,))
+            )
+            return with_it - view.cv_log_likelihood
 
         parameters = [
             view.estimate("exponent", exponent, std, "1", limit),

@@ -37,7 +37,7 @@ class RepeatedSamples(Cause):
         share = count / view.n
         if chance > 0.0 and (z < _DOUBTLESS or share < chance + _PREDICTED):
             return None
-        gain = _gain(count, view.n, chance)
+        gain = _gain(count, view.n, share, chance)
         longest = int(np.max(np.diff(np.flatnonzero(np.diff(np.concatenate([[0], same, [0]]))))[::2]))
         return Candidate(
             self.name,
@@ -75,17 +75,16 @@ def _by_chance(raw: Float[np.ndarray, " n"]) -> float:
     return max(fine, coarse)
 
 
-def _gain(count: float, n: float, chance: float) -> float:
-    """Log-likelihood ratio [nats] of a number of repeats under their own share to that by chance."""
-    share, floor = count / n, max(chance, 1e-12)
+def _gain(count: float, n: float, share: float, chance: float) -> float:
+    """Log-likelihood ratio [nats] of a number of repeats under a share of them to that by chance."""
+    floor = max(chance, 1e-12)
     return float(count * np.log(share / floor) + (n - count) * np.log((1.0 - share) / (1.0 - floor)))
 
 
 def _held_out(same: Bool[np.ndarray, " n"], chance: float) -> float:
     """Gain in log-likelihood [nats] on each half of the record by the share in the other."""
-    gain, half, floor = 0.0, len(same) // 2, max(chance, 1e-12)
-    for one, other in ((same[:half], same[half:]), (same[half:], same[:half])):
-        share = (one.sum() + 0.5) / (len(one) + 1.0)
-        k = other.sum()
-        gain += float(k * np.log(share / floor) + (len(other) - k) * np.log((1.0 - share) / (1.0 - floor)))
-    return gain
+    first, second = np.array_split(same, [len(same) // 2])
+    return sum(
+        _gain(other.sum(), len(other), (one.sum() + 0.5) / (len(one) + 1.0), chance)
+        for one, other in ((first, second), (second, first))
+    )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import any_of
 from allanjax.critic.causes.bump import LINE, LOWEST, Spectrum
 from allanjax.critic.causes.spectral import limited
 from allanjax.critic.noise import Noise
-from allanjax.critic.view import Candidate, Cause, View, coefficient_folds
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
@@ -34,20 +34,17 @@ class Resonance(Cause):
     refit = "at last"
 
     def p_value(self, view: View) -> float:
-        window = _conspicuous(view.coefficients**2 / view.variance())
-        return window[2]
+        return _conspicuous(view.squared_whitened)[2]
 
     def detect(self, view: View) -> Candidate | None:
-        window = _conspicuous(view.coefficients**2 / view.variance())
-        middle, width, *_ = window
+        middle, width, *_ = window = _conspicuous(view.squared_whitened)
         spacing = view.rate / (2.0 * view.n)
         Q = np.clip(middle / max(width, 1.0), 1.0, max(middle / LINE / 2.0, 1.0))
         return self._near(view, window, np.log([middle * spacing, Q]), view.noise)
 
     def again(self, view: View, found: Candidate) -> Candidate | None:
         about = [found.parameters[x].value for x in ("frequency", "quality_factor")]
-        window = _conspicuous(view.coefficients**2 / view.variance())
-        return self._near(view, window, np.log(about), found.after.noise)
+        return self._near(view, _conspicuous(view.squared_whitened), np.log(about), found.after.noise)
 
     def _near(
         self, view: View, window: tuple[float, ...], start: Float[np.ndarray, " 2"], noise: Noise
@@ -61,19 +58,19 @@ class Resonance(Cause):
             return None
         spectrum, theta = Spectrum(view, start, width), np.append(start, np.inf)
         for _ in range(_ROUNDS):
-            before, beside = theta, noise
+            before, background = theta, noise
             theta, covariance = spectrum.fitted(noise, theta[:2])
             if not np.isfinite(covariance).all():
                 return None
-            noise = spectrum.noise_behind(theta, beside)
+            noise = spectrum.noise_given(theta, background)
             if np.all(abs(theta - before) < _SETTLED * np.sqrt(np.diag(covariance))):
-                after = view.with_factor(1.0 + _density(theta, view) / view.variance(beside))
+                after = view.with_factor(1.0 + _density(theta, view) / view.variance(background))
                 if after.noise.terms == noise.terms:
                     break
                 # Another set of noise terms suits the record better now.
                 noise = after.noise
         else:
-            after = view.with_factor(1.0 + _density(theta, view) / view.variance(beside))
+            after = view.with_factor(1.0 + _density(theta, view) / view.variance(background))
         if np.exp(theta[1]) < _BUMP_Q:
             return None
         gain = after.noise.log_evidence - view.noise.log_evidence
@@ -81,9 +78,9 @@ class Resonance(Cause):
         widths = np.log(len(view.coefficients) / _NARROWEST)
         gain -= np.log(windows) + np.log(widths) + 2.0
         f0, Q, amplitude = np.exp(theta)
-        if view.passes is not None:
+        if view.filter_response is not None:
             # The amplitude as it is recorded, after the filter.
-            amplitude *= np.sqrt(np.interp(f0, view.family.frequency, view.passes))
+            amplitude *= np.sqrt(np.interp(f0, view.family.frequency, view.filter_response))
         relative = np.sqrt(np.diag(covariance))
         # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.
         spacing = view.rate / (2.0 * view.n)
@@ -118,7 +115,7 @@ def _density(theta: Float[np.ndarray, " 3"], view: View) -> Float[np.ndarray, " 
     """Expected squares of a bump, filtered if a filter was found before."""
     f0, Q, amplitude = (float(x) for x in np.exp(theta))
     density = view.family.spectrum(terms.Resonance(amplitude, f0, Q).sampled(view.rate))
-    return density if view.passes is None else density * view.passes
+    return density if view.filter_response is None else density * view.filter_response
 
 
 def _conspicuous(ratio: Float[np.ndarray, " n-1"]) -> tuple[float, float, float, float, float]:
@@ -159,11 +156,12 @@ def _held_out(view: View, after: View, theta: Float[np.ndarray, " 3"], width: fl
 
     Each fit starts from that of all coefficients, in the noise of its half conditional on that bump.
     """
-    gain = -view.cv_log_likelihood
-    for fold in coefficient_folds(view.n):
-        beside = after.model_evidence_of(fold).approximate_map(view.allowed, after.model_evidence)
-        found, _ = Spectrum(view, theta[:2], width, fold).fitted(beside, theta[:2])
-        factor = 1.0 + _density(found, view) / view.variance(beside)
+
+    def fitted(fold: Bool[np.ndarray, " n-1"]) -> tuple[Noise, Float[np.ndarray, " n-1"]]:
+        background = after.model_evidence_of(fold).approximate_map(view.allowed, after.model_evidence)
+        found, _ = Spectrum(view, theta[:2], width, fold).fitted(background, theta[:2])
+        factor = 1.0 + _density(found, view) / view.variance(background)
         noise = view.model_evidence_of(fold, factor).approximate_map(view.allowed, after.model_evidence)
-        gain += view.log_likelihood(noise, ~fold, factor)
-    return gain
+        return noise, factor
+
+    return view.cross_validated(fitted) - view.cv_log_likelihood

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.critic.causes.imputation import imputed
+from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.view import Candidate, Cause, View
 
 # Distance from a multiple of the step, in steps, up to which a sample is on the lattice.
@@ -31,7 +31,7 @@ class Rounding(Cause):
         # No noise has less than half of its differences' variance around its local mean.
         if q < HARMLESS * 0.5 * float(np.std(np.diff(view.samples))):
             return None
-        x, sigma = imputed(view.samples, view.samples - q / 2.0, view.samples + q / 2.0, len(view.samples))
+        x, sigma = draw_between(view.samples, view.samples - q / 2.0, view.samples + q / 2.0, view.n)
         if q < HARMLESS * sigma:
             return None
         # A continuous output would be this close to a multiple with the probability 2·tolerance.

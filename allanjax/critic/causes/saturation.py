@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
-from allanjax.critic.causes.imputation import imputed
+from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise.estimate import Estimate
@@ -38,10 +36,11 @@ class Saturation(Cause):
             clipped = raw == level
             count += int(clipped.sum())
             (upper if side > 0.0 else lower)[clipped] += side * far
-            levels.append(view.amplitude_estimate("upper_level" if side > 0.0 else "lower_level", level, 0.0))
+            name = "upper_level" if side > 0.0 else "lower_level"
+            levels.append(view.amplitude_estimate(name, level, 0.0))
         if count > 0.9 * view.n:
             return None
-        x, sigma = imputed(view.samples, lower, upper, count)
+        x, sigma = draw_between(view.samples, lower, upper, count)
         # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit.
         gain = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
         return Candidate(
@@ -49,9 +48,7 @@ class Saturation(Cause):
             [*levels, view.estimate("fraction", count / view.n, 0.0, "1")],
             gain,
             float(np.exp(-min(gain, 700.0))),
-            dataclasses.replace(
-                view.with_samples(x), restored=view.restored | (raw == raw.max()) | (raw == raw.min())
-            ),
+            view.with_samples(x, (raw == raw.max()) | (raw == raw.min())),
             lambda: gain,
             (0.0, view.duration),
             "time",

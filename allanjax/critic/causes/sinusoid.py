@@ -8,7 +8,8 @@ from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from allanjax.critic.bank import folds
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, View, in_time
+from allanjax.critic.parameters import ONE_SIDED
+from allanjax.critic.view import Candidate, Cause, View, in_time
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms

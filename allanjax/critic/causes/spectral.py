@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar, nnls
 
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, density
-from allanjax.critic.view import ONE_SIDED, Limit, View
+from allanjax.critic.parameters import ONE_SIDED, Limit
+from allanjax.critic.view import View
 from allanjax.noise.terms import Markov, PowerLaw
 
 # Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.

@@ -11,7 +11,8 @@ from scipy.stats import chi2
 from allanjax.critic.bank import Bank, folds
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
-from allanjax.critic.view import Candidate, Cause, Limit, View, in_time
+from allanjax.critic.parameters import Limit
+from allanjax.critic.view import Candidate, Cause, View, in_time
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

@@ -12,7 +12,8 @@ from scipy.stats import multivariate_normal, norm
 
 from allanjax.critic.bank import any_of, extrapolated, folds
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, View, in_time
+from allanjax.critic.parameters import ONE_SIDED
+from allanjax.critic.view import Candidate, Cause, View, in_time
 from allanjax.noise.estimate import Estimate
 
 # Most blocks that intervals are made of.
@@ -65,7 +66,7 @@ class _Kind:
         squares = u**2
         # Samples that were drawn anew have the right variance, but not the record's ends after a filter; and
         # quantization noise at the ends is not that of the mirrored record.
-        known = np.flatnonzero(~view.restored)
+        known = np.flatnonzero(~view.imputed)
         first, last = max(known[0], _ENDS), min(known[-1], view.n - 1 - _ENDS)
         squares[:first] = squares[last + 1 :] = np.mean(squares[first : last + 1])
         worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))

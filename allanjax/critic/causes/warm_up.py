@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.causes.additive import additive, shape_parameter
-from allanjax.critic.view import ONE_SIDED, Candidate, Cause, Limit, View
+from allanjax.critic.parameters import ONE_SIDED, Limit
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

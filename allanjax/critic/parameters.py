@@ -1,0 +1,63 @@
+"""Parameters of findings as estimates, and what else a finding says."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from allanjax.noise.estimate import Estimate
+from allanjax.record.recording import Axis
+
+#: Standard deviations to a one-sided 95 % limit of the normal law.
+ONE_SIDED = 1.645
+# Standard deviations to the ends of a 95 % interval of the normal law.
+_TWO_SIDED = 1.959963984540054
+#: Side of a 95 % limit on which a parameter is; "" where it is not a limit that is known of it.
+Limit: TypeAlias = Literal["", "above", "below"]
+#: What a finding says beside its parameters: a word, several words, or a list of numbers.
+Detail: TypeAlias = str | tuple[str, ...] | tuple[Estimate, ...]
+
+
+def parameter_estimate(
+    axis: Axis,
+    label: str,
+    value: float,
+    std: float,
+    unit: str,
+    limit: Limit = "",
+    log_normal: bool = False,
+) -> Estimate:
+    """Parameter of a finding, with the intervals of a normal law of the value or of its logarithm.
+
+    Where the search ended at a bound of its range, or the record ends where the effect may go on, the value
+    is a 95 % `limit`: the parameter is "above" or "below" it, and has no standard deviation.
+    """
+    value, std = float(value), float("nan") if limit else float(std)
+
+    def interval(deviations: float) -> tuple[float, float]:
+        if log_normal:
+            factor = float(np.exp(deviations * std / value))
+            return value / factor, value * factor
+        return value - deviations * std, value + deviations * std
+
+    return Estimate(
+        axis=axis,
+        label=label,
+        value=value,
+        std=std,
+        interval=interval(_TWO_SIDED),
+        interval_68=interval(1.0),
+        unit=unit,
+        usual_unit=unit,
+        source="critique",
+        upper_limit=value if limit == "below" else None,
+        lower_limit=value if limit == "above" else None,
+    )
+
+
+def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], float, str]:
+    """Words or values of a detail, the standard deviation of the first one, and their unit."""
+    words = (detail,) if isinstance(detail, str) else tuple(x for x in detail if isinstance(x, str))
+    numbers = [x for x in detail if isinstance(x, Estimate)]
+    return (tuple(x.value for x in numbers), numbers[0].std, numbers[0].unit) if numbers else (words, 0.0, "")
