@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
-from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
+from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, centred, family_of
 from allanjax.critic.result import Snapshot
 from allanjax.critic.view import in_time
 from allanjax.noise.terms import Markov, PowerLaw
@@ -85,14 +85,13 @@ class StageResiduals:
     @functools.cached_property
     def _spectra(self) -> list[Float[np.ndarray, " n-1"]]:
         """Spectra of the noise terms at unit amplitude."""
-        family, found = family_of(self.n, self.rate), []
-        for name in self.stage.powers:
-            if name in FIXED:
-                found.append(family.spectra[FIXED.index(name)])
-            else:
-                term = Markov if name == MARKOV else PowerLaw
-                found.append(family.spectrum(term(1.0, self.stage.shape)))
-        return found
+        family, shaped = family_of(self.n, self.rate), {MARKOV: Markov, POWER_LAW: PowerLaw}
+        return [
+            family.spectra[FIXED.index(name)]
+            if name in FIXED
+            else family.spectrum(shaped[name](1.0, self.stage.shape))
+            for name in self.stage.powers
+        ]
 
     def shares(self, part: slice = slice(None)) -> Float[np.ndarray, "terms some"]:
         """Share of each noise term in some of the expected squares; no rows where the terms are not known.
@@ -176,7 +175,10 @@ def allan_law(record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
 def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
     """Allan laws of several records of one length, for which the weights are computed once."""
     n = records[0].n
-    sums = [_Sums.zero(len(sizes), len(record.stage.powers)) for record in records]
+    m, sums = len(sizes), []
+    for record in records:
+        terms = len(record.stage.powers)
+        sums.append((np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms))))
     for part in _chunks(n - 1):
         # Of neighbours between which no weight turns by more than a small angle, only the sum counts.
         edges = np.arange(0, part.stop - part.start, max(int(part.start * _TURN / _FAST), 1))
@@ -191,45 +193,38 @@ def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) 
         rows = np.zeros((len(sizes), len(weight)))
         rows[~fast, :-1] = np.diag(2.0 / sizes[~fast] ** 2.0)
         rows[fast, -1] = 0.75 / sizes[fast] ** 2.0
-        for record, total in zip(records, sums, strict=True):
+        for record, (measured, mean, square, slope) in zip(records, sums, strict=True):
             v = record.variance[part]
             c2, v2 = (np.add.reduceat(y**2, edges) for y in (record.coefficients[part], v))
-            total.measured += rows @ (weight @ c2)
-            total.mean += rows @ (weight @ np.add.reduceat(v, edges))
-            total.square += rows @ ((weight * v2) @ weight.T) @ rows.T
-            total.slope += rows @ (weight @ np.add.reduceat(record.shares(part) * v, edges, axis=1).T)
-    return [total.law(record, sizes) for record, total in zip(records, sums, strict=True)]
+            measured += rows @ (weight @ c2)
+            mean += rows @ (weight @ np.add.reduceat(v, edges))
+            square += rows @ ((weight * v2) @ weight.T) @ rows.T
+            slope += rows @ (weight @ np.add.reduceat(record.shares(part) * v, edges, axis=1).T)
+    return [_law(record, sizes, *total) for record, total in zip(records, sums, strict=True)]
 
 
-@dataclasses.dataclass(eq=False)
-class _Sums:
-    """Sums over the coefficients: weighted squares, their mean and covariance, and parts by noise term."""
-
-    measured: Float[np.ndarray, " m"]
-    mean: Float[np.ndarray, " m"]
-    square: Float[np.ndarray, "m m"]
-    slope: Float[np.ndarray, "m terms"]
-
-    @classmethod
-    def zero(cls, m: int, terms: int) -> _Sums:
-        """Sums over no coefficients."""
-        return cls(np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms)))
-
-    def law(self, record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
-        """Allan law that the sums over all coefficients give."""
-        slope = self.slope / self.mean[:, None]
-        known = 2.0 * self.square / np.outer(self.mean, self.mean)
-        L = record.level_covariance
-        # The errors of the levels, L·score, go with the record: their covariance with it is slope·L, and
-        # that of the score is its Fisher information.
-        followed = 2.0 * L - L @ record.level_information @ L
-        return AllanLaw(
-            sizes / record.rate,
-            self.measured / record.n,
-            self.mean / record.n,
-            known + slope @ L @ slope.T,
-            known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known)),
-        )
+def _law(
+    record: StageResiduals,
+    sizes: Int[np.ndarray, " m"],
+    measured: Float[np.ndarray, " m"],
+    mean: Float[np.ndarray, " m"],
+    square: Float[np.ndarray, "m m"],
+    slope: Float[np.ndarray, "m terms"],
+) -> AllanLaw:
+    """Allan law by sums over all coefficients: weighted squares, their mean and covariance, parts by term."""
+    slope = slope / mean[:, None]
+    known = 2.0 * square / np.outer(mean, mean)
+    L = record.level_covariance
+    # The errors of the levels, L·score, go with the record: their covariance with it is slope·L, and that of
+    # the score is its Fisher information.
+    followed = 2.0 * L - L @ record.level_information @ L
+    return AllanLaw(
+        sizes / record.rate,
+        measured / record.n,
+        mean / record.n,
+        known + slope @ L @ slope.T,
+        known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known)),
+    )
 
 
 def _chunks(size: int) -> Iterator[slice]:

@@ -10,23 +10,11 @@ from jaxtyping import Float
 from scipy.stats import binom
 
 from allanjax.allan.clusters import cluster_sizes
+from allanjax.critic import profiles
 from allanjax.critic.causes.rounding import HARMLESS, lattice
-from allanjax.critic.comparison import AllanLaw, StageResiduals, allan_laws
+from allanjax.critic.comparison import StageResiduals, allan_laws
 from allanjax.critic.noise import centred
-from allanjax.critic.profiles import (
-    TINY,
-    Profile,
-    allan_deviation,
-    autocorrelation,
-    auxiliary_correlation,
-    cluster_times,
-    cross_correlation,
-    largest_residual,
-    line,
-    psd,
-    tails,
-    windows,
-)
+from allanjax.critic.profiles import TINY
 from allanjax.critic.result import Discrepancy
 
 
@@ -49,16 +37,15 @@ def discrepancies(
     Returns:
         One discrepancy a statistic, also where there is none (p near 1).
     """
-    profiles = [*cluster_times(record), psd(record), line(record), autocorrelation(record)]
-    profiles += [tails(record), largest_residual(record)]
-    found = [profile.worst() for profile in profiles]
-    found += [_lattice(record, raw), _repeated(record, raw, seed)]
-    found += [profile.worst() for profile in windows(record)]
+    of_samples = [_lattice(record, raw), _repeated(record, raw, seed)]
+    first = [*profiles.cluster_times(record), profiles.psd(record), profiles.line(record)]
+    first += [of(record) for of in (profiles.autocorrelation, profiles.tails, profiles.largest_residual)]
+    last = profiles.windows(record)
     if others:
-        found.append(cross_correlation(record, others).worst())
+        last.append(profiles.cross_correlation(record, others))
     if channels := _varying(auxiliary):
-        found.append(auxiliary_correlation(record, channels).worst())
-    return tuple(found)
+        last.append(profiles.auxiliary_correlation(record, channels))
+    return (*(p.worst() for p in first), *of_samples, *(p.worst() for p in last))
 
 
 def before_and_after(
@@ -75,7 +62,15 @@ def before_and_after(
     """
     laws = allan_laws(records, cluster_sizes(records[0].n, records[0].rate))
     channels = _varying(auxiliary)
-    stages = [_cheap(record, law, channels) for record, law in zip(records, laws, strict=True)]
+    stages = []
+    for record, law in zip(records, laws, strict=True):
+        # Those that cost little beside the transforms.
+        cheap = (profiles.psd, profiles.line, profiles.tails, profiles.largest_residual)
+        of_record = [profiles.allan_deviation(record, law), *(of(record) for of in cheap)]
+        of_record += profiles.windows(record)
+        if channels:
+            of_record.append(profiles.auxiliary_correlation(record, channels))
+        stages.append(of_record)
     found = []
     for before, after in itertools.pairwise(stages):
         pairs = []
@@ -84,21 +79,6 @@ def before_and_after(
             pairs.append((old.at(place), new.at(place)))
         found.append(tuple(pairs))
     return found
-
-
-def _cheap(
-    record: StageResiduals, law: AllanLaw, channels: Mapping[str, Float[np.ndarray, " n-1"]]
-) -> list[Profile]:
-    """Profiles that cost little beside the transforms, for every stage."""
-    profiles = [
-        allan_deviation(record, law),
-        psd(record),
-        line(record),
-        tails(record),
-        largest_residual(record),
-    ]
-    profiles += windows(record)
-    return [*profiles, auxiliary_correlation(record, channels)] if channels else profiles
 
 
 def _varying(

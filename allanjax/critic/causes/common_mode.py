@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -46,13 +46,12 @@ class _Link:
     share: Float[np.ndarray, " k"]
 
     @classmethod
-    def of(cls, axes: _Axes, one: int, other: int, noise: str, top: int) -> _Link:
+    def of(cls, one: _Member, other: _Member, noise: str, top: int) -> _Link:
         """Link between two axes in the `top` lowest coefficients."""
-        a, b = axes.z[one][:top], axes.z[other][:top]
-        first, second = axes.white[one], axes.white[other]
-        if noise == "all" or first is None or second is None:
-            return cls("all", a, b, np.ones(top))
-        return cls(noise, a, b, np.sqrt(first[:top] * second[:top]))
+        share = np.ones(top)
+        if noise == "white" and one.white is not None and other.white is not None:
+            share = np.sqrt(one.white[:top] * other.white[:top])
+        return cls(noise, one.z[:top], other.z[:top], share)
 
     @property
     def top(self) -> int:
@@ -105,13 +104,12 @@ class _Link:
         return gain
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Axes:
-    """Axes, their whitened coefficients, and the share of white noise in each of these."""
+class _Member(NamedTuple):
+    """Axis, its whitened coefficients, and the share of white noise in each of these; None if untold."""
 
-    axes: Sequence[Axis]
-    z: Sequence[Float[np.ndarray, " n-1"]]
-    white: Sequence[Float[np.ndarray, " n-1"] | None]
+    axis: Axis
+    z: Float[np.ndarray, " n-1"]
+    white: Float[np.ndarray, " n-1"] | None
 
 
 #: Pairs of axes, their links and p-values.
@@ -135,31 +133,38 @@ def common_mode(
         alpha: probability of a false finding.
     """
     # Where white noise is nearly all that an axis has there is nothing to tell it from.
-    whitened = _Axes(axes, z, [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white])
+    told = [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white]
+    members = [_Member(*one) for one in zip(axes, z, told, strict=True)]
     tops = [len(z[0])]
     while tops[-1] // _SPLIT >= _LEAST:
         tops.append(tops[-1] // _SPLIT)
-    pairs = [(a, b) for a in range(len(z)) for b in range(a)]
+    pairs = [(a, b) for a in range(len(members)) for b in range(a)]
     linked: Links = {}
     for a, b in pairs:
-        noises = ("all",) if whitened.white[a] is None or whitened.white[b] is None else ("all", "white")
-        links = [_Link.of(whitened, a, b, noise, top) for noise in noises for top in tops]
+        noises = _noises([members[a], members[b]])
+        links = [_Link.of(members[a], members[b], noise, top) for noise in noises for top in tops]
         link = min((link for link in links if link.size >= _LEAST), key=lambda link: link.p_value)
         p = any_of(link.p_value, len(pairs) * len(links))
         if p < alpha and link.held_out > 0.0:
             linked[a, b] = link, p
-    return [_finding(whitened, group, linked, rate) for group in _groups(linked)]
+    return [_finding(members, group, linked, rate) for group in _groups(linked)]
 
 
-def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Finding:
+def _noises(members: Sequence[_Member]) -> Sequence[str]:
+    """Kinds of noise that these axes may share."""
+    return ["all"] if any(member.white is None for member in members) else ["all", "white"]
+
+
+def _finding(members: Sequence[_Member], group: set[int], linked: Links, rate: float) -> Finding:
     """Finding of the noise that a group of axes shares."""
-    members = {pair: link for pair, (link, _) in linked.items() if set(pair) <= group}
-    strong = _strong(list(members.values()))
-    pairs = sorted(pair for pair, link in members.items() if link in strong)
+    within = {pair: link for pair, (link, _) in linked.items() if set(pair) <= group}
+    strong = _strong(list(within.values()))
+    pairs = sorted(pair for pair, link in within.items() if link in strong)
+    both = [(members[a], members[b]) for a, b in pairs]
     # One kind of noise for all of them: that which explains most.
-    noises = ["all"] if any(axes.white[k] is None for pair in pairs for k in pair) else ["all", "white"]
-    tops = {link.top for link in members.values()}
-    sharing = [[_Link.of(axes, *pair, noise, top) for pair in pairs] for noise in noises for top in tops]
+    noises = _noises([member for pair in both for member in pair])
+    tops = {link.top for link in within.values()}
+    sharing = [[_Link.of(*pair, noise, top) for pair in both] for noise in noises for top in tops]
     # There, pairs that share hardly anything are another matter: what they share is elsewhere.
     possible = [_strong(links) for links in sharing if all(link.size >= _LEAST for link in links)]
     evidence = np.array([sum(link.evidence for link in links) for links in possible])
@@ -170,12 +175,14 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
     likelihood = np.exp(evidence - evidence[best])
     # What it is the correlation of is part of what is not known.
     spread = likelihood @ (means - mean) ** 2 / likelihood.sum()
-    top, shared = links[0].top, [axes.axes[k] for k in sorted(group)]
+    top, shared = links[0].top, [members[k].axis for k in sorted(group)]
     names = tuple(axis.name for axis in shared)
     together = Axis(" and ".join(names), shared[0].sensor, shared[0].unit)
     signs = tuple(
-        f"{axes.axes[a].name}/{axes.axes[b].name}: {members[a, b].correlation:+.3g}" for a, b in pairs
+        f"{a.axis.name}/{b.axis.name}: {within[pair].correlation:+.3g}"
+        for pair, (a, b) in zip(pairs, both, strict=True)
     )
+    spacing = rate / (2.0 * len(members[0].z) + 2.0)
     limit: Limit = "" if mean < _STRONGEST - 1e-9 else "above"
     std = np.hypot(_error(mean, links), np.sqrt(spread))
     return Finding(
@@ -190,7 +197,7 @@ def _finding(axes: _Axes, group: set[int], linked: Links, rate: float) -> Findin
         evidence=float(evidence[best]),
         gain=float(sum(link.held_out for link in links)),
         rivals=(),
-        span=(rate / (2.0 * len(axes.z[0]) + 2.0), top * rate / (2.0 * len(axes.z[0]) + 2.0)),
+        span=(spacing, top * spacing),
         domain="frequency",
         details={"axes": names, "noise": links[0].noise, "pairs": signs},
     )
