@@ -40,12 +40,7 @@ FINEST = 8 * SLOW
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """Outputs of a bank's matched filters.
-
-    Attributes:
-        snr: of each shape, with its sign.
-        amplitude, std: of each shape.
-    """
+    """Outputs of a bank's matched filters: of each shape snr with its sign, amplitude and its std."""
 
     snr: Float[np.ndarray, " shapes"]
     amplitude: Float[np.ndarray, " shapes"]
@@ -77,7 +72,6 @@ class Matched:
     Attributes:
         shapes: cosine coefficients, one row a shape.
         root: standard deviation of the coefficients.
-        whitened: the record, whitened.
         nuisances: orthonormal basis of the nuisance directions.
         common: products of the whitened shapes with these.
         lengths: norms of the whitened and projected shapes.
@@ -105,11 +99,7 @@ class Matched:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bank:
-    """Shapes that are searched for, each as its lowest `SLOW` cosine coefficients.
-
-    Attributes:
-        shapes: one row a shape.
-    """
+    """Shapes that are searched for, each as its lowest `SLOW` cosine coefficients: one row a shape."""
 
     shapes: Float[np.ndarray, "shapes slow"]
 

@@ -42,13 +42,8 @@ _CURVE_PER_OCTAVE = 4
 class StageResiduals:
     """One axis at one stage of the critique, with the spectrum that its model expects.
 
-    Attributes:
-        axis, scale: whose it is; factor from its own unit to SI.
-        rate: sample rate [Hz].
-        samples: the samples without what was found and without a ramp [SI].
-        coefficients: their cosine coefficients.
-        variance: expected squares of these.
-        stage: where it comes from.
+    `scale` is the factor from the axis's own unit to SI. The samples [SI] are without what was found and
+    without a ramp; `variance` are the expected squares of their cosine coefficients.
     """
 
     axis: Axis
@@ -135,8 +130,7 @@ class AllanLaw:
 
     Attributes:
         time: cluster times [s].
-        measured: Allan variances [rate²].
-        mean: of the simulations' variances.
+        measured, mean: Allan variances of the record, and the mean of the simulations' [rate²].
         covariance: covariance of the simulated variances over their means, errors of the levels included.
         fitted: covariance of the measured variances over the means if the model is right: its levels were
             fitted to the same record.

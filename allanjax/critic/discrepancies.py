@@ -25,17 +25,13 @@ def discrepancies(
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
     seed: int = 0,
 ) -> tuple[Discrepancy, ...]:
-    """Compare one axis at one stage with its simulations, in every respect.
+    """Discrepancy of one axis at one stage from its simulations in every statistic, also where p is near 1.
 
     Args:
         record: the axis.
         raw: its samples as recorded [SI]; imputed ones once a cause that makes them what they are was found.
-        others: other axes by name.
-        auxiliary: other channels by name.
+        others, auxiliary: other axes and other channels, by name.
         seed: seed of the simulation in which repeated values are counted.
-
-    Returns:
-        One discrepancy a statistic, also where there is none (p near 1).
     """
     of_samples = [_lattice(record, raw), _repeated(record, raw, seed)]
     first = [*profiles.cluster_times(record), profiles.psd(record), profiles.line(record)]
@@ -51,14 +47,9 @@ def discrepancies(
 def before_and_after(
     records: Sequence[StageResiduals], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
 ) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
-    """Statistics before and after each finding, at the place where it improved them most.
+    """Pairs of a statistic before and after each finding, at the place where it improved it most.
 
-    Args:
-        records: an axis before its first finding and after each.
-        auxiliary: other channels by name.
-
-    Returns:
-        For every finding pairs of discrepancies at the same place, one a statistic.
+    The records are those of an axis before its first finding and after each.
     """
     laws = allan_laws(records, cluster_sizes(records[0].n, records[0].rate))
     channels = _varying(auxiliary)

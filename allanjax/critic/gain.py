@@ -64,14 +64,11 @@ def _drift_change(
     T, m = _horizons(before)
     if len(T) == 0:
         return None
+    # What is in the spectrum alone has no path of its own.
+    path = None if after.samples is before.samples else before.samples - after.samples
     rows = []
     for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
-        # What is in the spectrum alone has no path of its own.
-        effect = (
-            0.0
-            if after.samples is before.samples
-            else _mean_squares((before.samples - after.samples)[mine], m)
-        )
+        effect = 0.0 if path is None else _mean_squares(path[mine], m)
         rows.append((_mean_squares(before.samples[mine], m), old, new + effect))
     measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))

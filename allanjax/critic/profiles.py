@@ -45,12 +45,10 @@ Places = Float[np.ndarray, " places"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Profile:
-    """A statistic at all places where it is compared with simulations.
+    """A statistic at all places where it is compared with simulations: times, frequencies, lags, channels.
 
     Attributes:
-        statistic: what is compared.
-        where, where_unit: cluster times, frequencies, … or zeros where there is no place.
-        measured, simulated: the statistic, and its median in simulations, in `unit`.
+        simulated: its median in simulations.
         score: how far apart the two are: standard normal under the model, or of a magnitude that grows so.
         law: p-value of the largest magnitude among the scores.
         channels: other axes or channels, of correlations: a place each.

@@ -34,12 +34,7 @@ def refitted(
     """Steps, refitted where later ones changed what they were conditional on, and the view at the end.
 
     A finding that gains nothing given the others is dropped, unless much evidence would be lost without it.
-
-    Args:
-        steps: all findings.
-        view: view without them.
-        causes: all causes; findings of those with `refit` are fitted again.
-        last: whether the search is over; before, nothing is done unless one is to be refitted "at once".
+    Before the search is over (`last`), nothing is done unless a finding is to be refitted "at once".
     """
     again = {cause.name: cause for cause in causes if cause.refit}
     found = list(steps)

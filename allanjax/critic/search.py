@@ -38,9 +38,7 @@ class Search:
     """Result of the search in one axis.
 
     Attributes:
-        start: view of the axis without findings.
-        steps: findings in their order.
-        end: view with all findings subtracted.
+        start, end: view of the axis without findings, and with all of them subtracted.
         tests: `Cause.p_value` at the start, of those causes that have one.
         notes: notes for the user: causes as probable as noise, or that the search ended early.
         preprocessed: whether a finding says that the samples are not what the sensor gave.
@@ -57,9 +55,8 @@ class Search:
 class AcceptanceRule(NamedTuple):
     """Rule by which candidates in one axis are accepted.
 
-    Attributes:
-        share: probability of a false finding for each kind of cause.
-        ratio: probability of a false finding in the axis over `FALSE_ALARMS`.
+    `share` is the probability of a false finding for each kind of cause, `ratio` that in the axis over
+    `FALSE_ALARMS`.
     """
 
     share: float
@@ -80,14 +77,7 @@ class AcceptanceRule(NamedTuple):
 def search(
     view: View, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
 ) -> Search:
-    """Find all causes in one axis.
-
-    Args:
-        view: the axis.
-        causes: causes to look for.
-        false_alarms: probability of a false finding.
-        progress: called with a text that says what is being done.
-    """
+    """Causes that are found in one axis; `progress` is called with a text that says what is being done."""
     accepted = AcceptanceRule.of(false_alarms, causes)
     start, steps = view, []
     for cause in (c for c in causes if c.is_preprocessing):

@@ -13,14 +13,10 @@ from allanjax.critic.view import Candidate, View
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Step:
-    """One finding, as the search made it.
+    """One finding as the search made it.
 
-    Attributes:
-        candidate: candidate that was accepted.
-        gain: gain in log-likelihood on held-out data [nats].
-        rivals: other causes and the odds against them.
-        before: view that it was found in.
-        conditions: quantities that its fit was conditional on, see `critic.refit`.
+    It has a candidate, its gain on held-out data [nats], rivals with the odds against them, and the view that
+    it was found in. `conditions` are the quantities that its fit was conditional on, see `critic.refit`.
     """
 
     candidate: Candidate

@@ -14,15 +14,10 @@ def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: flo
     """Log evidence of a record with one of a bank's shapes [nats]; without one it is `View.log_evidence`.
 
     The likelihood is averaged over shapes, amplitudes and plausible subsets of the noise terms. The subsets
-    and their levels are those of the record without the effect at its most likely shape h and amplitude a;
-    otherwise a step would be taken for a random walk. With p and g the products of h with the record and with
-    itself, the likelihood of the record is that without a·h times exp(½a²g − ap).
-
-    Args:
-        view: view of the record.
-        after: view without the effect at about its most likely.
-        bank: bank of shapes.
-        taken, amplitude: index and amplitude of the shape that is subtracted in `after`.
+    and their levels are those of the record without the effect at its most likely: without the shape h that
+    is `taken` with the amplitude a in the view `after`. Otherwise a step would be taken for a random walk.
+    With p and g the products of h with the record and with itself, the likelihood of the record is that
+    without a·h times exp(½a²g − ap).
     """
     sets = after.model_evidence.sets(view.allowed)
     cross, gram = _products(view, bank, sets)

@@ -37,11 +37,7 @@ class Pair:
 def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None = None) -> Pair:
     """Most likely pair of shapes: of every eighth shape first, then of all, each in turn given the other.
 
-    Args:
-        bank: bank of shapes.
-        view: view of the record.
-        noise: noise that it is whitened by.
-        near: pair to begin with, if it is known approximately.
+    Where the pair is known approximately, the search begins `near` it.
     """
     matched = bank.matched(view, noise)
     p = matched.products(matched.whitened)

@@ -209,13 +209,9 @@ class View:
     def held_out_gain(self, after: View, in_sample: float, cross_validated: float) -> float:
         """Gain in log-likelihood [nats] on data that were not used to estimate the effect.
 
-        It is the expected gain of the noise without the effect over the noise with it, in which the effect's
-        gain in sample is replaced by the cross-validated one.
-
-        Args:
-            after: view without the effect.
-            in_sample: gain of the effect on the data that it was fitted to, in the noise of `after`.
-            cross_validated: gain on parts of the record by the effect that the other parts show.
+        It is the expected gain of the noise without the effect (`after`) over the noise with it, in which the
+        effect's gain in sample is replaced by the cross-validated one: on parts of the record by the effect
+        that the other parts show.
         """
         return after.expected_likelihood - self.expected_likelihood - (in_sample - cross_validated)
 
@@ -266,9 +262,7 @@ class View:
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View, with all that has been computed of it, for which these causes have been found.
 
-        Args:
-            found: causes.
-            nuisances: coefficients of subtracted waveforms whose amplitudes are nuisances.
+        `nuisances` are coefficients of subtracted waveforms, whose amplitudes are nuisances.
         """
         view = copy.copy(self)
         vars(view).update(found=found, nuisances=nuisances)

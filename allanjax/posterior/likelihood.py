@@ -89,10 +89,8 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
 class _ParameterLayout(eqx.Module):
     """Map from a vector of free parameters to the powers and shapes of a design's terms.
 
-    Attributes:
-        amplitude, shape: index of each amplitude and shape among the free parameters; −1 if it is held.
-        held, held_shape: values of those that are held.
-        bound: lower bounds of the shapes.
+    `amplitude` and `shape` are indices among the free parameters, −1 of those that are held at `held` and
+    `held_shape`; `bound` are lower bounds of the shapes.
     """
 
     amplitude: Int[np.ndarray, " terms"]
@@ -128,10 +126,8 @@ class _ParameterLayout(eqx.Module):
 class _Lines(eqx.Module):
     """Cosine coefficients around each line, padded to one length, and the line's parameters.
 
-    Attributes:
-        index, coefficients, bin: index, value and bin of each coefficient; `known` is false for padding.
-        amplitude, frequency: indices of these parameters among the free ones; −1 if held.
-        held: amplitude and frequency that are held.
+    `index`, `coefficients` and `bin` are those of each coefficient, not `known` where padded; `amplitude` and
+    `frequency` are indices among the free parameters, −1 of those that are held at `held`.
     """
 
     index: Int[np.ndarray, "lines k"]

@@ -190,14 +190,7 @@ def default_moves() -> list[tuple[RedBlueMove, float]]:
 
 @dataclasses.dataclass(frozen=True)
 class Convergence:
-    """Criteria of convergence.
-
-    Attributes:
-        max_steps: largest number of steps.
-        min_length: least length of the chain, in autocorrelation times τ.
-        max_change: largest relative change of τ since the last check.
-        max_r_hat: largest R̂.
-    """
+    """Criteria of convergence: length of the chain in autocorrelation times τ, relative change of τ, R̂."""
 
     max_steps: int
     min_length: float

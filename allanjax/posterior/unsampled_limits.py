@@ -26,13 +26,10 @@ _DENSE = 4001
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GridPosterior:
-    """Posterior of one amplitude on a grid.
+    """Posterior of one amplitude on a grid: amplitudes [SI], ascending, and the probability of a smaller one.
 
-    Attributes:
-        value: amplitudes [SI], ascending.
-        probability: probability of a smaller amplitude than each.
-        bayes_factor: posterior over prior density at zero.
-        effective_draws: number of equally weighted draws that the density at the 95 % quantile is worth.
+    `bayes_factor` is posterior over prior density at zero; `effective_draws` the number of equally weighted
+    draws that the density at the 95 % quantile is worth.
     """
 
     value: Float[np.ndarray, " grid"]
@@ -102,8 +99,7 @@ def _followed(
 ) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, "grid sampled"]]:
     """Log density of this coordinate on a grid, and the translation of the others at each point.
 
-    The translation is followed from each point to the next, so that weights stay even, as far as the density
-    is not negligible.
+    The translation is followed from each point to the next, as far as the density is not negligible.
     """
     log_prior = _log_prior(target.posterior, index, grid)
     density = np.full(len(grid), -np.inf)

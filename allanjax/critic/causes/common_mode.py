@@ -34,10 +34,8 @@ _STRONGEST = 0.999
 class _Link:
     """Correlation between two axes, of all their noise or of the white noise only.
 
-    Attributes:
-        noise: "all" or "white".
-        a, b: lowest whitened coefficients of both axes.
-        share: expected products of the two, were this noise one and the same in both.
+    `share` is the expectation of the products of their whitened coefficients a and b, were this noise one and
+    the same in both.
     """
 
     noise: str
@@ -123,14 +121,10 @@ def common_mode(
     rate: float,
     alpha: float,
 ) -> list[Finding]:
-    """Groups of axes whose whitened cosine coefficients are correlated.
+    """Groups of axes whose whitened cosine coefficients z are correlated.
 
-    Args:
-        axes: the axes.
-        z: whitened coefficients of each.
-        white: share of the white noise in each axis's noise, None where there is none.
-        rate: sample rate [Hz].
-        alpha: probability of a false finding.
+    `white` is the share of the white noise in each axis's noise, None where there is none; `alpha` the
+    probability of a false finding.
     """
     # Where white noise is nearly all that an axis has there is nothing to tell it from.
     told = [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white]

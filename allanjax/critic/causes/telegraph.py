@@ -85,10 +85,9 @@ class TwoStateFit:
     Attributes:
         sigma: standard deviation of the blocks' noise.
         upper: probability that a block is on the second level.
-        dwell, log_dwell_std: mean time between jumps [blocks], and the standard deviation of its logarithm.
-        limit: side of `dwell` on which that time is, if only a limit is known.
-        log_likelihood: log-likelihood of all blocks, averaged over paths and dwell times, relative to blocks
-            at their level [nats].
+        dwell: mean time between jumps [blocks], or a limit of it.
+        log_dwell_std: standard deviation of its logarithm.
+        log_likelihood: averaged over paths and dwell times, relative to blocks at their level [nats].
     """
 
     sigma: float
@@ -119,12 +118,9 @@ def _noise(means: Float[np.ndarray, " blocks"]) -> float:
 def two_levels(
     means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
 ) -> TwoStateFit:
-    """Most likely levels, adjusted to the probable path again and again (Baum & Welch).
+    """Most likely levels of blocks, adjusted to the probable path again and again (Baum & Welch).
 
-    Args:
-        means: means of the blocks.
-        sigma: standard deviation of their noise.
-        known: which blocks are used, all by default; the others are bridged.
+    Blocks that are not `known` are bridged.
     """
     weight = np.ones(len(means)) if known is None else known.astype(float)
     y = means[weight > 0.0]

@@ -38,10 +38,9 @@ _NORMAL = 5.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Kind:
-    """Part of the noise that may change: all of it, or the white noise only.
+    """Part of the noise that may change: "all" of it, or the "white" noise only.
 
     Attributes:
-        name: "all" or "white".
         share: share of this part in the expected squares of the coefficients.
         squares: squares, of mean 1, of the record after the filter √share that is matched to a change of this
             part.
