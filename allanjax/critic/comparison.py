@@ -40,32 +40,35 @@ _CURVE_PER_OCTAVE = 4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StageResiduals:
-    """One axis at one stage of the critique, with the spectrum that its model expects.
-
-    `scale` is the factor from the axis's own unit to SI. The samples [SI] are without what was found and
-    without a ramp; `variance` are the expected squares of their cosine coefficients.
-    """
+    """One axis at one stage of the critique; `scale` is the factor from its own unit to SI."""
 
     axis: Axis
     scale: float
     rate: float
-    samples: Float[np.ndarray, " n"]
-    coefficients: Float[np.ndarray, " n-1"]
-    variance: Float[np.ndarray, " n-1"]
     stage: Snapshot
-
-    @classmethod
-    def of(cls, axis: Axis, scale: float, rate: float, stage: Snapshot) -> StageResiduals:
-        """Residuals of a stage; the model's ramp is subtracted, as it is from simulations."""
-        x = stage.x
-        if stage.ramp and np.isfinite(stage.ramp):
-            x = x - stage.ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / rate
-        return cls(axis, scale, rate, x, centred(x), stage.variance, stage)
 
     @property
     def n(self) -> int:
         """Number of samples."""
-        return len(self.samples)
+        return len(self.stage.x)
+
+    @property
+    def variance(self) -> Float[np.ndarray, " n-1"]:
+        """Expected squares of the cosine coefficients."""
+        return self.stage.variance
+
+    @functools.cached_property
+    def samples(self) -> Float[np.ndarray, " n"]:
+        """Samples without what was found and without the model's ramp, which simulations lack too [SI]."""
+        x, ramp = self.stage.x, self.stage.ramp
+        if ramp and np.isfinite(ramp):
+            x = x - ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / self.rate
+        return x
+
+    @functools.cached_property
+    def coefficients(self) -> Float[np.ndarray, " n-1"]:
+        """Cosine coefficients of the samples."""
+        return centred(self.samples)
 
     @functools.cached_property
     def whitened_coefficients(self) -> Float[np.ndarray, " n-1"]:

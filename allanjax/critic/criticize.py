@@ -90,13 +90,12 @@ def criticize(
     fit = fitting.result()
     tell("comparing measurement and simulation")
     stages = [_stages(s) for s in searches]
-    first, last = (
-        [
-            StageResiduals.of(s.start.axis, s.start.scale, s.start.rate, of_axis[i])
-            for s, of_axis in zip(searches, stages, strict=True)
-        ]
-        for i in (0, -1)
-    )
+
+    def residuals(k: int, stage: int) -> StageResiduals:
+        view = searches[k].start
+        return StageResiduals(view.axis, view.scale, view.rate, stages[k][stage])
+
+    first, last = ([residuals(k, stage) for k in range(len(searches))] for stage in (0, -1))
     shared = tuple(
         common_mode(
             recording.axes,
@@ -112,7 +111,7 @@ def criticize(
         before = _compared(k, first, s.start.raw, recording)
         after = _compared(k, last, s.end.samples if s.preprocessed else s.start.raw, recording)
         tell(f"{s.start.axis.name}: measuring the gain")
-        middle = [StageResiduals.of(s.start.axis, s.start.scale, s.start.rate, x) for x in stages[k][1:-1]]
+        middle = [residuals(k, stage) for stage in range(1, len(stages[k]) - 1)]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]
         pairs = [
             (*of_step, *_of_samples(step, before, after))

@@ -96,13 +96,6 @@ def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
     return np.where(abs(z) < _FAR, z, np.sign(z) * deviance)
 
 
-def _one(statistic: str, measured: float, simulated: float, unit: str, p: float) -> Profile:
-    """Profile of a statistic without places."""
-    score = float(norm.isf(0.5 * max(p, TINY)))
-    first, second = np.array([measured]), np.array([simulated])
-    return Profile(statistic, np.zeros(1), "", first, second, unit, np.array([score]), lambda _: p)
-
-
 # --- Slow noise: cluster times ------------------------------------------------------------------------------
 
 
@@ -202,7 +195,8 @@ def tails(record: StageResiduals) -> Profile:
     squares = record.whitened**2
     excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
     p = max(float(kurtosistest(record.whitened).pvalue), TINY)
-    return _one("tails", excess, 0.0, "1", p)
+    nowhere, measured, score = np.zeros(1), np.array([excess]), np.array([float(norm.isf(0.5 * p))])
+    return Profile("tails", nowhere, "", measured, np.zeros(1), "1", score, lambda _: p)
 
 
 def largest_residual(record: StageResiduals) -> Profile:

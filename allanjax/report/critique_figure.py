@@ -116,7 +116,7 @@ def figure_names(critique: Critique) -> tuple[str, ...]:
 
 def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResiduals:
     """Residuals of an axis at a stage."""
-    return StageResiduals.of(axis.axis, 1.0, critique.rate, axis.stages[stage])
+    return StageResiduals(axis.axis, 1.0, critique.rate, axis.stages[stage])
 
 
 def _of_finding(

@@ -30,7 +30,7 @@ def variance():
 def record(x, variance, powers=None):
     """Of a model whose levels are known exactly unless there are `powers`."""
     powers = powers or {}
-    return StageResiduals.of(AXIS, DEG, RATE, Snapshot(x, variance, tuple(powers), powers, float("nan"), 0.0))
+    return StageResiduals(AXIS, DEG, RATE, Snapshot(x, variance, tuple(powers), powers, float("nan"), 0.0))
 
 
 def drawn(variance, rng):
@@ -128,9 +128,7 @@ def test_a_ramp_is_taken_out(variance):
     x = drawn(variance, np.random.default_rng(5))
     tilted = x + 0.01 * np.arange(N) / RATE
     snapshot = Snapshot(tilted, variance, (), {}, float("nan"), 0.01)
-    np.testing.assert_allclose(
-        StageResiduals.of(AXIS, DEG, RATE, snapshot).coefficients, centred(x), atol=1e-9
-    )
+    np.testing.assert_allclose(StageResiduals(AXIS, DEG, RATE, snapshot).coefficients, centred(x), atol=1e-9)
 
 
 def test_a_line_is_noticed_at_its_frequency(variance):

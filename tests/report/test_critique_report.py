@@ -53,10 +53,10 @@ def critique_of(findings):
     noise, other = rng.standard_normal((2, N)) * WALK * np.sqrt(RATE)
     t = np.arange(N) / RATE
     stages = (snapshot(noise + 5.0 * MG * np.cos(2.0 * np.pi * 0.552 * t)), snapshot(noise))
-    records = [StageResiduals.of(ACCEL, MG, RATE, s) for s in stages]
+    records = [StageResiduals(ACCEL, MG, RATE, s) for s in stages]
     before, after = (discrepancies(record, record.samples) for record in records)
     clean = (snapshot(other),)
-    same = discrepancies(StageResiduals.of(GYRO, np.pi / 180.0, RATE, clean[0]), other)
+    same = discrepancies(StageResiduals(GYRO, np.pi / 180.0, RATE, clean[0]), other)
     model = aj.Model((aj.AngleRandomWalk(WALK),))
     extended = model + aj.Sinusoid(5.0 * MG, 0.552)
     (pairs,) = before_and_after(records)
@@ -156,7 +156,7 @@ def test_every_finding_has_its_own_before_and_after():
     t = np.arange(N) / RATE
     slow, fast = (MG * np.cos(2.0 * np.pi * f * t) for f in (0.552, 11.0))
     stages = (snapshot(noise + slow + fast), snapshot(noise + fast), snapshot(noise))
-    first, second = before_and_after([StageResiduals.of(ACCEL, MG, RATE, s) for s in stages])
+    first, second = before_and_after([StageResiduals(ACCEL, MG, RATE, s) for s in stages])
     for pairs, f in ((first, 0.552), (second, 11.0)):
         lines = {before.statistic: (before, after) for before, after in pairs}
         before, after = lines["psd_line"]

@@ -34,7 +34,7 @@ def additive(
     shape: Callable[[int], Float[np.ndarray, " n"]],
     parameters: Callable[[int, float, float, Float[np.ndarray, " shapes"]], Sequence[Estimate]],
     span: Callable[[int], tuple[float, float]],
-    more: float = 0.0,
+    log_trials: float = 0.0,
     term: Callable[[int, float], NoiseTerm] | None = None,
     details: Mapping[str, Detail] | None = None,
 ) -> Candidate | None:
@@ -48,7 +48,7 @@ def additive(
         parameters: gives the parameters by index, amplitude, its standard deviation and the probability of
             each shape.
         span: gives start and end in time [s] by index.
-        more: further log trials factor of the search [nats].
+        log_trials: further log trials factor of the search [nats].
         term: gives the noise term by index and amplitude [SI], if there is one.
         details: words and lists of numbers by name.
     """
@@ -73,7 +73,7 @@ def additive(
                 if scan.best == k:
                     break
                 k = scan.best
-        gain = log_evidence(view, after, bank, taken, a) - view.log_evidence - more
+        gain = log_evidence(view, after, bank, taken, a) - view.log_evidence - log_trials
         if best is None or gain > best.gain:
             best = Candidate(
                 cause,

@@ -55,13 +55,13 @@ class BiasStep(Cause):
             finer = Bank(step_coefficients(fine, view.n, J))
             refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))))
             if refined is not None and refined.gain > found.gain:
-                return Candidate(**{**vars(refined), "p_value": found.p_value, "held_out": found.held_out})
+                return dataclasses.replace(refined, p_value=found.p_value, held_out=found.held_out)
         return found
 
     def p_value(self, view: View) -> float:
         return step_bank(view.n)[0].p_value(view, view.noise)
 
-    def _one(self, view: View, bank: Bank, places: np.ndarray, more: float) -> Candidate | None:
+    def _one(self, view: View, bank: Bank, places: np.ndarray, log_trials: float) -> Candidate | None:
         """Best single step of a bank."""
         return additive(
             view,
@@ -70,7 +70,7 @@ class BiasStep(Cause):
             lambda k: _shape(view, places[k]),
             lambda k, a, std, likelihood: _parameters(view, places, a, std, likelihood),
             lambda k: (places[k] / view.rate, view.duration),
-            more,
+            log_trials,
             lambda k, a: _term(view, places[k], a),
         )
 

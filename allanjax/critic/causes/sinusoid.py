@@ -95,17 +95,13 @@ def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float
 
 
 def _line_p_value(z: float, view: View) -> float:
-    """p-value of the strongest line of a view, corrected for the search over frequencies."""
-    return line_p_value(z, view.rate / 2.0 - _PERIODS / view.duration, view.duration)
-
-
-def line_p_value(z: float, band: float, duration: float) -> float:
-    """Probability that the largest half squared signal-to-noise ratio in a band exceeds z.
+    """Probability that the largest half squared signal-to-noise ratio of noise alone exceeds z.
 
     Baluev (2008), MNRAS 385:1279, eq. 6: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the band's
     start.
     """
-    expected = band * duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
+    band = view.rate / 2.0 - _PERIODS / view.duration
+    expected = band * view.duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
     return float(1.0 - (1.0 - np.exp(-z)) * np.exp(-expected)) if expected > 1e-9 else float(expected)
 
 

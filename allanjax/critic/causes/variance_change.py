@@ -169,10 +169,11 @@ def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
 
     Sums of the squares after the two filters, 1 and √share, are correlated by √worth.
     """
-    p = scan_p_value(score, len(kinds[0].edges) - 1)
+    u = float(np.sqrt(2.0 * score))
+    p = extrapolated(_null(len(kinds[0].edges) - 1), u)
     if len(kinds) == 1:
         return p
-    u, r = float(np.sqrt(2.0 * score)), float(np.sqrt(kinds[1].worth))
+    r = float(np.sqrt(kinds[1].worth))
     both = multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]])
     # The largest of many exceed u more often for two kinds by the same factor as single normal variates.
     below = both.cdf([u, u], lower_limit=[-u, -u])
@@ -266,11 +267,6 @@ def _null(blocks: int) -> Float[np.ndarray, " draws"]:
         total = np.concatenate([[0.0], np.cumsum(rng.chisquare(many, blocks))])
         found.append(np.sqrt(2.0 * np.max(_gains(total, edges) - _log_trials_factor(len(edges)))))
     return np.array(found)
-
-
-def scan_p_value(score: float, blocks: int) -> float:
-    """Probability that noise without a change has so large a score in some interval."""
-    return extrapolated(_null(blocks), float(np.sqrt(2.0 * score)))
 
 
 def _held_out(kind: _Kind) -> float:
