@@ -60,20 +60,7 @@ def criticize(
     """
     causes = CAUSES if causes is None else causes
     tell = progress or (lambda text: None)
-    label = recording.name or "the recording"
-    if not 0.0 < false_alarms < 1.0:
-        raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
-    if recording.n < _SHORTEST:
-        raise FitError(
-            f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
-        )
-    if given is not None and given.axes != recording.names:
-        raise AllanjaxError(
-            f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
-        )
-    for result in given.results if given else ():
-        if not result.converged:
-            raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
+    _check(recording, given, false_alarms)
     per_axis = false_alarms / len(recording.axes)
 
     def searched(k: int) -> Search:
@@ -107,53 +94,53 @@ def criticize(
     )
 
     def judged(k: int) -> AxisCritique:
-        s = searches[k]
+        s, result = searches[k], fit.results[k]
+        axis = s.start.axis
         before = _compared(k, first, s.start.raw, recording)
         after = _compared(k, last, s.end.samples if s.preprocessed else s.start.raw, recording)
-        tell(f"{s.start.axis.name}: measuring the gain")
+        tell(f"{axis.name}: measuring the gain")
         middle = [residuals(k, stage) for stage in range(1, len(stages[k]) - 1)]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]
-        pairs = [
-            (*of_step, *_of_samples(step, before, after))
-            for step, of_step in zip(s.steps, before_and_after(records, recording.auxiliary), strict=True)
+        findings = [
+            _finding(step, (*pairs, *_of_samples(step, before, after)), drift)
+            for step, pairs, drift in zip(
+                s.steps, before_and_after(records, recording.auxiliary), drift_changes(s.steps), strict=True
+            )
         ]
-        drifts = drift_changes(s.steps)
-        findings = [_finding(*of_step) for of_step in zip(s.steps, pairs, drifts, strict=True)]
-        together = {name for f in shared if s.start.axis.name in f.axes for name in f.axes}
-        findings += _unexplained(s, after, bool(together))
+        findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
+        # An effect may be why there is no fit.
+        baseline = result.model if result.converged else basic_model(s.start)
         return AxisCritique(
-            s.start.axis,
-            tuple(findings),
-            before,
-            after,
-            s.tests,
-            stages[k],
-            # An effect may be why there is no fit.
-            fit.results[k].model if fit.results[k].converged else basic_model(s.start),
-            extended(s),
-            fit.results[k].misfit,
+            axis, tuple(findings), before, after, s.tests, stages[k], baseline, extended(s), result.misfit
         )
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         axes = tuple(pool.map(judged, range(len(searches))))
+    unfitted = [r for r in fit.results if not r.converged]
+    notes = [*fit.notes]
+    notes += [f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence" for r in unfitted]
+    notes += [note for s in searches for note in s.notes]
     return Critique(
-        recording.name,
-        recording.rate,
-        fit,
-        axes,
-        shared,
-        (
-            *fit.notes,
-            *(
-                f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence"
-                for r in fit.results
-                if not r.converged
-            ),
-            *(note for s in searches for note in s.notes),
-        ),
-        recording.dead,
-        fit.warnings,
+        recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead, fit.warnings
     )
+
+
+def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:
+    """Raise AllanjaxError or FitError if this cannot be criticized."""
+    label = recording.name or "the recording"
+    if not 0.0 < false_alarms < 1.0:
+        raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
+    if recording.n < _SHORTEST:
+        raise FitError(
+            f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
+        )
+    if given is not None and given.axes != recording.names:
+        raise AllanjaxError(
+            f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
+        )
+    for result in given.results if given else ():
+        if not result.converged:
+            raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
 
 
 def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:

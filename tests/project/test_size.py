@@ -8,8 +8,8 @@ from places import ROOT
 
 PACKAGE = ROOT / "allanjax"
 MODULE_LINES, FUNCTION_LINES = 400, 80
-# One loop each, whose steps share most of what they know.
-LONG = {"estimate/gls.py::_solve", "critic/criticize.py::criticize"}
+# One loop whose steps share most of what they know.
+LONG = {"estimate/gls.py::_solve"}
 
 
 def long_modules(folder: Path) -> set[str]:
