@@ -1,8 +1,9 @@
 """The critic: what a simulation of the fitted sensor gets wrong, why, and what is gained by mending it.
 
 A cause of one's own is a subclass of `Cause` with a `name` and a method `detect(view)`, which is handed a
-`View` of one axis and returns its best `Candidate`, or None. A shape that is known up to some parameters
-goes into a `Bank` of such shapes, `centred`, and `additive` finds the best of them.
+`View` of one axis and returns its best `Candidate`, or None. The candidate's parameters are `Estimate`s, made
+by `View.estimate`, `time_estimate`, `amplitude_estimate` or `log_estimate`. A shape that is known up to some
+parameters goes into a `Bank` of such shapes, `centred`, and `additive` finds the best of them.
 """
 
 from importlib import import_module

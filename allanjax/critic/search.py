@@ -124,8 +124,8 @@ def search(
         else:
             found = dict(candidates)
             nothing = {cause: 0.0 for cause in others if cause not in left and cause not in found}
-            in_time = {cause: float(c.gain) for cause, c in candidates if c.domain == "time"}
-            offered = {cause: offered[cause] for cause in left} | nothing | in_time
+            waveforms = {cause: float(c.gain) for cause, c in candidates if c.domain == "time"}
+            offered = {cause: offered[cause] for cause in left} | nothing | waveforms
     else:
         notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
     known = steps

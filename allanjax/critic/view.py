@@ -124,11 +124,6 @@ class View:
         """Slope of the ramp in the noise [rate/s], 0 if there is none."""
         return self.family.slope(self.coefficients, self.variance())[0] if self.noise.ramp else 0.0
 
-    @functools.cached_property
-    def basic(self) -> Noise:
-        """Most probable subset of all basic terms, also of those that the model lacks."""
-        return self.model_evidence.best([*EVERYTHING, *self.allowed])
-
     def combined(self, spectrum: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
         """Product of a spectrum, or of a factor of it, and the factor of earlier findings."""
         return spectrum if self.factor is None else spectrum * self.factor

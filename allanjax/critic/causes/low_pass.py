@@ -58,10 +58,11 @@ class LowPass(Cause):
             return None
         noise = view.noise
         # A basic term that the model lacks is preferred if it explains as much.
-        basic, instead = view.basic, view.allowed
+        every, instead = [*EVERYTHING, *view.allowed], view.allowed
+        basic = view.model_evidence.best(every)
         if "angle_random_walk" not in basic.terms and basic.shape * view.rate < _SHORT:
             # The same spectrum by another name: as white noise that is filtered it says where it ends.
-            basic = view.model_evidence.best([t for t in (*EVERYTHING, *view.allowed) if t != MARKOV])
+            basic = view.model_evidence.best([t for t in every if t != MARKOV])
             instead = [t for t in view.allowed if t != MARKOV]
         screen = _Screen(view)
         gains = screen.gains
