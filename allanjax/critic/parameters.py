@@ -13,9 +13,9 @@ from allanjax.record.recording import Axis
 ONE_SIDED = 1.645
 # Standard deviations to the ends of a 95 % interval of the normal law.
 _TWO_SIDED = 1.959963984540054
-#: Side of a 95 % limit on which a parameter is; "" where it is not a limit that is known of it.
+#: Side of its 95 % limit that a parameter is on; "" if more than a limit is known of it.
 Limit: TypeAlias = Literal["", "above", "below"]
-#: What a finding says beside its parameters: a word, several words, or a list of numbers.
+#: What a finding says besides its parameters: a word, several words, or a list of numbers.
 Detail: TypeAlias = str | tuple[str, ...] | tuple[Estimate, ...]
 
 

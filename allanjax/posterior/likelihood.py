@@ -356,11 +356,10 @@ def _ranges(
     """Lower and upper ends of the parameters' ranges, given those of the amplitudes."""
     n, rate = fit.curve.n, fit.curve.rate
     lower, upper = np.zeros(len(parameters)), ceiling.copy()
+    seen = {"time": (2.0 / rate, n / rate), "frequency": (rate / n, rate / 2.0)}
     for k, p in enumerate(parameters):
-        if p.parameter.kind == "time":
-            lower[k], upper[k] = 2.0 / rate, n / rate
-        elif p.parameter.kind == "frequency":
-            lower[k], upper[k] = rate / n, rate / 2.0
+        if p.parameter.kind in seen:
+            lower[k], upper[k] = seen[p.parameter.kind]
         elif p.parameter.kind == "number":
             lowest = p.parameter.lower
             lower[k], upper[k] = lowest + 1e-2, min(lowest + 1e4, p.parameter.upper - 1e-2)

@@ -161,3 +161,7 @@ def test_tables_of_results_hold_their_numbers_in_the_units_they_name(small_recor
     assert (frequency["value"], frequency["unit"]) == (finding.parameters["frequency"].value, "Hz")
     assert abs(frequency["value"] - 7.3) < 0.01
     assert frequency["axes"] == "gyro"
+    estimate = finding.parameters["frequency"]
+    assert (estimate.label, estimate.axis.name, estimate.source) == ("frequency", "gyro", "critique")
+    assert estimate.in_unit("1/h").value == pytest.approx(3600.0 * estimate.value)
+    assert estimate.in_unit("1/h").in_unit().value == pytest.approx(estimate.value)

@@ -41,6 +41,7 @@ def test_parameters_of_findings_are_estimates_as_those_of_a_fit():
     assert (hourly.value, hourly.std, hourly.unit) == pytest.approx((3600.0, 360.0, "deg/h/[temperature]"))
     assert hourly.describe() == "3,600 ± 360 deg/h/[temperature] (95 %: 2,890 … 4,310)"
     assert slope.in_unit() == hourly.in_unit() == slope
+    assert slope.si_unit == "rad/s/[temperature]"
     assert str(slope).startswith("gyro_x coefficient: 1.00 ± 0.10 deg/s/[temperature] (95 %: 0.80 … 1.20)")
     for other in ("deg/h", "deg/h/[pressure]", "m/s²/[temperature]"):
         with pytest.raises(UnitError):
