@@ -126,9 +126,6 @@ def characterize_fleet(
     time of its last change), options or version of allanjax are others, and those that failed. The table is
     of the files that are given; a note names recordings of an earlier run that are not among them.
 
-    Units are compared with the others of their group, or of their grade where a group shows several (see
-    `fleet.table.mark_outlying`).
-
     The local cluster's workers are processes that import the calling script: in a script, call this below
     `if __name__ == "__main__":`.
 
@@ -146,7 +143,8 @@ def characterize_fleet(
         **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop.
 
     Returns:
-        The table, with outlying units marked, and the errors.
+        The table, with units marked that are unlike the others of their group, or of their grade where a
+        group shows several (see `fleet.table.mark_outlying`), and the errors.
 
     Raises:
         AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
@@ -159,12 +157,11 @@ def characterize_fleet(
     added = None if model is None else as_model(model)
     options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors), as_is, vibrating)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
-    groups = group_names(group, recordings)
+    done = _Done(recordings, group_names(group, recordings))
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
     keys = {name: key_of(path, options) for name, path in recordings.items()}
     resumed, others = earlier(folder, recordings, keys)
-    done = _Done(recordings, groups)
     for name in resumed:
         done.take(name, stored(folder, name))
     tell = progress or (lambda done, failed, total: None)
@@ -178,12 +175,7 @@ def characterize_fleet(
                     store(folder, name, {"key": keys[name], "fit": outcome})
                 done.take(name, outcome)
                 tell(*done.counts, len(paths))
-    table, notes = judged(done.table())
-    if others:
-        notes = (left_out(others, folder), *notes)
-    result = FleetResult(table, done.failures(), paths, len(resumed), notes)
-    _write(result, out)
-    return result
+    return _written(done, len(resumed), (left_out(others, folder),) if others else (), out)
 
 
 @dataclass(frozen=True)
@@ -307,12 +299,16 @@ def _reason(path: Path, error: Exception) -> str:
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
-def _write(result: FleetResult, out: Path) -> None:
-    """Write the table, the errors, the notes and the picture."""
-    write_table(result.table, out / "fleet.parquet")
+def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> FleetResult:
+    """Result of all that is done, after these notes; its table, errors, notes and picture are in `out`."""
+    table, more = judged(done.table())
+    paths = tuple(done.recordings.values())
+    result = FleetResult(table, done.failures(), paths, resumed, (*notes, *more))
+    write_table(table, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
         writer.writerows(result.errors)
     (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
     result.plot(out / "fleet.png")
+    return result

@@ -122,8 +122,7 @@ def _too_few(table: pd.DataFrame) -> list[str]:
     if small.empty:
         return []
     if list(small.index) == [""]:
-        count = int(small.iloc[0])
-        whose = f"{count} unit{'s' * (count > 1)}"
+        whose = f"{small.iloc[0]} unit{'s' * (small.iloc[0] > 1)}"
     else:
         whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()])}"
     return [f"{whose}: too few to say whether one is unlike the others, which takes {FEWEST_UNITS}"]
@@ -131,12 +130,11 @@ def _too_few(table: pd.DataFrame) -> list[str]:
 
 def left_out(files: Sequence[Path], folder: Path) -> str:
     """Note on recordings that an earlier run had, and this one does not name."""
-    count = f"{len(files)} recording{'s' * (len(files) > 1)}"
-    be = "are" if len(files) > 1 else "is"
+    recordings, be = ("recordings", "are") if len(files) > 1 else ("recording", "is")
     return (
-        f"{count} of an earlier run {be} not among these files and {be} left out of fleet.parquet: "
-        f"{listed([str(path) for path in files])}. What was computed stays in {folder}: name the files too, "
-        "and they are in the table again"
+        f"{len(files)} {recordings} of an earlier run {be} not among these files and {be} left out of "
+        f"fleet.parquet: {listed([str(path) for path in files])}. What was computed stays in {folder}: name "
+        "the files too, and they are in the table again"
     )
 
 
@@ -157,29 +155,16 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     # Axes and coefficients in the order in which they first occur.
     order = [table[name].factorize(sort=name == "group")[0] for name in ("axis", "coefficient", "group")]
     for _, of in table.groupby(order, sort=True):
-        axis, sensor, coefficient, unit, group = of[["axis", "sensor", "coefficient", "unit", "group"]].iloc[
-            0
-        ]
+        first = of.iloc[0]
         found = of[of["detected"] & of["measured"] & np.isfinite(of["value"])]
         usual = found.loc[~found["outlying"], "value"]
-        middle, span = _spread(usual.to_numpy(), found["std"].to_numpy(), unit)
+        spread = _spread(usual.to_numpy(), found["std"].to_numpy(), first["unit"])
         odd = of[of["outlying"]]
-        ratios = odd["value"] / usual.median()
-        units = [
-            f"{name} ({significant(ratio, 2)})" for name, ratio in zip(odd["recording"], ratios, strict=True)
-        ]
-        title = title_of(coefficient, Axis(axis, sensor, unit))
-        rows.append(
-            (
-                axis,
-                title,
-                *([group] if grouped else []),
-                f"{len(found)} of {len(of)}",
-                middle,
-                span,
-                listed(units),
-            )
-        )
+        ratios = zip(odd["recording"], odd["value"] / usual.median(), strict=True)
+        units = [f"{name} ({significant(ratio, 2)})" for name, ratio in ratios]
+        title = title_of(first["coefficient"], Axis(first["axis"], first["sensor"], first["unit"]))
+        row = (first["axis"], title, first["group"]) if grouped else (first["axis"], title)
+        rows.append((*row, f"{len(found)} of {len(of)}", *spread, listed(units)))
     return (*headings, "detected", "median ± scatter", "5 … 95 %", "outlying (× median)"), rows
 
 
