@@ -23,16 +23,11 @@ _LETTERS: dict[Sensor, str] = {"gyro": "[gw]", "accel": "a"}
 # Statistics of a sensor's samples are no axes.
 _NOT_A_SAMPLE = re.compile(r"(?:^|_)(?:bias|sigma|std|var|variance|cov|covariance)(?:_|$)")
 
-# Units at the end of a name, as in `gyro_x_dps`.
+# Patterns of units at the end of a name, as in `gyro_x_dps`.
 _UNIT_SUFFIXES = {
-    "dps": "deg/s",
-    "deg_s": "deg/s",
-    "degps": "deg/s",
-    "rad_s": "rad/s",
-    "radps": "rad/s",
-    "m_s2": "m/s²",
-    "mps2": "m/s²",
-    "ms2": "m/s²",
+    "deg/s": "dps|deg_s|degps",
+    "rad/s": "rad_s|radps",
+    "m/s²": "m_s2|mps2|ms2",
     "mg": "mg",
     "g": "g",
 }
@@ -73,10 +68,9 @@ def recognise(label: str) -> Column:
     words = _words(stem)
     axis = _axis(label, words, unit)
     if axis is None and unit is None:
-        for suffix, suffix_unit in _UNIT_SUFFIXES.items():
-            if words.endswith("_" + suffix):
-                axis = _axis(label, words.removesuffix("_" + suffix), suffix_unit)
-                break
+        for suffix_unit, suffixes in _UNIT_SUFFIXES.items():
+            if match := re.fullmatch(rf"(.+)_(?:{suffixes})", words):
+                axis = axis or _axis(label, match[1], suffix_unit)
     return axis or _time(label, stem, words, unit) or Column(label, "auxiliary", stem, unit=unit)
 
 

@@ -11,6 +11,8 @@ from imu_columns import HEADER, SIX, UNITS
 
 import allanjax as aj
 from allanjax.record.io import read, read_chunks
+from allanjax.record.io.table import Table
+from allanjax.record.validation import Source
 
 h5py = pytest.importorskip("h5py")
 
@@ -128,6 +130,15 @@ def test_rate_is_that_of_the_first_chunk(tmp_path, frame):
     assert chunks.rate == pytest.approx(999 / drifting["time [s]"][999], rel=1e-12)
     assert any("of the first 1000 samples" in note for note in chunks.notes)
     assert sum(map(len, chunks)) == ROWS
+
+
+def test_a_table_in_more_pieces_than_asked_for_is_put_together(noise):
+    """As of a Parquet file with more text than Arrow puts into one array."""
+    pieces = (noise[:7], noise[7:2000], noise[2000:])
+    table = Table(lambda chunk: (tuple(piece.T) for piece in pieces), None, Source("pieces"))
+    np.testing.assert_array_equal(np.column_stack(table.columns()), noise)
+    with pytest.raises(aj.RecordingError, match="no rows"):
+        Table(lambda chunk: iter(()), None, Source("nothing")).columns()
 
 
 # --- HDF5 ---------------------------------------------------------------------------------------------------
