@@ -185,16 +185,17 @@ def _of_samples(
 def _finding(
     step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...], drift: DriftChange | None
 ) -> Finding:
-    candidate = step.candidate
+    candidate, view = step.candidate, step.before
+    start, end = candidate.support
     return Finding(
         cause=candidate.cause,
-        axes=(step.before.axis.name,),
+        axes=(view.axis.name,),
         parameters=candidate.parameters,
         p_value=candidate.p_value,
         evidence=float(candidate.gain),
         gain=float(step.gain),
         rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
-        span=(float(candidate.support[0]), float(candidate.support[1])),
+        span=(float(start), float(end if np.isfinite(end) else view.duration)),
         domain=candidate.domain,
         details=candidate.details,
         coefficients=coefficient_changes(step),

@@ -331,7 +331,7 @@ class Candidate:
         p_value: p-value of its statistic, corrected for the search.
         after: view without the effect.
         held_out: computes the gain in log-likelihood on data that it was not estimated from [nats].
-        support: start and end in time [s], or low and high frequency [Hz], as `domain` says.
+        support: start and end in time [s], by default of the record, or low and high frequency [Hz].
         domain: "time" or "frequency".
         add_to_model: adds it to a model of noise terms.
         has_waveform: whether it subtracts a known waveform from the lowest coefficients.
@@ -345,8 +345,8 @@ class Candidate:
     p_value: float
     after: View
     held_out: Callable[[], float]
-    support: tuple[float, float]
-    domain: str
+    support: tuple[float, float] = (0.0, np.inf)
+    domain: str = "time"
     add_to_model: Callable[[Model], Model] = lambda model: model
     has_waveform: bool = False
     parts: tuple[Candidate, ...] = ()

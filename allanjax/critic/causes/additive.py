@@ -33,7 +33,7 @@ def additive(
     bank: Bank,
     shape: Callable[[int], Float[np.ndarray, " n"]],
     parameters: Callable[[int, float, float, Float[np.ndarray, " shapes"]], Sequence[Estimate]],
-    span: Callable[[int], tuple[float, float]],
+    span: Callable[[int], tuple[float, float]] | None = None,
     log_trials: float = 0.0,
     term: Callable[[int, float], NoiseTerm] | None = None,
     details: Mapping[str, Detail] | None = None,
@@ -47,7 +47,7 @@ def additive(
         shape: gives the shape of an index in full, for n samples.
         parameters: gives the parameters by index, amplitude, its standard deviation and the probability of
             each shape.
-        span: gives start and end in time [s] by index.
+        span: gives start and end in time [s] by index, by default those of the record.
         log_trials: further log trials factor of the search [nats].
         term: gives the noise term by index and amplitude [SI], if there is one.
         details: words and lists of numbers by name.
@@ -82,9 +82,8 @@ def additive(
                 1.0,
                 after,
                 partial(bank.held_out, view, after),
-                span(k),
-                "time",
-                adding(term and term(k, float(scan.amplitude[k]))),
+                span(k) if span else (0.0, view.duration),
+                add_to_model=adding(term and term(k, float(scan.amplitude[k]))),
                 has_waveform=True,
                 details=details or {},
             )

@@ -65,8 +65,6 @@ class BasicTerm(Cause):
             _p_value(view, term),
             after,
             held_out,
-            (0.0, view.duration),
-            "time",
         )
 
     def _parameters(self, view: View, allowed: Sequence[str], noise: Noise, term: str) -> list[Estimate]:

@@ -107,7 +107,6 @@ class BiasStep(Cause):
             after,
             lambda: min(first.held_out(), second.held_out()),
             (min(first.support[0], second.support[0]), view.duration),
-            "time",
             parts=(first, second),
         )
 
@@ -126,8 +125,7 @@ class BiasStep(Cause):
             without,
             cache(partial(bank.held_out, alone, without)),
             (float(places[k] / view.rate), view.duration),
-            "time",
-            adding(_term(view, places[k], a)),
+            add_to_model=adding(_term(view, places[k], a)),
             has_waveform=True,
         )
 

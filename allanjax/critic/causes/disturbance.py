@@ -79,7 +79,6 @@ class Disturbance(Cause):
             quiet,
             lambda: _held_out(squares, start, end),
             (start / view.rate, end / view.rate),
-            "time",
         )
 
 

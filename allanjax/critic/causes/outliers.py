@@ -89,7 +89,6 @@ class Outliers(Cause):
             after,
             lambda: _held_out(z),
             (times[0] / view.rate, times[-1] / view.rate),
-            "time",
             details={
                 "times": tuple(view.estimate("time", k / view.rate, 1.0 / view.rate, "s") for k in times)
             },

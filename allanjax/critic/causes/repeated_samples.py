@@ -49,8 +49,6 @@ class RepeatedSamples(Cause):
             float(norm.sf(z)) if chance > 0.0 else 0.0,
             impute_gaussian(view, same),
             lambda: _held_out(same, chance),
-            (0.0, view.duration),
-            "time",
         )
 
 

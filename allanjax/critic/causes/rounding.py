@@ -43,8 +43,6 @@ class Rounding(Cause):
             float(np.exp(-min(gain, 700.0))),
             view.with_samples(x),
             lambda: gain,
-            (0.0, view.duration),
-            "time",
         )
 
 

@@ -50,8 +50,6 @@ class Saturation(Cause):
             float(np.exp(-min(gain, 700.0))),
             view.with_samples(x, (raw == raw.max()) | (raw == raw.min())),
             lambda: gain,
-            (0.0, view.duration),
-            "time",
         )
 
 

@@ -65,9 +65,8 @@ class Telegraph(Cause):
             shape,
             lambda k: whole,
             parameters,
-            lambda k: (0.0, view.duration),
-            found.log_trials_factor(means, path),
-            lambda k, a: terms.Telegraph(abs(a), dwell),
+            log_trials=found.log_trials_factor(means, path),
+            term=lambda k, a: terms.Telegraph(abs(a), dwell),
         )
         if candidate is None:
             return None

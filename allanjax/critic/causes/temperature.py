@@ -66,8 +66,7 @@ class Temperature(Cause):
             bank,
             shape,
             parameters,
-            lambda k: (0.0, view.duration),
-            float(np.log(len(view.auxiliary))),
+            log_trials=float(np.log(len(view.auxiliary))),
             details={"channel": name},
         )
 

@@ -146,7 +146,6 @@ class VarianceChange(Cause):
             after,
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
-            "time",
             details={"noise": kind.name},
         )
 
