@@ -34,6 +34,9 @@ from allanjax.noise import terms as terms
 from allanjax.noise.estimate import Coefficient as Coefficient
 from allanjax.noise.estimate import Estimate as Estimate
 from allanjax.noise.model import Model as Model
+from allanjax.noise.response import LowPass1 as LowPass1
+from allanjax.noise.response import LowPass2 as LowPass2
+from allanjax.noise.response import Response as Response
 from allanjax.noise.sensors import SENSORS as SENSORS
 from allanjax.noise.sensors import SensorPreset as SensorPreset
 from allanjax.noise.simulate import simulate as simulate

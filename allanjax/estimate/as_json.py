@@ -180,6 +180,7 @@ def _coefficient(c: Estimate) -> dict[str, Any]:
         "symbol": c.symbol,
         "kind": c.kind,
         "detected": c.detected,
+        "rivals": list(c.rivals),
         "held": c.held,
         "measured": c.measured,
         "unit": shown.unit,

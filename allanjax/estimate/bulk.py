@@ -26,7 +26,7 @@ from allanjax.base.wording import significant
 from allanjax.estimate.allan_design import AllanDesign
 from allanjax.estimate.axis_fits import estimated, solve_and_infer
 from allanjax.estimate.coefficients import estimates_of, reported
-from allanjax.estimate.design import free_powers
+from allanjax.estimate.design import free_powers, model_to_fit
 from allanjax.estimate.deterministic import needs_record
 from allanjax.estimate.fit import check_length
 from allanjax.estimate.gls import Solution
@@ -34,7 +34,7 @@ from allanjax.estimate.inference import Inference
 from allanjax.estimate.starts import find_starts
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import ModelLike
 from allanjax.record.recording import Recording
 from allanjax.record.units import unit_scale
 
@@ -167,7 +167,7 @@ def fit_many(
         AllanjaxError: recordings that differ in length or rate, or none; a modified or Hadamard curve.
     """
     curve = _curve_of(data, cluster_times)
-    template = as_model(model, curve.axes or ())
+    template = model_to_fit(model, curve.axes or ())
     _check_terms(template)
     check_length(curve, template, "the curve")
     return _bulk_fit(curve, template, *_in_blocks(curve, template))

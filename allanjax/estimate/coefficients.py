@@ -235,7 +235,7 @@ def deterministic_coefficients(
             ends = [unit * amplitude_quantile(square, components, float(level)) for level in ndtr(levels)]
             interval, interval_68, limit = (ends[0], ends[1]), (ends[2], ends[3]), ends[4]
             value = ends[5] if active else 0.0
-            detected = active and interval[0] > 0.0 and chance < _FALSE_LINE
+            detected = bool(active and interval[0] > 0.0 and chance < _FALSE_LINE)
             std = unit if value > 0.0 else 0.0
         else:
             assert line is not None

@@ -8,7 +8,7 @@ at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`Spectr
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,9 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from allanjax.base.errors import FitError
 from allanjax.base.linalg import CholeskyWhitened
 from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.terms import NoiseTerm, Parameter
+from allanjax.record.columns import Column
+from allanjax.record.recording import Axis
 
 
 class FreeShape(NamedTuple):
@@ -114,6 +118,21 @@ class Design(eqx.Module):
     @abc.abstractmethod
     def count(self) -> Float[Array, ""]:
         """Number of estimates, as far as they have degrees of freedom."""
+
+
+def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
+    """Model as `as_model` makes it, for a fit to these axes.
+
+    Raises:
+        FitError: the model has a response.
+    """
+    found = as_model(model, axes)
+    if found.response is not None:
+        raise FitError(
+            f"a fit does not estimate a response yet ({found.response!r}): fit the terms without it, or "
+            "simulate the model"
+        )
+    return found
 
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:

@@ -13,11 +13,12 @@ from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import fit_allan, fit_whittle, with_curve
+from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.result import NEXT, AxisFit, Fit
-from allanjax.estimate.selection import TermSelection, select_terms
+from allanjax.estimate.selection import AxisSelection, TermSelection, select_terms
 from allanjax.inspection import Inspection, inspect
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, Telegraph, basic_terms
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -110,7 +111,7 @@ def inspected(
     vibrating: bool,
 ) -> Inspection:
     """Inspection of a recording for a fit of this model, which may say that the mean moves."""
-    terms = () if model is None else as_model(model, recording.axes).terms
+    terms = () if model is None else model_to_fit(model, recording.axes).terms
     timed = any(isinstance(term, Transient) for term in terms)
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
     # The time of a step counts from the first sample.
@@ -136,6 +137,8 @@ def _fitted(
         axes = range(len(recording.axes))
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
         results, curve = with_curve(curve, template, results)
+    if selection is not None:
+        results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)
     notes = recording.notes + ambiguities(selection)
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
 
@@ -196,7 +199,7 @@ def terms_to_fit(
         FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
     """
     if selection is None:
-        template = basic_terms() if model is None else as_model(model, axes)
+        template = basic_terms() if model is None else model_to_fit(model, axes)
         template = _with_known_transients(template, objective)
         _check_distinct(template)
         return template, np.ones((len(axes), len(template)), bool)
@@ -269,6 +272,23 @@ def _regressors(
                 f"auxiliary channel {name!r} is constant or not finite: nothing to regress on"
             )
     return channels
+
+
+def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
+    """Result whose chosen terms are detected only where the sets with them have nearly all the probability.
+
+    The interval of a coefficient is right for the chosen set; of weak terms that set may be the wrong one.
+    """
+    doubtful = ranking.doubtful()
+    if not (result.converged and doubtful):
+        return result
+    coefficients = {
+        label: dataclasses.replace(c, detected=False, rivals=doubtful[c.term] if c.is_amplitude else ())
+        if c.term in doubtful and c.detected
+        else c
+        for label, c in result.coefficients.items()
+    }
+    return dataclasses.replace(result, _coefficients=coefficients)
 
 
 def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:

@@ -146,6 +146,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
             upper_limit=math.inf if limit is None and limited else limit,
             lower_limit=si["lower_limit_95"],
             detected=c["detected"],
+            rivals=tuple(c.get("rivals", ())),
             held=c["held"],
             measured=c["measured"],
         )

@@ -16,11 +16,12 @@ from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
+from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import Evidence, TermSubset, evidences, term_subsets, without_ramp
 from allanjax.estimate.spectral_design import bins_per_octave
 from allanjax.estimate.starts import correlation_times
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, NoiseTerm, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis
@@ -43,6 +44,8 @@ _NUMBERS = ("probability", "nats behind")
 _ODDS = 20.0
 # A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
 _PARSIMONY = 5.0
+# Posterior probability of a chosen term, summed over all sets that have it, from which on it is detected.
+_CERTAIN = 0.9
 # Probability below which a further term is not mentioned as an ambiguity: any might be there, unseen.
 _WORTH_SAYING = 0.1
 # Number of times that the evidence is computed anew with the error of the best set.
@@ -111,6 +114,20 @@ class AxisSelection(ByValue):
         """Posterior probability of each term: the sum over the sets that have it."""
         names = max((s.terms for s in self.ranking), key=len)
         return {name: sum(s.probability for s in self.ranking if name in s.terms) for name in names}
+
+    def doubtful(self) -> dict[str, tuple[str, ...]]:
+        """The chosen terms whose posterior probability is below 90 %, and the terms that may replace each.
+
+        The replacements are of the sets without the term that are not told from the best, the most probable
+        first. There are none if the term may as well be missing altogether.
+        """
+        found = {}
+        for term in self.chosen.terms:
+            if self.inclusion[term] < _CERTAIN:
+                without = [s for s in self.indistinguishable if term not in s.terms]
+                others = [t for s in without for t in s.terms if t not in self.chosen.terms]
+                found[term] = tuple(dict.fromkeys(others))
+        return found
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row a set; log-evidences are relative to the best set's [nats]."""
@@ -233,7 +250,7 @@ def select_terms(
 
 def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
     """Candidate terms as sampled at `rate` [Hz]: those given, or the basic ones and a Markov process."""
-    return (basic_terms() + Markov() if candidates is None else as_model(candidates)).sampled(rate)
+    return (basic_terms() + Markov() if candidates is None else model_to_fit(candidates)).sampled(rate)
 
 
 def rank_terms(

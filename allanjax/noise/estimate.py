@@ -41,6 +41,8 @@ class Estimate(ByValue):
             finding's parameter the limit is the `value`, too.
         lower_limit: the same of a parameter that may be anywhere above.
         detected: whether zero is excluded.
+        rivals: of an amplitude that is not `detected` though zero is excluded: names of other terms that may
+            be there in its place, for the data do not tell which.
         held: whether the value was given and not estimated.
         measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
             `AxisFit.misfit`) it is not: the value is that of the curve; standard deviation and intervals are
@@ -65,6 +67,7 @@ class Estimate(ByValue):
     upper_limit: float | None = None
     lower_limit: float | None = None
     detected: bool = True
+    rivals: tuple[str, ...] = ()
     held: bool = False
     measured: bool = True
     remark: str = ""
@@ -197,7 +200,10 @@ class Estimate(ByValue):
             return f"not a measurement of this sensor (fitted: {amount})"
         if not self.detected:
             if self.upper_limit is None:
-                return "not determined: its term is not detectable"
+                return "not determined: its term is not detected"
+            if self.rivals:
+                names = " or ".join(title_of(name, self.axis) for name in self.rivals)
+                return f"not told from {names}, below {amount} (95 %)"
             return f"not detectable, below {amount} (95 %)"
         if self._shape_limit is not None:
             return f"{'below' if self.lower_limit is None else 'above'} {amount} (95 %)"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.noise import terms as all_terms
 from allanjax.noise.model import Model
-from allanjax.noise.terms import NoiseTerm, Parameter
+from allanjax.noise.parameter import Parameter, Parametrized
+from allanjax.noise.response import LowPass1, LowPass2, Response
+from allanjax.noise.terms import NoiseTerm
 from allanjax.record.units import SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
@@ -28,6 +30,14 @@ _VALUE = re.compile(
 )
 # SI units of parameters that are no amplitudes, by their kind.
 _KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
+
+
+_Kind = TypeVar("_Kind", bound=Parametrized)
+
+
+def response_classes() -> dict[str, type[Response]]:
+    """Classes of responses by name, e.g. `low_pass1`."""
+    return {c.name(): c for c in (LowPass1, LowPass2)}
 
 
 @functools.cache
@@ -70,6 +80,7 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
     Terms stand side by side with `+` or `,`. Each is a name or the symbol of its amplitude (`N` for
     `angle_random_walk`), alone, with the amplitude (`N=0.1 deg/√h`), or with parameters in brackets
     (`markov(amplitude=3 deg/h/√h, correlation_time=100 s)`). `held` after a value keeps it fixed in a fit.
+    Terms that pass a filter stand in brackets after it: `low_pass1(bandwidth=28 Hz) * (N + K) + resonance`.
 
     Args:
         text: e.g. `"N + B + K"` or `"quantization, angle_random_walk, markov"`.
@@ -79,7 +90,14 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
         AllanjaxError: unknown terms or parameters, or values that are none.
         UnitError: a unit that is unknown or does not fit the parameter.
     """
-    return Model(tuple(_term(part, sensor) for part in _split(text, "+,")))
+    model = Model(())
+    for part in _split(text, "+,"):
+        *filters, passing = _split(part, "*")
+        inner = parse_model(passing[1:-1], sensor) if passing.startswith("(") else _term(passing, sensor)
+        for filter_ in reversed(filters):
+            inner = _named(filter_, response_classes(), sensor) * inner
+        model = model + inner
+    return model
 
 
 def _split(text: str, separators: str) -> list[str]:
@@ -102,14 +120,19 @@ def _split(text: str, separators: str) -> list[str]:
 
 def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
     """Noise term written as text."""
+    return _named(text, term_classes(), sensor)
+
+
+def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None) -> _Kind:
+    """Noise term or response written as text."""
     match = _TERM.fullmatch(text)
     if match is None:
         raise AllanjaxError(
             f"cannot read the term {text!r}; write a name such as angle_random_walk or N=0.1 deg/√h"
         )
-    cls = _class(match["name"])
-    amplitude = cls.amplitude_parameter()
-    arguments = [(amplitude.name, match["value"])] if match["value"] else []
+    cls = _class(match["name"], classes)
+    first = cls.parameters()[0]
+    arguments = [(first.name, match["value"])] if match["value"] else []
     for argument in _split(match["arguments"], ",") if match["arguments"] else []:
         pair = _ARGUMENT.fullmatch(argument)
         if pair is None:
@@ -120,22 +143,22 @@ def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
         p = _parameter(cls, name)
         values[p.name], is_held = _value(value, p, sensor)
         held += [p.name] if is_held else []
-    term = cls().replace(**values)
-    return term.hold(*held) if held else term
+    made = cls().replace(**values)
+    return made.hold(*held) if held else made
 
 
-def _class(name: str) -> type[NoiseTerm]:
-    """Class of the term with this name, or with this symbol of its amplitude."""
-    classes = term_classes()
-    by_symbol = {c.amplitude_parameter().symbol: c for c in classes.values()}
+def _class(name: str, classes: Mapping[str, type[_Kind]]) -> type[_Kind]:
+    """Class of the term or response with this name, or with this symbol of its first parameter."""
+    by_symbol = {c.parameters()[0].symbol: c for c in classes.values() if issubclass(c, NoiseTerm)}
     if name.lower() not in classes and name not in by_symbol:
-        known = ", ".join(f"{label} ({c.amplitude_parameter().symbol})" for label, c in classes.items())
-        raise AllanjaxError(f"there is no term {name!r}; there are {known}")
+        known = ", ".join(f"{label} ({c.parameters()[0].symbol})" for label, c in classes.items())
+        what = "term" if by_symbol else "response"
+        raise AllanjaxError(f"there is no {what} {name!r}; there are {known}")
     return classes.get(name.lower()) or by_symbol[name]
 
 
-def _parameter(cls: type[NoiseTerm], name: str) -> Parameter:
-    """Parameter of a term by its name or symbol."""
+def _parameter(cls: type[Parametrized], name: str) -> Parameter:
+    """Parameter of a term or response by its name or symbol."""
     for p in cls.parameters():
         if name in (p.name, p.symbol):
             return p

@@ -1,12 +1,16 @@
-"""Parameters of noise terms, and how a term declares them."""
+"""Parameters of noise terms and responses, and how these declare them."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Literal, TypeAlias
+import re
+from typing import Any, Literal, Self, TypeAlias
 
 import equinox as eqx
+import numpy as np
+
+from allanjax.base.errors import AllanjaxError
 
 #: A parameter's value: a number, an array inside compiled functions, or None for "to be estimated".
 Value: TypeAlias = Any
@@ -60,3 +64,74 @@ def parameter(
     declared: dict[str, Any] = {"symbol": symbol, "kind": kind, "time_exponent": time_exponent}
     declared |= {"lower": lower, "upper": upper}
     return eqx.field(default=default, metadata={"parameter": declared})
+
+
+class Parametrized(eqx.Module):
+    """What has parameters that are declared as fields: a noise term, or a response."""
+
+    held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """Declared parameters, in order."""
+        return tuple(
+            Parameter(field.name, **field.metadata["parameter"])
+            for field in dataclasses.fields(cls)
+            if "parameter" in field.metadata
+        )
+
+    @classmethod
+    def name(cls) -> str:
+        """Name of the class, e.g. "bias_instability"."""
+        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
+
+    def is_free(self, p: Parameter) -> bool:
+        """Whether a fit estimates this parameter. An infinite value is a limit, never a start."""
+        value = getattr(self, p.name)
+        infinite = isinstance(value, float) and math.isinf(value)
+        return p.name not in self.held and not infinite
+
+    def hold(self, *names: str, **values: float) -> Self:
+        """A copy whose named parameters a fit leaves alone, e.g. `Markov().hold(correlation_time=100.0)`."""
+        known = {p.name for p in self.parameters()}
+        for name in (*names, *values):
+            if name not in known:
+                raise AllanjaxError(f"{self.name()} has no parameter {name!r}; it has {sorted(known)}")
+        held = self.held | set(names) | set(values)
+        copy = dataclasses.replace(self, **values, held=held)
+        unset = [name for name in held if getattr(copy, name) is None]
+        if unset:
+            raise AllanjaxError(f"{self.name()}: cannot hold {unset[0]} without a value; give {unset[0]}=…")
+        return copy
+
+    def replace(self, **values: Any) -> Self:
+        """A copy with these parameter values."""
+        return dataclasses.replace(self, **values)
+
+    def __repr__(self) -> str:
+        """Python expression with values in SI, e.g. `Markov(correlation_time=3).hold("correlation_time")`."""
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
+        shown = {p.name: _shown(getattr(self, p.name)) for p in self.parameters()}
+        names = [name for name, text in shown.items() if text != _shown(usual[name])]
+        values = [f"{name}={shown[name]}" for name in names]
+        arguments = ", ".join(values).removeprefix("coefficient=")
+        held = ", ".join(f'"{name}"' for name in names if name in self.held)
+        return f"{type(self).__name__}({arguments})" + (f".hold({held})" if held else "")
+
+    def __check_init__(self) -> None:
+        for p in self.parameters():
+            value = getattr(self, p.name)
+            if isinstance(value, int | float | np.floating):
+                bound = ""
+                if not (value >= 0 if p.is_amplitude else value > p.lower):
+                    bound = "≥ 0" if p.is_amplitude else f"> {p.lower:g}"
+                # Infinity is a valid limit of some parameters, e.g. of a cutoff.
+                elif value >= p.upper < math.inf:
+                    bound = f"< {p.upper:g}"
+                if bound:
+                    raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, got {value!r}")
+
+
+def _shown(value: Value) -> str:
+    """Value to six digits; an array inside a compiled function as JAX prints it."""
+    return f"{value:.6g}" if isinstance(value, int | float | np.floating) else str(value)

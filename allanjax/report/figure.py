@@ -230,7 +230,8 @@ def term_entries(
 
 def drawn_terms(result: AxisFit) -> set[str]:
     """Labels of the terms of a fitted model that have lines: not those that cannot be told from none."""
-    hidden = {c.term for c in result.coefficients.values() if c.measured and not c.detected}
+    of_terms = [c for c in result.coefficients.values() if c.is_amplitude]
+    hidden = {c.term for c in of_terms if c.measured and not (c.detected or c.rivals)}
     return set(result.term_labels) - hidden
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from common.truth import RATE, Case
+from common.truth import RATE, SHAPES, Case
 
 # Scenarios are written for so many samples. Longer records have their noise stretched along with them, so
 # that every term stays as well seen as it was.
@@ -37,12 +37,21 @@ class Scenario:
         """The middle of all ranges, at 2¹⁴ samples."""
         return Case(self.name, self.middle)
 
-    def draw(self, n: int, records: int, rng: np.random.Generator) -> Case:
-        """Coefficients for so many records: frequencies uniform, others log-uniform."""
+    def draw(
+        self, n: int, records: int, rng: np.random.Generator, strength: tuple[float, float] = (1.0, 1.0)
+    ) -> Case:
+        """Coefficients for so many records: frequencies uniform, others log-uniform.
+
+        Amplitudes but that of white noise are multiplied by a strength, one for each record, drawn between
+        these log-uniformly.
+        """
         truth = {}
         for c, (low, high) in self.ranges(n).items():
             u = rng.uniform(size=records)
             truth[c] = low + u * (high - low) if c == "f" else low * (high / low) ** u
+        if strength != (1.0, 1.0):
+            weaker = strength[0] * (strength[1] / strength[0]) ** rng.uniform(size=records)
+            truth = {c: v if c in ("N", *SHAPES) else v * weaker for c, v in truth.items()}
         return Case(self.name, truth)
 
 
@@ -59,6 +68,7 @@ SCENARIOS = {
         Scenario("Q+N+K", {"Q": 0.1, "N": 1.0, "K": 2.0}),
         Scenario("N+B", {"N": 1.0, "B": 2.0}),
         Scenario("N+B+K", {"N": 1.0, "B": 4.0, "K": 5.0}),
+        Scenario("N+Markov", {"N": 1.0, "q": 40.0, "T": 0.1}),
         Scenario("N+Markov+K", {"N": 1.0, "q": 40.0, "T": 0.1, "K": 6.0}),
         Scenario("N+K+R", {"N": 1.0, "K": 2.0, "R": 2.5}),
         Scenario("Q+N+B+K+R", {"Q": 0.1, "N": 1.0, "B": 5.0, "K": 5.0, "R": 6.0}, factor=2.0),

@@ -231,6 +231,42 @@ def test_ambiguities_name_what_is_swapped_or_doubtful():
     assert by_hand(N=1.0, N_K=0.01).ambiguities() == ()
 
 
+def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share():
+    """By hand: of 1.0 + 0.8 + 0.1 the sets with flicker have 1.1, so 58 %, those with a walk 47 %."""
+    axis = by_hand(N_B=1.0, N_K=0.8, N_B_K=0.1)
+    assert axis.chosen.terms == (NAMES["N"], NAMES["B"])
+    assert axis.doubtful() == {NAMES["B"]: (NAMES["K"],)}
+    # Where the alternative is nothing at all, nothing stands in its place.
+    assert by_hand(N_K=1.0, N=0.19).doubtful() == {NAMES["K"]: ()}
+    assert by_hand(N_K=1.0, N=0.01, N_B_K=0.1).doubtful() == {}
+
+
+def test_a_slow_term_that_may_be_another_is_not_called_detected():
+    """A weak flicker, whose sets are even: 32 records of N + B at a quarter of what is clearly seen.
+
+    In none is a term detected of which the sets without it have 20 % or more, nor is one lost that all
+    probable sets have; in some the interval alone would have said so.
+    """
+    found = aj.fit(recording([noise(500 + k, N=N, B=0.25 * B) for k in range(32)]), as_is=True)
+    told = 0
+    for result in found.results:
+        ranking = found.selection[result.axis.name]
+        for c in result.coefficients.values():
+            if not c.is_amplitude or c.term not in ranking.chosen.terms:
+                continue
+            share = sum(s.probability for s in ranking.ranking if c.term in s.terms)
+            if share < 0.8:
+                assert not c.detected
+            if c.interval[0] > 0.0 and share > 0.99:
+                assert c.detected
+            if c.rivals:
+                told += 1
+                assert "not told from" in c.describe()
+                assert "below" in c.describe()
+                assert c.term in result.model.term_labels
+    assert told > 0
+
+
 # --- Records of known truth ---------------------------------------------------------------------------------
 
 TRUTHS = [{"N": N}, {"N": N, "K": K}, {"N": N, "B": B}, {"Q": 0.15, "N": N, "K": 0.02, "R": R}]

@@ -13,7 +13,7 @@ import allanjax as aj
 from allanjax.estimate.evidence import without_ramp
 from allanjax.estimate.stream_fits import fit_stream, select_stream_terms
 from allanjax.estimate.whittle import fit_axis
-from allanjax.noise.terms.exponential import exponential_density
+from allanjax.noise.exponential import exponential_density
 from allanjax.spectrum.cosine import PooledBins, SpectralStatistics
 from allanjax.spectrum.segments import SegmentSpectra
 

@@ -60,7 +60,7 @@ def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -
     decay = w0 / (2.0 * Q)
     wd = jnp.sqrt(w0**2 - decay**2)
     pole = jnp.asarray(-decay + 1j * wd)
-    # Means of M readings, as in `noise.terms.exponential_density`.
+    # Means of M readings, as in `noise.exponential_density`.
     M = levels.interval
     q, y, z = jnp.exp(pole), -jnp.expm1(pole), -jnp.expm1(M * pole)
     series = 1.0 + pole * (M**2 - 1.0) / (3.0 * M) + pole**2 * (M**2 - 1.0) / 12.0

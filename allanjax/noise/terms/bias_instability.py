@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -10,6 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.arrays import namespace, special_functions
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.response import Parts, Poles
+from allanjax.noise.terms.markov import Markov
 
 # Aliases on either side summed where a cutoff rules out a closed form; the rest is below 1e-3 of the first.
 _ALIASES = 16
@@ -45,6 +48,14 @@ class BiasInstability(NoiseTerm):
         return B2 / (np.pi * w0**2) * _cutoff_flicker(w0 * lag)
 
     @np.errstate(divide="ignore")
+    def parts(self, rate: float) -> Parts:
+        if not self._has_no_cutoff():
+            return super().parts(rate)
+        B2 = self.coefficient**2
+        parts = _flicker_parts(namespace(self, rate))
+        poles = parts.poles._replace(weight=B2 * parts.poles.weight)
+        return Parts(B2 * parts.white, B2 * parts.difference, 0.0, poles)
+
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         xp = namespace(self, frequency)
         f = xp.abs(xp.asarray(frequency, float))
@@ -64,6 +75,22 @@ class BiasInstability(NoiseTerm):
             return sine * (zeta(3.0, u) + zeta(3.0, 1.0 - u))
         f = xp.abs(u[..., None] + np.arange(-_ALIASES, _ALIASES + 1))
         return sine * xp.sum(xp.where(f * rate <= self.cutoff_frequency, f**-3.0, 0.0), axis=-1)
+
+
+# Decay rates per sample, uniform in the logarithm, of Markov processes of variance B²/π whose sum is flicker
+# noise; the trapezoidal rule converges exponentially. Filters leave those slower than the first as they are.
+_STEP = 0.5
+_DECAY = np.exp(np.arange(-25.0, 45.0, _STEP))
+
+
+def _flicker_parts(xp: Any) -> Parts:
+    """Parts of flicker noise with B = 1, but for what is slower than any filter."""
+    each = [Markov(math.sqrt(2.0 * x), 1.0 / x).parts(1.0) for x in _DECAY]
+    share = _STEP / math.pi
+    pole, weight = (np.concatenate(x) for x in zip(*(p.poles for p in each), strict=True))
+    white, difference = (share * sum(getattr(p, name) for p in each) for name in ("white", "difference"))
+    there = weight != 0.0
+    return Parts(white, difference, 0.0, Poles(xp.asarray(pole[there]), share * xp.asarray(weight[there])))
 
 
 def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:

@@ -12,10 +12,10 @@ from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
+from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
-from allanjax.noise.terms.exponential import exponential_covariance, exponential_density
 from allanjax.noise.terms.resonance import Resonance
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.response import NO_POLES, Parts
 
 
 class Quantization(NoiseTerm):
@@ -44,3 +45,6 @@ class Quantization(NoiseTerm):
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * rate * jnp.diff(jax.random.normal(key, (n + 1,)))
+
+    def parts(self, rate: float) -> Parts:
+        return Parts(0.0, (self.coefficient * rate) ** 2, 0.0, NO_POLES)

@@ -11,6 +11,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
+from allanjax.noise.response import NO_POLES, Parts
 
 
 class AngleRandomWalk(NoiseTerm):
@@ -32,6 +33,9 @@ class AngleRandomWalk(NoiseTerm):
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * jnp.sqrt(rate) * jax.random.normal(key, (n,))
+
+    def parts(self, rate: float) -> Parts:
+        return Parts(self.coefficient**2 * rate, 0.0, 0.0, NO_POLES)
 
 
 class RateRandomWalk(NoiseTerm):
@@ -62,3 +66,8 @@ class RateRandomWalk(NoiseTerm):
         steps, bridge = jax.random.normal(key, (2, n)) / jnp.sqrt(rate)
         path_end = linear_recurrence(1.0, steps)
         return self.coefficient * (path_end - steps / 2.0 + bridge / jnp.sqrt(12.0))
+
+    def parts(self, rate: float) -> Parts:
+        """Parts of (2 + cos a)/(12 sin²(a/2)) = 1/(4s) − 1/6, times K²/rate."""
+        walk = self.coefficient**2 / rate
+        return Parts(-walk / 6.0, 0.0, walk, NO_POLES)

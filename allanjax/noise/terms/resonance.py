@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
+from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
-from allanjax.noise.terms.exponential import exponential_covariance, exponential_density
+from allanjax.noise.response import Parts, Poles
 
 # Aliases on either side that are summed.
 _ALIASES = 8
@@ -71,6 +72,13 @@ class Resonance(NoiseTerm):
             return xp.sum(self.psd(aliases) * xp.sinc(aliases / rate) ** 2, axis=-1)
         pole, c = self._poles()
         return self.amplitude**2 * exponential_density(pole, c, frequency, rate, self.sample_interval)
+
+    def parts(self, rate: float) -> Parts:
+        xp = namespace(self, rate)
+        pole, c = self._poles()
+        w, half = xp.exp(pole / rate), self.amplitude**2 * c / 2.0
+        poles = Poles(xp.stack([w, xp.conj(w)]), xp.stack([half, xp.conj(half)]))
+        return Parts(0.0, 0.0, 0.0, poles)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples by the exact recursion of position and velocity, as one complex mode."""

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
+from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.terms.exponential import exponential_covariance, exponential_density
 
 
 class Telegraph(NoiseTerm):

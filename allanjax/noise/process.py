@@ -1,0 +1,123 @@
+"""Noise as a process: one phase covariance, from which everything else follows.
+
+Let θ(t) be the running integral of the rate output (angle of a gyro, velocity of an accelerometer). Every
+random term of the thesis has stationary second differences of θ, so it is described completely by a
+generalized covariance G(t): for filters a, b with Σa = Σa·t = 0,
+
+    cov(Σ a_p θ(t_p), Σ b_q θ(t_q)) = Σ_p Σ_q a_p b_q G(t_p − t_q).
+
+G is known only up to c0 + c1·t², which such filters do not see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+
+from allanjax.base.arrays import namespace
+from allanjax.base.errors import AllanjaxError
+from allanjax.noise.numerics import gaussian_sequence, increment_autocovariance, sampled_density
+from allanjax.noise.recursion import linear_recurrence
+from allanjax.noise.response import Parts
+
+
+class Process(eqx.Module):
+    """A random process with a phase covariance, and its Allan variance, spectrum and simulation."""
+
+    #: True for a line, a ramp, a step: it is the same in every record, so that its square does not scatter.
+    deterministic: ClassVar[bool] = False
+    #: True if the term oscillates for long: its whole power fluctuates together, see `power_scatter`.
+    narrow_band: ClassVar[bool] = False
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        """Generalized covariance G [rad² or (m/s)²] of the integrated rate at lags ≥ 0 [s].
+
+        Known up to c0 + c1·t², and one call need agree only with itself about these two constants.
+        """
+        raise NotImplementedError(f"{type(self).__name__} defines no phase_covariance(lag)")
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
+        raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Two-sided PSD of the samples with aliases, (rad/s)²/Hz or (m/s²)²/Hz, up to the Nyquist frequency.
+
+        The samples are means over 1/rate, so that minus the second difference of G takes the place of
+        their autocovariance H, and S(f) = Σ_d H(d) cos(2πf·d/rate) / rate. This default sums it numerically
+        over a dozen periods, enough for a covariance that is smooth or has ended by then; narrow-band terms
+        and those with a closed form override it. Zero for a deterministic term.
+        """
+        xp = namespace(self, frequency, rate)
+        f = xp.asarray(frequency, float)
+        if self.deterministic:
+            return xp.zeros(f.shape)
+        # With derivatives of G, which are JAX's.
+        density = jax.vmap(lambda a: sampled_density(self.phase_covariance, a, rate))
+        return density(2.0 * np.pi * f.ravel() / rate).reshape(f.shape)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Simulated samples of the rate (n means over sample intervals) at `rate` [Hz], exact in law.
+
+        The default draws the increments of the rate, whose autocovariance is that of the second difference
+        of θ, by circulant embedding (Davies & Harte 1987), and adds them up from zero: the level itself has
+        no law when the term is not stationary.
+        """
+        from scipy.fft import next_fast_len
+
+        half = next_fast_len(max(n, 2), real=True)
+        increments = gaussian_sequence(key, increment_autocovariance(self.phase_covariance, half + 1, rate))[
+            :n
+        ]
+        return linear_recurrence(1.0, increments)
+
+    def parts(self, rate: float) -> Parts:
+        """The density of samples at `rate` [Hz] taken apart, for what a `Response` makes of it."""
+        name = type(self).__name__
+        raise AllanjaxError(
+            f"{name} cannot pass a response: write it after the filter, response * (…) + {name}(…)"
+        )
+
+    @property
+    def oscillates(self) -> bool:
+        """Whether G oscillates with a period of its own, so that sums over lags need more nodes."""
+        return self.narrow_band
+
+    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Power [rate²] that a record's two ends add to its cosine spectrum, times its number of samples.
+
+        It spreads over all frequencies, and matters for terms whose own density falls off towards low ones.
+        Zero unless overridden; see `cosine` for the lowest frequencies, where it is never neglected.
+        """
+        return namespace(self, frequency).zeros(np.shape(frequency))
+
+    def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
+        return self._filter_variance(cluster_time, (6.0, -8.0, 2.0), 2.0)
+
+    def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """Hadamard variance [rate²] at cluster times [s]: [20G(0) − 30G(T) + 12G(2T) − 2G(3T)]/(6T²)."""
+        return self._filter_variance(cluster_time, (20.0, -30.0, 12.0, -2.0), 6.0)
+
+    @np.errstate(divide="ignore", invalid="ignore")
+    def _filter_variance(
+        self, cluster_time: Float[ArrayLike, ...], weights: Sequence[float], divisor: float
+    ) -> Float[Array, ...]:
+        """Weighted sum of G at 0, 1, … cluster times, over divisor·T²."""
+        xp = namespace(self, cluster_time)
+        T = xp.asarray(cluster_time, float)
+        G, steps, w = self.phase_covariance, xp.arange(len(weights)), xp.asarray(weights)
+
+        def at(t: Float[Array, ""]) -> Float[Array, ""]:
+            # A call a cluster time, since G is known up to a multiple of t² that each call may choose.
+            return G(steps * t) @ w / (divisor * t**2)
+
+        # A term of the user's own may be JAX's only.
+        if xp is np and T.size and not isinstance(at(T.flat[0]), jax.Array):
+            return xp.array([at(t) for t in T.flat]).reshape(T.shape)
+        return jax.vmap(at)(T.ravel()).reshape(T.shape)
