@@ -118,15 +118,13 @@ class AxisSelection(ByValue):
     def doubtful(self) -> dict[str, tuple[str, ...]]:
         """The chosen terms whose posterior probability is below 90 %, and the terms that may replace each.
 
-        The replacements are of the sets without the term that are not told from the best, the most probable
-        first. There are none if the term may as well be missing altogether.
+        These are of the sets that are not told from the best, the most probable first; none if the term may
+        as well be missing altogether.
         """
         found = {}
-        for term in self.chosen.terms:
-            if self.inclusion[term] < _CERTAIN:
-                without = [s for s in self.indistinguishable if term not in s.terms]
-                others = [t for s in without for t in s.terms if t not in self.chosen.terms]
-                found[term] = tuple(dict.fromkeys(others))
+        for term in (t for t in self.chosen.terms if self.inclusion[t] < _CERTAIN):
+            others = [s.terms for s in self.indistinguishable if term not in s.terms]
+            found[term] = tuple(t for t in dict.fromkeys(sum(others, ())) if t not in self.chosen.terms)
         return found
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -163,9 +161,8 @@ class AxisSelection(ByValue):
             if len(missing) <= 1 and len(extra) <= 1 and missing and extra:
                 found.append(f"{missing[0]} from {extra[0]} ({odds})")
             elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
-                term = (missing or extra)[0]
                 found.append(
-                    f"whether there is {term}" + (f" ({odds} with it)" if extra else f" ({odds} without it)")
+                    f"whether there is {(missing or extra)[0]} ({odds} {'with' if extra else 'without'} it)"
                 )
         return tuple(found[:3])
 
