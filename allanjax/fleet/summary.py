@@ -122,7 +122,8 @@ def _too_few(table: pd.DataFrame) -> list[str]:
     if small.empty:
         return []
     if list(small.index) == [""]:
-        whose = f"{small.iloc[0]} unit{'s' * (small.iloc[0] > 1)}"
+        count = int(small.iloc[0])
+        whose = f"{count} unit{'s' * (count > 1)}"
     else:
         whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()])}"
     return [f"{whose}: too few to say whether one is unlike the others, which takes {FEWEST_UNITS}"]
