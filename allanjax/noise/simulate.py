@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -106,7 +105,7 @@ def _with_traced_values(model: Model) -> Model:
 
     Infinite values stay Python numbers, since terms decide by them which formula holds.
     """
-    finite = {k: jnp.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
+    finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
     return model.with_values(**finite)
 
 
