@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ class Prior(eqx.Module):
 
     def _inside(self, x: Array, log_density: Array) -> Array:
         """Log density, set to −inf outside the support."""
-        return jnp.where((x >= self.lower) & (x <= self.upper), log_density, -jnp.inf)
+        inside = (x >= self.lower) & (x <= self.upper)
+        return namespace(inside, log_density).where(inside, log_density, -np.inf)
 
     def _require(self, condition: bool, wanted: str) -> None:
         """Raise AllanjaxError unless the condition holds."""
@@ -64,8 +65,9 @@ class Uniform(Prior):
         self._require(finite and self.lower < self.upper, "give finite lower < upper")
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        x = jnp.asarray(x, float)
-        return self._inside(x, jnp.full(x.shape, -jnp.log(self.upper - self.lower)))
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        return self._inside(at, xp.full(at.shape, -xp.log(self.upper - self.lower)))
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         return self.lower + np.asarray(u) * (self.upper - self.lower)
@@ -83,11 +85,12 @@ class LogUniform(Prior):
         self._require(ordered, f"give finite {self.origin:g} < lower < upper")
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        x = jnp.asarray(x, float)
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
         # Outside the support the logarithm must only have a valid argument.
-        distance = jnp.maximum(x, self.lower) - self.origin
+        distance = xp.maximum(at, self.lower) - self.origin
         ratio = (self.upper - self.origin) / (self.lower - self.origin)
-        return self._inside(x, -jnp.log(distance) - jnp.log(jnp.log(ratio)))
+        return self._inside(at, -xp.log(distance) - xp.log(xp.log(ratio)))
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         nearest, farthest = self.lower - self.origin, self.upper - self.origin
@@ -113,12 +116,13 @@ class LogNormal(Prior):
         return math.inf
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        x = jnp.asarray(x, float)
-        width = jnp.log(self.factor)
-        positive = jnp.where(x > 0.0, x, 1.0)
-        z = jnp.log(positive / self.median) / width
-        density = -0.5 * z**2 - jnp.log(positive * width) - 0.5 * math.log(2.0 * math.pi)
-        return jnp.where(x > 0.0, density, -jnp.inf)
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        width = xp.log(self.factor)
+        positive = xp.where(at > 0.0, at, 1.0)
+        z = xp.log(positive / self.median) / width
+        density = -0.5 * z**2 - xp.log(positive * width) - 0.5 * math.log(2.0 * math.pi)
+        return xp.where(at > 0.0, density, -np.inf)
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         from scipy.special import ndtri
@@ -146,9 +150,10 @@ class ModifiedLogUniform(Prior):
         return 0.0
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        x = jnp.asarray(x, float)
-        density = -jnp.log(jnp.maximum(x, 0.0) + self.scale) - jnp.log(jnp.log1p(self.upper / self.scale))
-        return self._inside(x, density)
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        density = -xp.log(xp.maximum(at, 0.0) + self.scale) - xp.log(xp.log1p(self.upper / self.scale))
+        return self._inside(at, density)
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         return self.scale * np.expm1(np.asarray(u) * np.log1p(self.upper / self.scale))

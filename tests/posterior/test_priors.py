@@ -3,8 +3,10 @@
 import itertools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from compilations import compilations
 from scipy import stats
 from scipy.integrate import quad
 
@@ -43,6 +45,18 @@ def test_outside_the_support_there_is_no_density_and_no_nan_gradient(prior):
     inside = prior.quantile(np.linspace(0.01, 0.99, 9))
     assert np.all(np.isfinite(prior.log_density(inside)))
     assert np.all(np.isfinite(jax.vmap(jax.grad(prior.log_density))(inside)))
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=str)
+def test_a_density_at_numpys_numbers_is_that_of_jax_and_compiles_nothing(prior):
+    x = np.array([-2.0, 0.0, 0.3, 0.9, 1.5, 100.0])
+    with compilations() as compiled:
+        found = prior.log_density(x)
+    assert compiled == []
+    assert isinstance(found, np.ndarray)
+    of_jax = prior.log_density(jnp.asarray(x))
+    assert isinstance(of_jax, jax.Array)
+    np.testing.assert_allclose(found, of_jax, rtol=1e-12)
 
 
 def test_densities_are_those_of_scipy():
