@@ -1,7 +1,7 @@
 """Cluster sizes that a record allows, and the number of differences that each leaves."""
 
 from collections.abc import Sequence
-from typing import Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -25,7 +25,7 @@ The modified variance sums second differences; these sums are updated by third d
 _CLUSTER_SIZE_TOLERANCE = 1e-3
 
 
-def difference_count(n: int, sizes: _Sizes, kind: Kind = "allan", overlapping: bool = True) -> _Sizes:
+def difference_count(n: Any, sizes: _Sizes, kind: Kind = "allan", overlapping: bool = True) -> _Sizes:
     """Number of differences that `n` rate samples (n + 1 phases) allow at each cluster size m.
 
     Overlapping: n + 1 - 2m (Allan), n + 1 - 3m (Hadamard), n + 2 - 3m (modified). Non-overlapping: one less

@@ -26,6 +26,8 @@ DataType = Literal["rate", "phase"]
 _CHUNK = 8192
 # Chunks for which all cluster sizes are computed before the next block is read.
 _BLOCK = 16
+# Records up to this length are padded to a power of two, so that one program serves all lengths of an octave.
+_PADDED = 1 << 22
 # Running sums inside a chunk are products with a triangular matrix of this size, which XLA vectorises.
 _ROW = 32
 
@@ -39,7 +41,9 @@ def allan_variance_estimates(
     overlapping: bool = True,
     data_type: DataType = "rate",
 ) -> Float[Array, "m axes"]:
-    """Variances at the given cluster sizes, in the square of the rate's unit; compiled once per length.
+    """Variances at the given cluster sizes, in the square of the rate's unit.
+
+    Compiled once for each octave of lengths up to 2²² samples, and for each length beyond.
 
     With x_k the phase after k samples and t0 the sample interval, averages over all starts k (every m-th, if
     not overlapping) of
@@ -59,10 +63,12 @@ def allan_variance_estimates(
     each cluster size needs.
     """
     n = np.shape(values)[0] - (data_type == "phase")
+    if not isinstance(values, jax.Array):
+        values = _padded(np.asarray(values, dtype=float))
     if isinstance(values, jax.core.Tracer) or n < _BLOCK * _CHUNK:
-        sums = _sums_of_axes(values, sizes, rate, kind=kind, overlapping=overlapping, data_type=data_type)
+        sums = _sums_of_axes(values, sizes, n, rate, kind=kind, overlapping=overlapping, data_type=data_type)
     else:
-        sums = _shared_sums_of_axes(values, sizes, rate, kind, overlapping, data_type)
+        sums = _shared_sums_of_axes(values, sizes, n, rate, kind, overlapping, data_type)
     if not isinstance(sums, jax.core.Tracer):
         sums = np.asarray(sums)
     sizes = np.asarray(sizes)
@@ -70,10 +76,17 @@ def allan_variance_estimates(
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 
 
+def _padded(table: Float[np.ndarray, "samples axes"]) -> Float[np.ndarray, "padded axes"]:
+    """Table with zeros after the samples, to the next power of two."""
+    room = 1 << (len(table) - 1).bit_length()
+    return table if room > _PADDED else np.pad(table, ((0, room - len(table)), (0, 0)))
+
+
 @partial(jax.jit, static_argnames=("kind", "overlapping", "data_type"))
 def _sums_of_axes(
-    values: Float[ArrayLike, "samples axes"],
+    values: Float[ArrayLike, "padded axes"],
     sizes: Int[ArrayLike, " m"],
+    n: int | Int[Array, ""],
     rate: ArrayLike,
     *,
     kind: Kind,
@@ -81,62 +94,59 @@ def _sums_of_axes(
     data_type: DataType,
 ) -> Float[Array, "m axes"]:
     """Sums of squared differences of every axis, one axis after the other in one compiled program."""
-    table = jnp.asarray(values, dtype=float)
-    n = len(table) - (data_type == "phase")
 
     def of_axis(x: Array) -> Array:
-        phases = _phases(x, rate, data_type)
-        return _square_sums(phases, sizes, 0, 1, n=n, kind=kind, overlapping=overlapping)
+        phases = _phases(x, n, rate, data_type)
+        return _square_sums(phases, sizes, n, 0, 1, kind=kind, overlapping=overlapping)
 
-    return lax.map(of_axis, table.T).T
+    return lax.map(of_axis, jnp.asarray(values, dtype=float).T).T
 
 
 def _shared_sums_of_axes(
-    values: Float[ArrayLike, "samples axes"],
+    values: Float[Array | np.ndarray, "padded axes"],
     sizes: Int[ArrayLike, " m"],
+    n: int,
     rate: ArrayLike,
     kind: Kind,
     overlapping: bool,
     data_type: DataType,
 ) -> Float[np.ndarray, "m axes"]:
     """Sums of squared differences of every axis, blocks of the record shared out among all cores."""
-    table = values if isinstance(values, jax.Array) else np.asarray(values, dtype=float)
-    n = len(table) - (data_type == "phase")
     cores = os.cpu_count() or 1
     # The running sums of a modified variance go through the whole record in one piece.
     shares = 1 if kind == "modified" else cores
 
     def sums_of(task: tuple[Array, int]) -> Float[np.ndarray, " m"]:
         phases, share = task
-        return np.asarray(_square_sums(phases, sizes, share, shares, n=n, kind=kind, overlapping=overlapping))
+        return np.asarray(_square_sums(phases, sizes, n, share, shares, kind=kind, overlapping=overlapping))
 
     with ThreadPoolExecutor(cores) as pool:
-        phases = list(pool.map(lambda x: _phases(x, rate, data_type), table.T))
+        phases = list(pool.map(lambda x: _phases(x, n, rate, data_type), values.T))
         sums = list(pool.map(sums_of, product(phases, range(shares))))
     return np.reshape(sums, (len(phases), shares, -1)).sum(axis=1).T
 
 
-def _chunk(n: int) -> int:
-    """Differences taken at a time in a record of n samples."""
-    return min(_CHUNK, max(_ROW, 1 << n.bit_length()))
+def _chunk(room: int) -> int:
+    """Differences taken at a time in a record for which there is so much room."""
+    return min(_CHUNK, max(_ROW, 1 << room.bit_length()))
 
 
 @partial(jax.jit, static_argnames="data_type")
 def _phases(
-    values: Float[ArrayLike, " samples"], rate: ArrayLike, data_type: DataType
-) -> Float[Array, " padded"]:
-    """The n + 1 phases in the rate's unit times the sample interval, padded by a chunk of no meaning.
+    values: Float[ArrayLike, " padded"], n: int | Int[Array, ""], rate: ArrayLike, data_type: DataType
+) -> Float[Array, " phases"]:
+    """The n + 1 phases in the rate's unit times the sample interval, and values of no meaning after them.
 
     The straight line between their ends is subtracted: no estimator sees it, and the differences keep more
     digits without it.
     """
     x = jnp.asarray(values)
-    n = len(x) - (data_type == "phase")
-    chunk = _chunk(n)
+    room = len(x) - (data_type == "phase")
+    chunk = _chunk(room)
     if data_type == "phase":
-        line = jnp.arange(n + 1) * ((x[-1] - x[0]) / n)
-        return jnp.pad((x - x[0] - line) * rate, (0, chunk))
-    mean = x.mean()
+        line = jnp.arange(room + 1) * ((x[n] - x[0]) / n)
+        return jnp.pad((x - x[0] - line) * rate, (0, _CHUNK))
+    mean = x.sum() / n
 
     def add(start: ArrayLike, rates: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         total, phases = state
@@ -146,26 +156,26 @@ def _phases(
     def add_chunk(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         return add(k * chunk, lax.dynamic_slice(x, (k * chunk,), (chunk,)), state)
 
-    whole = n // chunk * chunk
-    state = (jnp.zeros(()), jnp.zeros(n + 1 + chunk))
+    whole = room // chunk * chunk
+    state = (jnp.zeros(()), jnp.zeros(room + 1 + _CHUNK))
     if whole:
-        state = lax.fori_loop(0, n // chunk, add_chunk, state)
-    return add(whole, jnp.pad(x[whole:], (0, whole + chunk - n)), state)[1]
+        state = lax.fori_loop(0, room // chunk, add_chunk, state)
+    return add(whole, jnp.pad(x[whole:], (0, whole + chunk - room)), state)[1]
 
 
-@partial(jax.jit, static_argnames=("n", "kind", "overlapping"))
+@partial(jax.jit, static_argnames=("kind", "overlapping"))
 def _square_sums(
-    phases: Float[Array, " padded"],
+    phases: Float[Array, " phases"],
     sizes: Int[ArrayLike, " m"],
+    n: int | Int[Array, ""],
     share: int | Int[Array, ""],
     shares: int | Int[Array, ""],
     *,
-    n: int,
     kind: Kind,
     overlapping: bool,
 ) -> Float[Array, " m"]:
     """Sums of squared differences of every `shares`-th block from number `share` on (all, if modified)."""
-    x, weights, chunk = phases, WEIGHTS[kind], _chunk(n)
+    x, weights, chunk = phases, WEIGHTS[kind], _chunk(len(phases) - 1 - _CHUNK)
     lane = jnp.arange(chunk)
     sizes = jnp.asarray(sizes, dtype=int)
 
@@ -198,14 +208,14 @@ def _square_sums(
 
 
 def _square_sums_of_sums(
-    x: Float[Array, " padded"],
+    x: Float[Array, " phases"],
     sizes: Int[Array, " m"],
-    n: int,
+    n: int | Int[Array, ""],
     differences: Callable[[Array, Array], Float[Array, " chunk"]],
 ) -> Float[Array, " m"]:
     """Sums of squared means of m consecutive second differences, given the third differences."""
-    x_sums = jnp.pad(jnp.cumsum(x[: n + 1]), (1, 0))
-    chunk = _chunk(n)
+    x_sums = jnp.pad(jnp.cumsum(x), (1, 0))
+    chunk = _chunk(len(x) - 1 - _CHUNK)
     lane = jnp.arange(chunk)
 
     def of_size(m: Array) -> Array:
