@@ -188,11 +188,11 @@ class AllanCovariance(eqx.Module):
         )
 
     @property
-    def cluster_time(self) -> Float[Array, " m"]:
+    def cluster_time(self) -> Float[np.ndarray, " m"]:
         """Cluster times [s]."""
-        return jnp.asarray(self.sizes) * self.sample_interval
+        return self.sizes * self.sample_interval
 
-    def known(self, values: Float[Array, " m"], otherwise: float) -> Float[Array, " m"]:
+    def known(self, values: Float[ArrayLike, " m"], otherwise: float) -> Float[Array, " m"]:
         """Values of the estimates, and another where there is none."""
         return jnp.where(jnp.arange(len(self.place)) < self.count, values, otherwise)
 

@@ -57,8 +57,10 @@ def fit_allan(
         here = active[[k]]
         variance = curve.variance[:, [k]].T
         starts = find_starts(template, design, variance, here, [x], curve.n, curve.rate)
-        found = () if x is None else take_out_lines(x - x.mean(), curve.rate, wanted)[1]
-        lines = dict(zip(indices, found, strict=x is not None))
+        lines = {}
+        if wanted and x is not None:
+            found = take_out_lines(x - x.mean(), curve.rate, wanted)[1]
+            lines = dict(zip(indices, found, strict=True))
         for i, line in lines.items():
             if template.terms[i].has_free_amplitude:
                 starts.power[:, :, i] = line.amplitude**2
@@ -89,19 +91,18 @@ def solve_and_infer(
     """Best solution from the starts of each axis, the inference around it, and its misfit."""
     V, powers = design.padded_estimates(variance), design.padded_terms(starts.power)
     of_terms = (design.padded_terms(free), design.padded_terms(active))
-    solution = solve(design, V, *of_terms, powers[:, 0], starts.shape[:, 0])
+    solution = jax.device_get(solve(design, V, *of_terms, powers[:, 0], starts.shape[:, 0]))
     # The cost may have several minima in a correlation time: all starts are tried.
     for k in range(1, powers.shape[1]):
-        doubtful = ~np.asarray(solution.converged) | design.movable.any()
+        doubtful = ~solution.converged | design.movable.any()
         if not doubtful.any():
             break
-        other = solve(design, V, *of_terms, powers[:, k], starts.shape[:, k])
-        better = np.asarray(other.converged & ~(other.cost >= solution.cost) | ~solution.converged)
+        other = jax.device_get(solve(design, V, *of_terms, powers[:, k], starts.shape[:, k]))
+        better = other.converged & ~(other.cost >= solution.cost) | ~solution.converged
         solution = _choose(doubtful & better, other, solution)
     misfits = _misfits(design, variance, solution)
     solution = widened(solution, misfits)
-    inference = infer(design, V, *of_terms, solution)
-    solution, inference = jax.device_get((solution, inference))
+    inference = jax.device_get(infer(design, V, *of_terms, solution))
     return *_without_padding(solution, inference, variance.shape[1], active.shape[1]), misfits
 
 
@@ -128,7 +129,7 @@ def _misfits(
     incomplete = np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0)
     for k in np.flatnonzero(incomplete):
         mean, scatter = _moments(design, solution.power[k], solution.shape[k], variance.shape[1])
-        time = np.asarray(design.geometry.cluster_time)[: len(mean)]
+        time = design.geometry.cluster_time[: len(mean)]
         found[k] = misfit_of(time, np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter, "s")
     return found
 

@@ -53,3 +53,21 @@ def test_non_negative_least_squares_equals_scipy() -> None:
     np.testing.assert_allclose(found * scale, expected * scale, atol=1e-8)
     # Some must end at the boundary, some inside, or the test shows nothing.
     assert 0.1 < np.mean(expected[allowed] == 0.0) < 0.9
+
+
+def test_rows_beyond_those_asked_for_are_zero() -> None:
+    rng = np.random.default_rng(4)
+    C, X = positive_definite(rng, 5), rng.standard_normal((5, 2))
+    few, whole = whiten(C, X, 3), whiten(C[:3, :3], X[:3])
+    np.testing.assert_allclose(few.values[:3], whole.values, rtol=1e-12)
+    np.testing.assert_array_equal(few.values[3:], 0.0)
+    np.testing.assert_allclose(few.log_det, whole.log_det, rtol=1e-12)
+
+
+def test_a_column_of_zeros_has_no_part_in_least_squares() -> None:
+    rng = np.random.default_rng(5)
+    A, b = rng.standard_normal((12, 3)), rng.standard_normal(12)
+    with_nothing = np.insert(A, 1, 0.0, axis=1)
+    found = non_negative_least_squares(with_nothing, b, np.array([True, False, True, True]))
+    np.testing.assert_allclose(np.delete(found, 1), nnls(A, b)[0], rtol=1e-9, atol=1e-12)
+    assert found[1] == 0.0
