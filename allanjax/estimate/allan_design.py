@@ -22,8 +22,6 @@ from allanjax.noise.terms import NoiseTerm, basic_terms
 _RIDGE = 1e-4
 _OSCILLATING_RIDGE = 5e-3
 _OSCILLATING_ORDER = 32
-# Terms that a padded design has room for.
-_SLOTS = 6
 # Terms whose rows every Allan design has, so that any choice among them is data.
 _BASIC = tuple(term.with_unit_amplitude() for term in basic_terms())
 
@@ -62,15 +60,15 @@ class AllanDesign(Design):
         rate: float,
         sizes: Int[np.ndarray, " m"],
         strides: Int[np.ndarray, " m"] | None = None,
-        room: int = 0,
+        room: tuple[int, int] = (0, 0),
     ) -> AllanDesign:
         """Design of a noise model for Allan variances at these cluster sizes of n samples.
 
-        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. With `room`
-        for so many cluster sizes, arrays are padded, so that compiled functions serve other records, too.
+        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays
+        have `room` for so many cluster sizes and terms at least: compiled functions serve others, too.
         """
         others: list[NoiseTerm] = []
-        columns = np.full(max(_SLOTS, len(model)) if room else len(model), -1)
+        columns = np.full(max(room[1], len(model)), -1)
         for k, term in enumerate(model.sampled(rate).terms):
             row = [type(basic) for basic in _BASIC].index(type(term)) if _is_basic(term) else -1
             if row < 0 or row in columns:
@@ -83,7 +81,7 @@ class AllanDesign(Design):
         )
         oscillates = any(term.oscillates for term in model.terms)
         order = {"order": _OSCILLATING_ORDER} if oscillates else {}
-        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, room=room, **order)
+        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, room=room[0], **order)
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
         # What pads is beyond all rows.
         columns = np.where(columns < 0, len(_BASIC) + len(others), columns)

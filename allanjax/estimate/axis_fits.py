@@ -27,8 +27,8 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
 
-# Cluster sizes that the arrays of a fit have room for: with four an octave, those of 6·10⁷ samples.
-ROOM = 96
+# Cluster sizes and terms that the arrays of a fit have room for: with four an octave, sizes of 6·10⁷ samples.
+_ROOM = (96, 6)
 
 
 def fit_allan(
@@ -47,7 +47,7 @@ def fit_allan(
         active: the terms that each axis has.
         values: the record, without which lines and resonances cannot be found.
     """
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ROOM)
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _ROOM)
     records = [None] * len(axes) if values is None else values.T
     # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
@@ -207,7 +207,7 @@ def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
     """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ROOM)
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _ROOM)
     means, scatter = zip(
         *(_moments_of(design, template, result, len(curve.cluster_size)) for result in results), strict=True
     )
