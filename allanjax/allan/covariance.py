@@ -283,22 +283,36 @@ def equivalent_degrees_of_freedom(
     """
     if strides is None:
         strides = np.ones_like(sizes) if overlapping else sizes
-    pairs = list(zip(sizes, strides, strict=True))
+    reach = len(_FILTERS[kind])
+    M = (n - (reach - 1) * sizes) // strides + 1
+    kinks = np.array([*range(reach), *(multiple * reach for multiple in _TAIL)])
+    lags = _sum_over_lags(kinks * (sizes // strides)[:, None], np.maximum(M, 1))
+    of_size = list(zip(sizes.tolist(), strides.tolist(), M.tolist(), *lags, strict=True))
     if model is None:
         terms: Any = (AngleRandomWalk(1.0),)
-        return np.array([_edf(terms, n, rate, int(m), kind, int(s)) for m, s in pairs])
+        return np.array([_edf(terms, n, rate, kind, *size) for size in of_size])
     model.check_complete()
     terms = model.sampled(rate).terms
 
     @eqx.filter_jit
     def all_sizes(terms: Any) -> Array:
-        return jnp.stack([_edf(terms, n, rate, int(m), kind, int(s)) for m, s in pairs])
+        return jnp.stack([_edf(terms, n, rate, kind, *size) for size in of_size])
 
     return np.asarray(all_sizes(terms))
 
 
-def _edf(terms: Any, n: int, rate: float, m: int, kind: str, stride: int) -> Any:
-    """Equivalent degrees of freedom of the estimate at one cluster size m."""
+def _edf(
+    terms: Any,
+    n: int,
+    rate: float,
+    kind: str,
+    m: int,
+    stride: int,
+    M: int,
+    u: Float[np.ndarray, " lags"],
+    w: Float[np.ndarray, " lags"],
+) -> Any:
+    """Equivalent degrees of freedom of the estimate at one cluster size m, from lags in strides."""
     alpha = _FILTERS[kind]
     reach = len(alpha)
     if kind == "modified":
@@ -309,9 +323,6 @@ def _edf(terms: Any, n: int, rate: float, m: int, kind: str, stride: int) -> Any
         inner = np.arange(-m + 1.0, m)
         share = (m - np.abs(inner)) / m**2
     else:
-        M = (n - (reach - 1) * m) // stride + 1
-        kinks = np.array([[*range(reach), *(multiple * reach for multiple in _TAIL)]]) * (m // stride)
-        u, w = (x[0] for x in _sum_over_lags(kinks, np.array([M])))
         u = u * stride
         inner, share = np.zeros(1), np.ones(1)
 

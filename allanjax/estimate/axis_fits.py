@@ -77,7 +77,7 @@ def fit_allan(
         result = _axis_fit(axis, template, active[k], coefficients, solution, dof)
         results.append(with_misfit(result, misfit))
         scatter.append(np.asarray(inference.estimate_variance)[0])
-    means = [_moments_of(design, template, result, len(curve.cluster_size))[0] for result in results]
+    means = [_moments_of(design, template, result)[0] for result in results]
     return tuple(results), _with_model_edf(curve, results, means, scatter)
 
 
@@ -128,7 +128,7 @@ def _misfits(
     found: list[Misfit | None] = [None] * len(variance)
     incomplete = np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0)
     for k in np.flatnonzero(incomplete):
-        mean, scatter = _moments(design, solution.power[k], solution.shape[k], variance.shape[1])
+        mean, scatter = _moments(design, solution.power[k], solution.shape[k])
         time = design.geometry.cluster_time[: len(mean)]
         found[k] = misfit_of(time, np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter, "s")
     return found
@@ -208,9 +208,7 @@ def with_curve(
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
     """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _ROOM)
-    means, scatter = zip(
-        *(_moments_of(design, template, result, len(curve.cluster_size)) for result in results), strict=True
-    )
+    means, scatter = zip(*(_moments_of(design, template, result) for result in results), strict=True)
     curve = _with_model_edf(curve, results, means, scatter)
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
@@ -241,29 +239,29 @@ def _with_model_edf(
 
 
 def _moments_of(
-    design: AllanDesign, template: Model, result: AxisFit, m: int
+    design: AllanDesign, template: Model, result: AxisFit
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Expectation and variance of m Allan variances under a fitted model; of no meaning without a fit."""
+    """Expectation and variance of the Allan variances under a fitted model; of no meaning without a fit."""
     values = {label: c.value for label, c in result.coefficients.items()} if result.converged else {}
     amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
     power = np.array([float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes])
     # The shape of an absent term does not matter.
     places = [values.get(p.label, np.nan) - p.parameter.lower for p in free_shapes(template)]
-    return _moments(design, design.padded_terms(power), np.nan_to_num(np.log(places)), m)
+    return _moments(design, design.padded_terms(power), np.nan_to_num(np.log(places)))
 
 
 def _moments(
-    design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"], m: int
+    design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Expectation and variance of the m Allan variance estimates of an axis."""
-    mean, variance = _compiled_moments(design, power, shape)
-    return np.asarray(mean)[:m], np.asarray(variance)[:m]
+    """Expectation and variance of the Allan variance estimates of an axis."""
+    mean, variance = jax.device_get(_padded_moments(design, power, shape))
+    return mean[: int(design.rows)], variance[: int(design.rows)]
 
 
 @eqx.filter_jit
-def _compiled_moments(
+def _padded_moments(
     design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"]
-) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+) -> tuple[Float[Array, " room"], Float[Array, " room"]]:
     power, shape = jnp.asarray(power), jnp.asarray(shape)
     covariance = design.covariance(power, design.products(shape))
     return design.mean(power, design.means(shape)), design.variances(covariance)
