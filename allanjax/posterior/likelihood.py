@@ -278,10 +278,8 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
     layout = _ParameterLayout.of(fit.template, parameters, result)
     start = _start(result, parameters)
-    values = jnp.asarray(start)
-    products = design.products(layout.shapes(values))
-    power = layout.power(values)
-    mean = np.asarray(power @ design.means(layout.shapes(values)))
+    power, shapes = layout.power(jnp.asarray(start)), layout.shapes(jnp.asarray(start))
+    products, mean = design.products(shapes), np.asarray(power @ design.means(shapes))
     covariance = design.covariance(power, products)
     V = curve.variance[chosen, k]
     power_error = 2.0 * result.discrepancy
