@@ -118,7 +118,7 @@ class AllanCovariance(eqx.Module):
     """Quadrature for the covariance of Allan variance estimates: all of it that no model enters.
 
     All of it is data: what is compiled for one record serves every record of as many cluster sizes, or of
-    any number of them up to `room`, to which the arrays are padded.
+    any number of them up to `capacity`, to which the arrays are padded.
 
     Attributes:
         sample_interval: t0 [s].
@@ -148,7 +148,7 @@ class AllanCovariance(eqx.Module):
         sizes: Int[np.ndarray, " m"],
         order: int = _ORDER,
         strides: Int[np.ndarray, " m"] | None = None,
-        room: int = 0,
+        capacity: int = 0,
     ) -> AllanCovariance:
         """Quadrature for estimates at these cluster sizes of n rate samples at `rate` [Hz].
 
@@ -158,7 +158,7 @@ class AllanCovariance(eqx.Module):
             strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
                 of the strides after it, and an eighth of the size at least where these are larger; 1 for
                 overlapping estimates, if there are none.
-            room: number of cluster sizes that arrays are padded to, if there are fewer.
+            capacity: number of cluster sizes that arrays are padded to, if there are fewer.
         """
         sizes = np.asarray(sizes, np.int64)
         strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
@@ -173,7 +173,7 @@ class AllanCovariance(eqx.Module):
         sides = [_pairs_at_lag(u, *(x[:, None] for x in (mi, mj, si, sj, Mj, d))) for d in (0 * shift, shift)]
         factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
         weights = factor[:, None] * w * sum(sides) / 2.0
-        place = np.full((max(room, len(sizes)),) * 2, len(i))
+        place = np.full((max(capacity, len(sizes)),) * 2, len(i))
         place[i, j] = place[j, i] = np.arange(len(i))
         more, pairs = len(place) - len(sizes), len(place) * (len(place) + 1) // 2 - len(i)
         return cls(

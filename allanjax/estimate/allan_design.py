@@ -60,15 +60,15 @@ class AllanDesign(Design):
         rate: float,
         sizes: Int[np.ndarray, " m"],
         strides: Int[np.ndarray, " m"] | None = None,
-        room: tuple[int, int] = (0, 0),
+        capacity: tuple[int, int] = (0, 0),
     ) -> AllanDesign:
         """Design of a noise model for Allan variances at these cluster sizes of n samples.
 
         `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays
-        have `room` for so many cluster sizes and terms at least: compiled functions serve others, too.
+        have a `capacity` of so many cluster sizes and terms at least: compiled functions serve others, too.
         """
         others: list[NoiseTerm] = []
-        columns = np.full(max(room[1], len(model)), -1)
+        columns = np.full(max(capacity[1], len(model)), -1)
         for k, term in enumerate(model.sampled(rate).terms):
             row = [type(basic) for basic in _BASIC].index(type(term)) if _is_basic(term) else -1
             if row < 0 or row in columns:
@@ -81,7 +81,7 @@ class AllanDesign(Design):
         )
         oscillates = any(term.oscillates for term in model.terms)
         order = {"order": _OSCILLATING_ORDER} if oscillates else {}
-        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, room=room[0], **order)
+        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, capacity=capacity[0], **order)
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
         # What pads is beyond all rows.
         columns = np.where(columns < 0, len(_BASIC) + len(others), columns)
@@ -98,7 +98,7 @@ class AllanDesign(Design):
             constants=_constants(tuple(others), shapes, columns, geometry),
         )
 
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes room"]:
+    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
         more = np.shape(self.geometry.sizes)[0] - V.shape[1]
         return np.pad(V, ((0, 0), (0, more)), constant_values=1.0)
 

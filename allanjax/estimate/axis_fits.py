@@ -27,8 +27,8 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
 
-# Cluster sizes and terms that the arrays of a fit have room for: with four an octave, sizes of 6·10⁷ samples.
-_ROOM = (96, 6)
+# Cluster sizes and terms that a fit's arrays have room for: with four an octave, sizes of 6·10⁷ samples.
+_CAPACITY = (96, 6)
 
 
 def fit_allan(
@@ -47,7 +47,7 @@ def fit_allan(
         active: the terms that each axis has.
         values: the record, without which lines and resonances cannot be found.
     """
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _ROOM)
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
     records = [None] * len(axes) if values is None else values.T
     # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
@@ -207,7 +207,7 @@ def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
     """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _ROOM)
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
     means, scatter = zip(*(_moments_of(design, template, result) for result in results), strict=True)
     curve = _with_model_edf(curve, results, means, scatter)
     # Effects that are projected out of the spectrum are still in the Allan deviations.
@@ -261,7 +261,7 @@ def _moments(
 @eqx.filter_jit
 def _padded_moments(
     design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"]
-) -> tuple[Float[Array, " room"], Float[Array, " room"]]:
+) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
     power, shape = jnp.asarray(power), jnp.asarray(shape)
     covariance = design.covariance(power, design.products(shape))
     return design.mean(power, design.means(shape)), design.variances(covariance)

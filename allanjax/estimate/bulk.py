@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 # Axes of a block: what the compiled programs hold for so many stays in a core's cache.
 _BLOCK = 64
 # The arrays have room for a multiple of so many cluster sizes: at octaves, two programs serve all records.
-_ROOM = 8
+_CAPACITY = 8
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -218,8 +218,8 @@ def _in_blocks(
     curve: AllanDeviation, template: Model
 ) -> tuple[Solution, Inference, Bool[np.ndarray, " axes"]]:
     """Solution and inference of every axis, and whether the curve is near enough to the data."""
-    room = -(-len(curve.cluster_size) // _ROOM) * _ROOM
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, (room, 0))
+    capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, (capacity, 0))
     free = free_powers(template)
     active = np.ones((_BLOCK, len(template)), bool)
     variance = curve.variance.T

@@ -56,7 +56,7 @@ class Design(eqx.Module):
         """Which shapes are fitted to these estimates."""
         return np.array([shape.moves for shape in self.shapes], bool)
 
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes room"]:
+    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
         """Estimates in arrays of the design's length."""
         return V
 

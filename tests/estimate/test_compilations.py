@@ -83,9 +83,9 @@ def test_room_for_more_changes_no_number() -> None:
     curve = aj.allan_deviation(values, 10.0)
     active = np.array([[True] * len(template), [True] * (len(template) - 1) + [False]])
     found = []
-    for room in ((0, 0), (32, 6)):
-        design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, room=room)
-        assert design.padded_estimates(curve.variance.T).shape[1] == (room[0] or len(curve.cluster_size))
+    for capacity in ((0, 0), (32, 6)):
+        design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, capacity=capacity)
+        assert design.padded_estimates(curve.variance.T).shape[1] == (capacity[0] or len(curve.cluster_size))
         starts = find_starts(template, design, curve.variance.T, active, [None] * 2, curve.n, curve.rate)
         found.append(solve_and_infer(design, curve.variance.T, free_powers(template), active, starts)[:2])
     assert np.all(found[0][0].converged)
@@ -98,7 +98,7 @@ def test_a_design_has_the_covariance_and_means_of_its_terms() -> None:
     n, rate, sizes = 1000, 10.0, np.array([1, 2, 5, 20, 90])
     model = aj.RateRandomWalk() + aj.Markov() + aj.DriftRamp() + aj.Telegraph(None, 3.0).hold("dwell_time")
     model = model + aj.AngleRandomWalk()
-    design = AllanDesign.of(model, n, rate, sizes, room=(8, 7))
+    design = AllanDesign.of(model, n, rate, sizes, capacity=(8, 7))
     amplitudes = np.array([0.02, 0.3, 0.01, 0.4, 0.7])
     terms = [t.replace(**{t.amplitude_parameter().name: a}) for t, a in zip(model, amplitudes, strict=True)]
     terms[1] = terms[1].replace(correlation_time=4.0)
