@@ -4,6 +4,7 @@ import os
 
 import allantools
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from places import DATA
@@ -215,6 +216,20 @@ def by_integers(rates: np.ndarray, m: int, name: str) -> float:
     d = d[::step]
     scale = {"allan": 2, "modified": 2 * m**2, "hadamard": 6}[kind] * m**2
     return float((d**2).sum() // (len(d) * scale)) / 2.0**120
+
+
+@each_estimator
+@pytest.mark.parametrize("data_type", ["rate", "phase"])
+def test_arrays_of_jax_and_of_numpy_agree(name, data_type):
+    """The one is computed by a compiled program, the other by NumPy, in chunks."""
+    kind, overlapping = ESTIMATORS[name]
+    values = white_and_walk(20_000)
+    sizes = cluster_sizes(len(values) - 1, 1.0, kind=kind)
+    options = {"kind": kind, "overlapping": overlapping, "data_type": data_type}
+    ours = allan_variance_estimates(values, sizes, 4.0, **options)
+    assert isinstance(ours, np.ndarray)
+    compiled = allan_variance_estimates(jnp.asarray(values), sizes, 4.0, **options)
+    np.testing.assert_allclose(compiled, ours, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["oadev", "mdev", "hdev"])
