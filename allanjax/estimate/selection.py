@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 # Headings of the columns of numbers in the printed table.
 _NUMBERS = ("probability", "nats behind")
-# Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: "strong" from 20).
+# Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: 20 is "strong").
 _ODDS = 20.0
 # A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
 _PARSIMONY = 5.0
