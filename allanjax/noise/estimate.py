@@ -200,7 +200,7 @@ class Estimate(ByValue):
             return f"not a measurement of this sensor (fitted: {amount})"
         if not self.detected:
             if self.upper_limit is None:
-                return "not determined: its term is not detected"
+                return "not determined: its term is not detectable"
             if self.rivals:
                 names = " or ".join(title_of(name, self.axis) for name in self.rivals)
                 return f"not told from {names}, below {amount} (95 %)"

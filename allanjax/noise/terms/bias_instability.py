@@ -47,7 +47,6 @@ class BiasInstability(NoiseTerm):
         w0 = 2.0 * np.pi * self.cutoff_frequency
         return B2 / (np.pi * w0**2) * _cutoff_flicker(w0 * lag)
 
-    @np.errstate(divide="ignore")
     def parts(self, rate: float) -> Parts:
         if not self._has_no_cutoff():
             return super().parts(rate)
@@ -56,6 +55,7 @@ class BiasInstability(NoiseTerm):
         poles = parts.poles._replace(weight=B2 * parts.poles.weight)
         return Parts(B2 * parts.white, B2 * parts.difference, 0.0, poles)
 
+    @np.errstate(divide="ignore")
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         xp = namespace(self, frequency)
         f = xp.abs(xp.asarray(frequency, float))
