@@ -153,6 +153,9 @@ class AxisSampler:
         for c in fit.coefficients.values():
             if c.held:
                 marginals[c.label] = dataclasses.replace(c, source="posterior", sampled=False)
+            elif c.rivals:
+                # Draws are of the chosen terms only.
+                marginals[c.label] = dataclasses.replace(marginals[c.label], detected=False, rivals=c.rivals)
         in_order = [p.label for p in self.fit.template.parameters if p.label in marginals]
         curve = self.fit.curve
         return AxisPosterior(
