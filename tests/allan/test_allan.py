@@ -26,7 +26,6 @@ ESTIMATORS = {
 each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
 
 
-# Tests that share this length and this spacing share what is compiled.
 N = 20011
 SPACING = 3
 
