@@ -28,6 +28,8 @@ _CHUNK = 8192
 _BLOCK = 16
 # Records up to this length are padded to a power of two, so that one program serves all lengths of an octave.
 _PADDED = 1 << 22
+# Cluster sizes are padded to a multiple of this number.
+_SIZES = 64
 # Running sums inside a chunk are products with a triangular matrix of this size, which XLA vectorises.
 _ROW = 32
 
@@ -63,15 +65,18 @@ def allan_variance_estimates(
     each cluster size needs.
     """
     n = np.shape(values)[0] - (data_type == "phase")
+    sizes = np.asarray(sizes)
     if not isinstance(values, jax.Array):
         values = _padded(np.asarray(values, dtype=float))
+    # Sizes that leave no difference cost nothing.
+    every = np.pad(sizes, (0, -len(sizes) % _SIZES), constant_values=n + 1)
     if isinstance(values, jax.core.Tracer) or n < _BLOCK * _CHUNK:
-        sums = _sums_of_axes(values, sizes, n, rate, kind=kind, overlapping=overlapping, data_type=data_type)
+        sums = _sums_of_axes(values, every, n, rate, kind=kind, overlapping=overlapping, data_type=data_type)
     else:
-        sums = _shared_sums_of_axes(values, sizes, n, rate, kind, overlapping, data_type)
+        sums = _shared_sums_of_axes(values, every, n, rate, kind, overlapping, data_type)
     if not isinstance(sums, jax.core.Tracer):
         sums = np.asarray(sums)
-    sizes = np.asarray(sizes)
+    sums = sums[: len(sizes)]
     scale = 6.0 if kind == "hadamard" else 2.0
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace
+from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.base.linalg import inverse, whiten
 from allanjax.spectrum.cosine import SpectralStatistics
 
@@ -255,3 +256,27 @@ def evidences(
         found = _evidences(block, first[:, rows], statistics, fixed, grid, size, share, np.asarray(steps))
         blocks.append(jax.device_get(found))
     return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))
+
+
+def power_error(
+    statistics: SpectralStatistics,
+    mean: Float[np.ndarray, " m"],
+    ramp: bool,
+    size: Float[np.ndarray, " m"],
+    per_octave: Float[np.ndarray, " m"],
+) -> float:
+    """Relative error of an axis's spectrum with which χ² equals its degrees of freedom; 0 if it fits."""
+    from scipy.optimize import brentq
+
+    rss, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, ramp))
+    known = dof > 0.05
+    dof = np.maximum(dof, 1e-3)
+    z = np.asarray(exact_cube_root_score(rss / dof / mean, dof))[known]
+
+    def chi2(s: float) -> float:
+        return float(np.sum(z**2 / (1.0 + 0.5 * size * per_octave * s**2)[known]))
+
+    degrees = max(known.sum() - 3.0, 1.0)
+    if chi2(0.0) <= beyond_doubt(degrees):
+        return 0.0
+    return float(brentq(lambda s: chi2(s) - degrees, 0.0, 1e3))

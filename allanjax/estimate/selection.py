@@ -12,12 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
 from allanjax.estimate.design import model_to_fit
-from allanjax.estimate.evidence import Evidence, TermSubset, evidences, term_subsets, without_ramp
+from allanjax.estimate.evidence import Evidence, TermSubset, evidences, power_error, term_subsets
 from allanjax.estimate.spectral_design import bins_per_octave
 from allanjax.estimate.starts import correlation_times
 from allanjax.noise.model import Model
@@ -43,8 +42,8 @@ _NUMBERS = ("probability", "nats behind")
 _ODDS = 20.0
 # A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
 _PARSIMONY = 5.0
-# Posterior probability of a chosen term, summed over all sets that have it, from which on it is detected.
-_CERTAIN = 0.9
+# Posterior probability of a chosen term, summed over the sets that have it, from which on it is detected.
+_CERTAIN = 0.95
 # Probability below which a further term is not mentioned as an ambiguity: any might be there, unseen.
 _WORTH_SAYING = 0.1
 # Number of times that the evidence is computed anew with the error of the best set.
@@ -115,15 +114,20 @@ class AxisSelection(ByValue):
         return {name: sum(s.probability for s in self.ranking if name in s.terms) for name in names}
 
     def doubtful(self) -> dict[str, tuple[str, ...]]:
-        """The chosen terms whose posterior probability is below 90 %, and the terms that may replace each.
+        """The chosen terms whose posterior probability is below 95 %, and the terms that may replace each.
 
-        These are of the sets that are not told from the best, the most probable first; none if the term may
-        as well be missing altogether.
+        Sets with a free time compete only if the chosen one has one, too: with a long time they say the same
+        as a random walk. The rivals are of the sets that are not told from the best, the most probable
+        first; none if the term may as well be missing altogether.
         """
-        found = {}
-        for term in (t for t in self.chosen.terms if self.inclusion[t] < _CERTAIN):
-            others = [s.terms for s in self.indistinguishable if term not in s.terms]
-            found[term] = tuple(t for t in dict.fromkeys(sum(others, ())) if t not in self.chosen.terms)
+        free = self.chosen.parameters > len(self.chosen.terms)
+        compared = [s for s in self.ranking if free or s.parameters == len(s.terms)]
+        total, found = sum(s.probability for s in compared), {}
+        for term in self.chosen.terms:
+            without = [s for s in compared if term not in s.terms]
+            if sum(s.probability for s in without) > (1.0 - _CERTAIN) * total:
+                others = sum((s.terms for s in without if s in self.indistinguishable), ())
+                found[term] = tuple(t for t in dict.fromkeys(others) if t not in self.chosen.terms)
         return found
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -276,7 +280,7 @@ def rank_terms(
         best = int(np.argmax(log_evidence[k]))
         mean = power[k, best] @ np.concatenate([columns[:cut], grid[subsets.column[best]][None]])
         own = SpectralStatistics(*(x[k] for x in statistics))
-        return _power_error(own, mean, bool(subsets.ramp[best]), size, per_octave)
+        return power_error(own, mean, bool(subsets.ramp[best]), size, per_octave)
 
     per_octave = bins_per_octave(bins)[keep]
     log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(subsets.ramp)))
@@ -284,42 +288,18 @@ def rank_terms(
     # The sets without a free time come first; only these are compared where none suffices.
     plain = int((~subsets.terms[:, -1]).sum())
     log_evidence[incomplete, plain:] = -np.inf
-    power_error = np.zeros(len(axes))
+    found_error = np.zeros(len(axes))
     for _ in range(_ROUNDS if incomplete.any() else 0):
         for k in map(int, np.flatnonzero(incomplete)):
-            power_error[k] = max(power_error[k], error_of(k))
-        found = run(1.0 / (1.0 + 0.5 * size * per_octave * power_error[:, None] ** 2), plain)
+            found_error[k] = max(found_error[k], error_of(k))
+        found = run(1.0 / (1.0 + 0.5 * size * per_octave * found_error[:, None] ** 2), plain)
         log_evidence[incomplete, :plain] = found.log_evidence[incomplete]
         power[incomplete, :plain] = found.power[incomplete]
     ranked = (
-        _ranked(axis, model, (fixed, shaped, ramps), subsets, log_evidence[k], float(power_error[k]) / 2.0)
+        _ranked(axis, model, (fixed, shaped, ramps), subsets, log_evidence[k], float(found_error[k]) / 2.0)
         for k, axis in enumerate(axes)
     )
     return TermSelection(name, tuple(ranked))
-
-
-def _power_error(
-    statistics: SpectralStatistics,
-    mean: Float[np.ndarray, " m"],
-    ramp: bool,
-    size: Float[np.ndarray, " m"],
-    per_octave: Float[np.ndarray, " m"],
-) -> float:
-    """Relative error of an axis's spectrum with which χ² equals its degrees of freedom; 0 if it fits."""
-    from scipy.optimize import brentq
-
-    rss, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, ramp))
-    known = dof > 0.05
-    dof = np.maximum(dof, 1e-3)
-    z = np.asarray(exact_cube_root_score(rss / dof / mean, dof))[known]
-
-    def chi2(s: float) -> float:
-        return float(np.sum(z**2 / (1.0 + 0.5 * size * per_octave * s**2)[known]))
-
-    degrees = max(known.sum() - 3.0, 1.0)
-    if chi2(0.0) <= beyond_doubt(degrees):
-        return 0.0
-    return float(brentq(lambda s: chi2(s) - degrees, 0.0, 1e3))
 
 
 def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:

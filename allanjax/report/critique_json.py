@@ -109,7 +109,7 @@ def _discrepancy(d: Discrepancy) -> dict[str, Any]:
 
 
 def _parameter(e: Estimate) -> dict[str, Any]:
-    return {**_fields(e, "value", "std", "unit"), "limit": side_of_limit(e) or None}
+    return _plain({**_fields(e, "value", "std", "unit"), "limit": side_of_limit(e) or None})
 
 
 def _detail(detail: Detail) -> dict[str, Any]:

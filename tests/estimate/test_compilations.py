@@ -61,18 +61,22 @@ def test_the_count_counts(compiled) -> None:
     ],
 )
 def test_another_recording_compiles_nothing(model, others, compiled) -> None:
-    aj.fit(recording(2048, 100.0, 2), model)
+    """Lengths of one octave: the Allan sums, one program, are compiled for each octave and number of axes."""
+    for axes in (1, 3, 5):
+        aj.allan_deviation(recording(2100, 100.0, axes), cluster_times=4)
+    aj.fit(recording(2100, 100.0, 2), model)
     for k, other in enumerate(others):
         compiled[0] = 0
-        fit = aj.fit(recording(3000 + 4000 * k, 50.0 + k, 1 + 2 * k), other)
+        fit = aj.fit(recording(3000 + 500 * k, 50.0 + k, 1 + 2 * k), other)
         assert compiled[0] == 0
         assert fit.converged
 
 
 def test_bulk_fits_of_another_length_compile_nothing(compiled) -> None:
     for n, axes in ((2048, 3), (5000, 5)):
+        curve = aj.allan_deviation(recording(n, 100.0, axes).values, 100.0)
         compiled[0] = 0
-        aj.fit_many(aj.allan_deviation(recording(n, 100.0, axes).values, 100.0), "N + K")
+        aj.fit_many(curve, "N + K")
     assert compiled[0] == 0
 
 
