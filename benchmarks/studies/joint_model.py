@@ -1,6 +1,6 @@
 """Does the joint spectral model recover a filtered sensor with resonances, its structure being given?
 
-    python benchmarks/studies/joint_model.py [--seeds 30] [--quick] [--results PATH]
+    python benchmarks/studies/joint_model.py [--seeds 100] [--quick] [--results PATH]
 
 White noise of 10⁻³ rad/s/√Hz and a rate random walk of 2·10⁻⁵ rad/s/√s at 100 Hz, 200,000 samples, through a
 digital filter of one pole at 15 Hz; a resonance at 20 Hz (Q 15) is added after it, or passes through it, or
@@ -141,7 +141,8 @@ def fitted(waves: tuple[Wave, ...], seed: int) -> Outcome:
     found = jax.block_until_ready(maximize(start, slots, levels))
     taken = 1e3 * (time.perf_counter() - begun)
     error = np.sqrt(np.diag(np.asarray(covariance(found))))
-    scores = (np.asarray(found.theta) - truth)[free] / error[free]
+    with np.errstate(divide="ignore"):
+        scores = (np.asarray(found.theta) - truth)[free] / error[free]
     return Outcome(scores, bool(found.converged), int(found.steps), taken)
 
 
@@ -151,22 +152,25 @@ def names(waves: tuple[Wave, ...]) -> list[str]:
     return ["N²", "K²", *(f"{p}{of}" for p in ("σ²", "f0", "Q") for of in each), "f_c"]
 
 
-HEAD = ["parameter", "mean of z", "its error", "sd of z", "z within ±1.96", "farthest z"]
+HEAD = ["parameter", "records with it", "mean of z", "its error", "sd of z", "z within ±1.96", "farthest z"]
 
 
 def section(name: str, waves: tuple[Wave, ...], seeds: int, first: int) -> str:
     outcomes = [fitted(waves, first + k) for k in range(seeds)]
     scores = np.array([o.scores for o in outcomes])
+    # A power that the data do not call for is zero: it has a limit, and no error.
+    seen = np.isfinite(scores)
     rows = [
         [
             label,
+            f"{z.size}",
             f"{z.mean():+.2f}",
-            f"{z.std(ddof=1) / np.sqrt(seeds):.2f}",
+            f"{z.std(ddof=1) / np.sqrt(z.size):.2f}",
             f"{z.std(ddof=1):.2f}",
             f"{np.mean(abs(z) < 1.96):.2f}",
             f"{abs(z).max():.1f}",
         ]
-        for label, z in zip(names(waves), scores.T, strict=True)
+        for label, z in zip(names(waves), (x[k] for x, k in zip(scores.T, seen.T, strict=True)), strict=True)
     ]
     steps = [o.steps for o in outcomes]
     # The first fit compiles.
@@ -198,8 +202,8 @@ anything else. Reproduce with `python benchmarks/studies/joint_model.py`.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=30, help="records of each case")
-    parser.add_argument("--first", type=int, default=71_000, help="the first seed")
+    parser.add_argument("--seeds", type=int, default=100, help="records of each case")
+    parser.add_argument("--first", type=int, default=90_000, help="the first seed")
     parser.add_argument("--quick", action="store_true", help="three records of each")
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "joint_model.md")
     arguments = parser.parse_args()
