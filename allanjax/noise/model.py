@@ -32,7 +32,8 @@ class NoiseTerm(Parametrized, Process):
             def phase_covariance(self, lag):
                 return -(self.coefficient**2) * jnp.log(jnp.maximum(lag, 1e-3))
 
-    and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional.
+    and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional; with
+    `parts` a term can pass a `Response`.
     Where an argument or a parameter is an array of JAX, so are the results of allanjax's own terms; else they
     are NumPy's, and nothing is compiled.
     """
