@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Num
@@ -43,6 +44,33 @@ def exponential_covariance(
     return slope * lag - xp.real(kappa * remainder)
 
 
+def averaged_lags(x: Any) -> tuple[Any, Any]:
+    """Autocovariance of averages over an interval of x correlation times, at lags 0 and 1 interval.
+
+    Of R(t) = e^{−|t|}, t in correlation times; that at d intervals is the second times e^{−x(d − 1)}.
+    """
+    xp = namespace(x)
+    # (e^{-x} − 1 + x)/x², by a series where that would cancel.
+    at_zero = xp.where(
+        x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + xp.expm1(-x)) / xp.maximum(x, 1e-3) ** 2
+    )
+    return at_zero, (xp.expm1(-x) / x) ** 2
+
+
+def mean_lags(x: Any, M: Any) -> tuple[Any, Any, Any]:
+    """Autocovariance of means of M readings of R_k = e^{x·|k|}, at lags 0 and 1 mean; and 1 − e^{Mx}.
+
+    With q = e^x: r_0 = [M(1 + q)/(1 − q) − 2q(1 − q^M)/(1 − q)²]/M² and, from d = 1 on,
+    r_d = q^{M(d−1)}·q(1 − q^M)²/(M(1 − q))², a geometric series.
+    """
+    xp = namespace(x, M)
+    q, y, z = xp.exp(x), -xp.expm1(x), -xp.expm1(M * x)
+    # A series where the terms of r_0 would cancel.
+    series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
+    r_0 = xp.where(xp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
+    return r_0, q * (z / (M * y)) ** 2, z
+
+
 def exponential_density(
     pole: Num[ArrayLike, ""],
     weight: Num[ArrayLike, ""],
@@ -52,19 +80,12 @@ def exponential_density(
 ) -> Float[Array, ...]:
     """Two-sided PSD at frequencies [Hz] of R(t) = Re[weight·e^{pole·t}] read at the sample instants.
 
-    Samples at `rate` that are means of M readings, a sample interval [s] apart, have the autocovariance
-    Re[weight·r_d], r_0 = [M(1 + q)/(1 − q) − 2q(1 − q^M)/(1 − q)²]/M² and, from d = 1 on,
-    r_d = q^{M(d−1)}·q(1 − q^M)²/(M(1 − q))², q = e^{pole·interval}: a geometric series. M is 1 at the
+    Samples at `rate` are means of M readings, a sample interval [s] apart, see `mean_lags`. M is 1 at the
     readings' own rate, and for a sample interval of 0.
     """
     xp = namespace(pole, weight, frequency, rate, sample_interval)
     M = 1.0 if sample_interval == 0.0 else 1.0 / (rate * sample_interval)
-    x = pole / rate / M
-    q, y, z = xp.exp(x), -xp.expm1(x), -xp.expm1(M * x)
-    # A series where the terms of r_0 would cancel.
-    series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
-    r_0 = xp.where(xp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
-    r_1 = q * (z / (M * y)) ** 2
+    r_0, r_1, z = mean_lags(pole / rate / M, M)
     # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, by what is small near Q = 1.
     s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2
     below = z**2 + 4.0 * (1.0 - z) * s

@@ -36,7 +36,7 @@ def columns_of(
 def _column(
     term: NoiseTerm, edges: Int[np.ndarray, " m+1"], nodes: Float[np.ndarray, "2 m"], n: int, rate: float
 ) -> Float[np.ndarray, "2 m"]:
-    if isinstance(term, BiasInstability) and np.isinf(term.cutoff_frequency):
+    if isinstance(term, BiasInstability) and not term.oscillates:
         m = len(edges) - 1
         return np.asarray(_flicker(_bare(edges, n)))[:, :m]
     f = nodes * rate / (2.0 * np.pi)

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from allanjax.estimate.spectral.levels import Levels
+from allanjax.noise.exponential import averaged_lags, mean_lags
 
 
 def geometric(
@@ -41,10 +42,7 @@ def markov(levels: Levels, log_time: Float[Array, ""]) -> Float[Array, "nodes m"
     `log_time` is the logarithm of its correlation time in sample intervals.
     """
     x = levels.interval * jnp.exp(-log_time)
-    y = -jnp.expm1(-x)
-    small = x < 1e-3
-    first = jnp.where(small, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x - y) / jnp.where(small, 1.0, x) ** 2)
-    return geometric(levels, first, (y / x) ** 2, y, jnp.exp(-levels.length * x))
+    return geometric(levels, *averaged_lags(x), -jnp.expm1(-x), jnp.exp(-levels.length * x))
 
 
 def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -> Float[Array, "nodes m"]:
@@ -60,14 +58,9 @@ def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -
     decay = w0 / (2.0 * Q)
     wd = jnp.sqrt(w0**2 - decay**2)
     pole = jnp.asarray(-decay + 1j * wd)
-    # Means of M readings, as in `noise.exponential_density`.
-    M = levels.interval
-    q, y, z = jnp.exp(pole), -jnp.expm1(pole), -jnp.expm1(M * pole)
-    series = 1.0 + pole * (M**2 - 1.0) / (3.0 * M) + pole**2 * (M**2 - 1.0) / 12.0
-    first = jnp.where(jnp.abs(M * pole) < 1e-3, series, (1.0 + q) / (M * y) - 2.0 * q * z / (M * y) ** 2)
-    second = q * (z / (M * y)) ** 2
-    last = jnp.exp(levels.length * M * pole)
-    read = jnp.real((1.0 - 1j * decay / wd) * geometric(levels, first, second, z, last))
+    last = jnp.exp(levels.length * levels.interval * pole)
+    lags = mean_lags(pole, jnp.asarray(levels.interval))
+    read = jnp.real((1.0 - 1j * decay / wd) * geometric(levels, *lags, last))
     a = levels.angle
     density = 2.0 * w0**3 / Q / ((w0**2 - a**2) ** 2 + (w0 * a / Q) ** 2)
     return jnp.where(band_limited, density, read)

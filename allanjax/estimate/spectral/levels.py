@@ -50,7 +50,7 @@ class Levels(NamedTuple):
 def level_edges(n: int, resonances: tuple[tuple[float, float], ...] = ()) -> Int[np.ndarray, " m+1"]:
     """First coefficients of the levels of a transform of n values, and the one after the last.
 
-    Single coefficients up to 64, then forty levels an octave, finer around resonances, each given by its
+    Single coefficients up to 64, then up to 24 levels an octave, finer around resonances, each given by its
     frequency in cycles per value and its width in the same unit.
 
     Raises:

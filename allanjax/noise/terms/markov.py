@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.exponential import exponential_remainder
+from allanjax.noise.exponential import averaged_lags, exponential_remainder
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
@@ -18,19 +16,6 @@ from allanjax.noise.response import Parts, Poles
 
 # Sample intervals over the correlation time from which on only two lags are left.
 _SHORT = 30.0
-
-
-def _lags(x: Any) -> tuple[Any, Any]:
-    """Autocovariance of means over an interval, of x correlation times, at lags of none and of one.
-
-    That at d is the second times e^{−x(d − 1)}. Of a process of variance 1.
-    """
-    xp = namespace(x)
-    # (e^{-x} − 1 + x)/x², by a series where that would cancel.
-    at_zero = xp.where(
-        x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + xp.expm1(-x)) / xp.maximum(x, 1e-3) ** 2
-    )
-    return at_zero, (xp.expm1(-x) / x) ** 2
 
 
 class Markov(NoiseTerm):
@@ -55,7 +40,7 @@ class Markov(NoiseTerm):
         xp = namespace(self, frequency, rate)
         a = 2.0 * np.pi * xp.asarray(frequency) / rate
         x = 1.0 / (rate * self.correlation_time)
-        at_zero, at_one = _lags(x)
+        at_zero, at_one = averaged_lags(x)
         # cos a − e^{-x} and 1 − 2e^{-x} cos a + e^{-2x}, without cancellation where both are small.
         s = 2.0 * xp.sin(a / 2.0) ** 2
         numerator = -s - xp.expm1(-x)
@@ -73,8 +58,8 @@ class Markov(NoiseTerm):
         variance = self.amplitude**2 * self.correlation_time / 2.0
         short = x > _SHORT
         slow, fast = xp.where(short, _SHORT, x), xp.where(short, x, _SHORT)
-        r0, r1 = _lags(slow)
-        q0, q1 = _lags(fast)
+        r0, r1 = averaged_lags(slow)
+        q0, q1 = averaged_lags(fast)
         weight = r1 * xp.exp(slow)
         white = xp.where(short, q0 + 2.0 * q1, r0 - weight)
         pole = xp.where(short, 0.5, xp.exp(-slow))
