@@ -118,16 +118,18 @@ class AxisSelection(ByValue):
 
         Sets with a free time compete only if the chosen one has one, too: with a long time they say the same
         as a random walk. The rivals are of the sets that are not told from the best, the most probable
-        first; none if the term may as well be missing altogether.
+        first, if these sets need them; none if the term may as well be missing altogether.
         """
         free = self.chosen.parameters > len(self.chosen.terms)
         compared = [s for s in self.ranking if free or s.parameters == len(s.terms)]
         total, found = sum(s.probability for s in compared), {}
+        close = {frozenset(s.terms) for s in self.indistinguishable}
         for term in self.chosen.terms:
             without = [s for s in compared if term not in s.terms]
             if sum(s.probability for s in without) > (1.0 - _CERTAIN) * total:
-                others = sum((s.terms for s in without if s in self.indistinguishable), ())
-                found[term] = tuple(t for t in dict.fromkeys(others) if t not in self.chosen.terms)
+                likely = [frozenset(s.terms) for s in without if frozenset(s.terms) in close]
+                needed = (t for s in likely for t in sorted(s) if s - {t} not in close)
+                found[term] = tuple(t for t in dict.fromkeys(needed) if t not in self.chosen.terms)
         return found
 
     def to_dataframe(self) -> pd.DataFrame:

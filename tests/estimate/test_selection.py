@@ -236,6 +236,8 @@ def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share():
     axis = by_hand(N_B=1.0, N_K=0.8, N_B_K=0.1)
     assert axis.chosen.terms == (NAMES["N"], NAMES["B"])
     assert axis.doubtful() == {NAMES["B"]: (NAMES["K"],)}
+    # A ramp is in a probable set that does as well without it, and stands in for nothing.
+    assert by_hand(N_B=1.0, N_K=0.8, N_K_R=0.3).doubtful() == {NAMES["B"]: (NAMES["K"],)}
     # Where the alternative is nothing at all, nothing stands in its place.
     assert by_hand(N_K=1.0, N=0.19).doubtful() == {NAMES["K"]: ()}
     assert by_hand(N_K=1.0, N=0.01, N_B_K=0.1).doubtful() == {}
