@@ -72,13 +72,13 @@ class SpectralMask:
         """Mask for records whose spectrum is the family's times `factor`, in the coefficients of a `fold`."""
         weight, constant, size = None if fold is None else fold.astype(float), 0.0, family.size
         if weight is not None:
-            size = family.bins.sums(weight)[family.keep]
+            size = family.bins.sums(weight)
         if factor is not None:
             log = np.log(factor)
             constant = -0.5 * float(log.sum() if fold is None else log.sum(where=fold))
             weight = 1.0 / factor if weight is None else weight / factor
         ramp = family.ramp if weight is None else weight * family.ramp
-        gram = family.bins.sums(ramp * family.ramp)[family.keep]
+        gram = family.bins.sums(ramp * family.ramp)
         return cls(family, weight, ramp, gram, size, constant)
 
     def evidence(self, c: Float[np.ndarray, " n-1"]) -> ModelEvidence:
@@ -86,7 +86,7 @@ class SpectralMask:
         squares = c * c
         if self.weight is not None:
             squares *= self.weight
-        found = (self.family.bins.sums(z)[self.family.keep] for z in (squares, self.ramp * c))
+        found = (self.family.bins.sums(z) for z in (squares, self.ramp * c))
         levels = SpectralStatistics(*(z[None] for z in (*found, self.gram)))
         return ModelEvidence(self.family, levels, self.size, self.constant)
 

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.estimate.evidence import FURTHER, Evidence, TermSubset, evidences, term_subsets
+from allanjax.estimate.spectral.columns import columns_of
 from allanjax.estimate.starts import correlation_times
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
-from allanjax.spectrum.cosine import CosineBins, SpectralStatistics, cosine_transform, ramp_column
+from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column
 
 #: Terms without a free shape, and names of terms that are treated apart.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
@@ -97,15 +95,15 @@ class NoiseFamily:
 
     def __init__(self, n: int, rate: float) -> None:
         self.n, self.rate = n, rate
-        self.bins = CosineBins.of(n, rate)
-        self.keep = self.bins.size > 0
-        self.size = self.bins.size[self.keep].astype(float)
+        self.bins = Bins.of(n, rate)
+        self.size = self.bins.size.astype(float)
         self.times = correlation_times(n / rate, rate)
         self.frequency = np.arange(1, n) * rate / (2.0 * n)
         self._padded = jnp.asarray(_padded(self.frequency))
         unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
         self.spectra = np.stack([self.spectrum(term) for term in unit])
-        self.columns = np.asarray(_levels(tuple(unit), self.bins, Markov, self.times))[:, self.keep]
+        unit += [Markov(1.0, float(time)) for time in self.times]
+        self.columns = columns_of(unit, self.bins).mean(axis=1)
         self.jobs = term_subsets(len(FIXED), GRID, True)
         self.ramp = ramp_column(n, rate)
 
@@ -116,7 +114,7 @@ class NoiseFamily:
     @functools.cached_property
     def power_laws(self) -> Float[np.ndarray, "grid m"]:
         """Levels of power laws of unit amplitude."""
-        return np.asarray(_levels((), self.bins, PowerLaw, EXPONENTS))[:, self.keep]
+        return columns_of([PowerLaw(1.0, float(x)) for x in EXPONENTS], self.bins).mean(axis=1)
 
     def slope(
         self,
@@ -202,19 +200,6 @@ def _density(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) ->
 def family_of(n: int, rate: float) -> NoiseFamily:
     """Noise family of records of n samples; the axes of a recording share it."""
     return NoiseFamily(n, rate)
-
-
-@eqx.filter_jit
-def _levels(
-    terms: tuple[NoiseTerm, ...],
-    bins: CosineBins,
-    shaped: Callable[[float, Any], NoiseTerm],
-    shapes: Float[ArrayLike, " grid"],
-) -> Float[Array, "rows m"]:
-    """Levels in the bins of these terms, and of one term with each of its shapes at unit amplitude."""
-    rows = [bins.expected(term) for term in terms]
-    rows += list(jax.lax.map(lambda shape: bins.expected(shaped(1.0, shape)), jnp.asarray(shapes)))
-    return jnp.stack(rows)
 
 
 def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:

@@ -36,7 +36,7 @@ def _products(
     The nuisances, a subset's ramp and other accepted shapes, are projected out.
     """
     J = bank.shapes.shape[1]
-    first = view.family.bins.first[view.family.keep] - 1
+    first = view.family.bins.edges[:-1] - 1
     first = first[first < J]
     weight = np.ones(J) if view.factor is None else 1.0 / view.factor[:J]
 

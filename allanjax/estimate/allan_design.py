@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int, Shaped
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
 from allanjax.allan.covariance import AllanCovariance
 from allanjax.base.linalg import CholeskyWhitened, whiten
@@ -41,10 +41,12 @@ class AllanDesign(Design):
     of the structure, not their values: a program is compiled once for each set of these.
 
     Attributes:
+        shapes: the free parameters that are not amplitudes.
         others: the terms that are not basic ones, of unit amplitude; free shapes are None.
         columns: row of each term among the basic ones and these.
     """
 
+    shapes: tuple[FreeShape, ...] = eqx.field(static=True)
     geometry: AllanCovariance
     octaves: Float[np.ndarray, "m m"]
     ridge: Float[np.ndarray, ""]
@@ -98,6 +100,14 @@ class AllanDesign(Design):
             constants=_constants(tuple(others), shapes, columns, geometry),
         )
 
+    @property
+    def movable(self) -> Bool[np.ndarray, " shapes"]:
+        return np.array([shape.moves for shape in self.shapes], bool)
+
+    @property
+    def has_shapes(self) -> bool:
+        return bool(self.movable.any())
+
     def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
         more = np.shape(self.geometry.sizes)[0] - V.shape[1]
         return np.pad(V, ((0, 0), (0, more)), constant_values=1.0)
@@ -105,6 +115,9 @@ class AllanDesign(Design):
     def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
         more = np.shape(self.columns)[0] - values.shape[-1]
         return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)])
+
+    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
+        return values
 
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
         """Allan variance of each term of unit amplitude."""
@@ -145,10 +158,6 @@ class AllanDesign(Design):
     def variances(self, covariance: Array) -> Float[Array, " m"]:
         return jnp.diag(covariance)
 
-    def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
-        """Relative residuals as they are: normal scores of each would not be jointly normal."""
-        return ratio - 1.0
-
     def whiten(
         self,
         covariance: Array,
@@ -161,25 +170,10 @@ class AllanDesign(Design):
         relative += self.ridge * jnp.diag(jnp.diag(relative)) + power_error**2 * self.octaves
         return whiten(relative, X, self.rows)
 
-    def cost(
-        self,
-        V: Float[Array, " m"],
-        mean: Float[Array, " m"],
-        covariance: Array,
-        power_error: Float[Array, ""],
-        misfit: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """Minus twice the log-likelihood of a normal law."""
-        return misfit + 2.0 * jnp.sum(jnp.log(mean))
-
     @property
     def weight(self) -> Float[Array, " m"]:
         """Weight proportional to the number of clusters."""
         return self.geometry.known(1.0 / self.geometry.cluster_time, 0.0)
-
-    @property
-    def count(self) -> Float[Array, ""]:
-        return jnp.asarray(self.rows, float)
 
     def _moving(self, shape: Float[Array, " shapes"]) -> dict[int, NoiseTerm]:
         """Terms with free shapes, which they have here, by their row among all."""

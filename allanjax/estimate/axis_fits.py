@@ -18,7 +18,7 @@ from allanjax.estimate.coefficients import Coefficients, coefficients_of, determ
 from allanjax.estimate.design import free_powers, free_shapes
 from allanjax.estimate.deterministic import lines_of, take_out_lines
 from allanjax.estimate.gls import Solution, solve
-from allanjax.estimate.inference import Inference, infer
+from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.misfit import Misfit, misfit_of, widened
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.estimate.starts import Starts, find_starts
@@ -94,7 +94,7 @@ def solve_and_infer(
     solution = jax.device_get(solve(design, V, *of_terms, powers[:, 0], starts.shape[:, 0]))
     # The cost may have several minima in a correlation time: all starts are tried.
     for k in range(1, powers.shape[1]):
-        doubtful = ~solution.converged | design.movable.any()
+        doubtful = ~solution.converged | design.has_shapes
         if not doubtful.any():
             break
         other = jax.device_get(solve(design, V, *of_terms, powers[:, k], starts.shape[:, k]))
@@ -103,22 +103,9 @@ def solve_and_infer(
     misfits = _misfits(design, variance, solution)
     solution = widened(solution, misfits)
     inference = jax.device_get(infer(design, V, *of_terms, solution))
-    return *_without_padding(solution, inference, variance.shape[1], active.shape[1]), misfits
-
-
-def _without_padding(
-    solution: Solution, inference: Inference, m: int, terms: int
-) -> tuple[Solution, Inference]:
-    """Solution and inference of so many estimates and terms, by a design with room for more."""
-    parameters = np.arange(inference.covariance.shape[-1])
-    own = parameters[(parameters < terms) | (parameters >= solution.power.shape[1])]
-    return solution._replace(power=solution.power[:, :terms]), Inference(
-        inference.covariance[:, own[:, None], own],
-        inference.estimate_variance[:, :m],
-        inference.power_at[:, :terms],
-        inference.pivot_at[:, :terms],
-        inference.ceiling[:, :terms],
-    )
+    terms, shapes = active.shape[1], starts.shape.shape[-1]
+    inference = without_padding(inference, variance.shape[1], terms, shapes)
+    return solution._replace(power=solution.power[:, :terms]), inference, misfits
 
 
 def _misfits(

@@ -37,32 +37,39 @@ class FreeShape(NamedTuple):
 
 
 class Design(eqx.Module):
-    """Model of the estimates as the solver and the inference see it: see the module's docstring.
+    """Model of the estimates as the inference sees it: see the module's docstring.
 
     Attributes:
-        shapes: the free parameters that are not amplitudes.
-        owner: the term that each of these is of.
+        owner: the term that each of the free parameters other than amplitudes ("shapes") is of.
         terms: number of terms.
         rows: number of estimates.
     """
 
-    shapes: tuple[FreeShape, ...] = eqx.field(static=True)
     owner: Int[np.ndarray, " shapes"]
     terms: Int[np.ndarray, ""]
     rows: Int[np.ndarray, ""]
 
     @property
+    @abc.abstractmethod
     def movable(self) -> Bool[np.ndarray, " shapes"]:
         """Which shapes are fitted to these estimates."""
-        return np.array([shape.moves for shape in self.shapes], bool)
 
+    @property
+    @abc.abstractmethod
+    def has_shapes(self) -> bool:
+        """Whether there may be any; known when a program is compiled."""
+
+    @abc.abstractmethod
     def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
         """Estimates in arrays of the design's length."""
-        return V
 
+    @abc.abstractmethod
     def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
         """Values of terms in arrays of the design's length."""
-        return values
+
+    @abc.abstractmethod
+    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
+        """Values of shapes in arrays of the design's length."""
 
     @abc.abstractmethod
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
@@ -85,10 +92,6 @@ class Design(eqx.Module):
         """Variances of the estimates, from their covariance."""
 
     @abc.abstractmethod
-    def residual(self, ratio: Float[Array, " m"], variance: Float[Array, " m"]) -> Float[Array, " m"]:
-        """Residuals for χ² of the ratios of estimates to their means, with zero mean and this variance."""
-
-    @abc.abstractmethod
     def whiten(
         self,
         covariance: Array,
@@ -98,26 +101,23 @@ class Design(eqx.Module):
     ) -> CholeskyWhitened:
         """Whitened columns X for relative residuals with a relative error `power_error` of the model."""
 
-    @abc.abstractmethod
-    def cost(
+    def whiten_and_weigh(
         self,
-        V: Float[Array, " m"],
-        mean: Float[Array, " m"],
         covariance: Array,
+        mean: Float[Array, " m"],
         power_error: Float[Array, ""],
-        misfit: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """Minus twice the log-likelihood, to choose among solutions; `misfit` is χ² + ln det."""
+        X: Float[Array, "m k"],
+    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
+        """Whitened columns L⁻¹X, and X'C⁻¹, for relative residuals of covariance C = LL'."""
+        k = X.shape[1]
+        both = jnp.concatenate([X, jnp.eye(len(mean))], axis=1)
+        values = self.whiten(covariance, mean, power_error, both).values
+        return values[:, :k], values[:, :k].T @ values[:, k:]
 
     @property
     @abc.abstractmethod
     def weight(self) -> Float[Array, " m"]:
         """Rough relative weight of each estimate, where no model is known."""
-
-    @property
-    @abc.abstractmethod
-    def count(self) -> Float[Array, ""]:
-        """Number of estimates, as far as they have degrees of freedom."""
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
-from allanjax.spectrum.cosine import Bins, CosineBins, cosine_transform
+from allanjax.spectrum.cosine import Bins, cosine_transform
 
 # A line is fitted to so many coefficients on either side of it; beyond, its best fit is subtracted.
 LINE_REACH = 64
@@ -43,24 +44,22 @@ def needs_record(term: NoiseTerm) -> bool:
 
 
 def line_columns(
-    frequency: ArrayLike, j: Int[np.ndarray, " k"], n: int, rate: float, numpy: Any = np
+    frequency: ArrayLike, j: Int[ArrayLike, " k"], n: ArrayLike, rate: ArrayLike
 ) -> Float[Array, "k 2"]:
-    """Cosine coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series.
-
-    `numpy` is the module to compute with: NumPy or jax.numpy.
-    """
+    """Cosine coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series."""
+    xp = namespace(frequency, j, n, rate)
     w, a = 2.0 * np.pi * frequency / rate, np.pi * j / n
 
     def sums(x: Any) -> tuple[Any, Any]:
         """Sums over k = 0 … n−1 of cos and sin of x(k + ½)."""
-        regular = abs(numpy.sin(x / 2.0)) > 1e-13
-        x = numpy.where(regular, x, 1.0)
-        cosines = numpy.sin(n * x) / (2.0 * numpy.sin(x / 2.0))
-        sines = numpy.sin(n * x / 2.0) ** 2 / numpy.sin(x / 2.0)
-        return numpy.where(regular, cosines, float(n)), numpy.where(regular, sines, 0.0)
+        regular = abs(xp.sin(x / 2.0)) > 1e-13
+        x = xp.where(regular, x, 1.0)
+        cosines = xp.sin(n * x) / (2.0 * xp.sin(x / 2.0))
+        sines = xp.sin(n * x / 2.0) ** 2 / xp.sin(x / 2.0)
+        return xp.where(regular, cosines, 1.0 * n), xp.where(regular, sines, 0.0)
 
     above, below = sums(w + a), sums(w - a)
-    return numpy.stack([above[0] + below[0], above[1] + below[1]], axis=-1) / np.sqrt(2.0 * n)
+    return xp.stack([above[0] + below[0], above[1] + below[1]], axis=-1) / xp.sqrt(2.0 * n)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -254,7 +253,7 @@ class AxisSpectrum(ByValue):
     @classmethod
     def of(
         cls,
-        bins: CosineBins,
+        bins: Bins,
         c: Float[np.ndarray, " n-1"],
         columns: Sequence[tuple[str | int, Float[np.ndarray, " n-1"]]],
         lines: dict[int, Line],
@@ -274,8 +273,8 @@ class AxisSpectrum(ByValue):
                 whole[near] = column
                 everywhere.append((term, whole))
         q = len(everywhere)
-        cross = np.zeros((len(bins.first), q))
-        gram = np.zeros((len(bins.first), q, q))
+        cross = np.zeros((len(bins.size), q))
+        gram = np.zeros((len(bins.size), q, q))
         for a, (_, one) in enumerate(everywhere):
             cross[:, a] = bins.sums(c * one)
             for b, (_, other) in enumerate(everywhere[: a + 1]):

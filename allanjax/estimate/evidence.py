@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace
-from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.base.linalg import inverse, whiten
 from allanjax.spectrum.cosine import SpectralStatistics
 
@@ -39,6 +38,8 @@ _SWEEPS = 40
 _QUADRATURE = 48
 #: Sets computed together, for one compilation: a fourth of those of six basic terms.
 BLOCK = 143
+# Numbers of bins are rounded up to multiples of this.
+_BINS = 64
 
 
 class TermSubset(NamedTuple):
@@ -213,7 +214,9 @@ def _evidences(
     def of_axis(first: Array, statistics: SpectralStatistics, share: Array) -> Evidence:
         columns = jnp.concatenate([fixed, grid])
         window = jnp.ones(7)
-        smooth = jnp.convolve(statistics.squares, window, "same") / jnp.convolve(size, window, "same")
+        around = jnp.convolve(size, window, "same")
+        smooth = jnp.convolve(statistics.squares, window, "same") / jnp.maximum(around, 1.0)
+        smooth = jnp.where(around > 0.0, smooth, 1.0)
         information = jnp.sum(0.5 * share * size * (columns / smooth) ** 2, axis=1)
         prior_scales = information**-0.25
         of_subset = lambda subset, first: _evidence(  # noqa: E731
@@ -247,6 +250,11 @@ def evidences(
         steps: number of scoring steps.
     """
     count, blocks = len(subsets.ramp), []
+    # Bins that only pad have no coefficients: few programs serve all lengths.
+    more = -len(size) % _BINS
+    fixed, grid = (np.pad(x, ((0, 0), (0, more)), constant_values=1.0) for x in (fixed, grid))
+    size, share = np.pad(size, (0, more)), np.pad(share, ((0, 0), (0, more)))
+    statistics = SpectralStatistics(*(np.pad(x, ((0, 0), (0, more))) for x in statistics))
     if first is None:
         first = np.zeros((len(share), count, len(fixed) + 1))
     for begin in range(0, count, BLOCK):
@@ -256,27 +264,3 @@ def evidences(
         found = _evidences(block, first[:, rows], statistics, fixed, grid, size, share, np.asarray(steps))
         blocks.append(jax.device_get(found))
     return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))
-
-
-def power_error(
-    statistics: SpectralStatistics,
-    mean: Float[np.ndarray, " m"],
-    ramp: bool,
-    size: Float[np.ndarray, " m"],
-    per_octave: Float[np.ndarray, " m"],
-) -> float:
-    """Relative error of an axis's spectrum with which χ² equals its degrees of freedom; 0 if it fits."""
-    from scipy.optimize import brentq
-
-    rss, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, ramp))
-    known = dof > 0.05
-    dof = np.maximum(dof, 1e-3)
-    z = np.asarray(exact_cube_root_score(rss / dof / mean, dof))[known]
-
-    def chi2(s: float) -> float:
-        return float(np.sum(z**2 / (1.0 + 0.5 * size * per_octave * s**2)[known]))
-
-    degrees = max(known.sum() - 3.0, 1.0)
-    if chi2(0.0) <= beyond_doubt(degrees):
-        return 0.0
-    return float(brentq(lambda s: chi2(s) - degrees, 0.0, 1e3))

@@ -24,7 +24,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.linalg import non_negative_least_squares
-from allanjax.estimate.design import Design
+from allanjax.estimate.allan_design import AllanDesign
 
 # Bound of a shape's distance from its start, in ln: the spectrum locates a line better than the Allan curve
 # does; the starts of other shapes are two to a decade or denser.
@@ -113,7 +113,7 @@ class _Problem(NamedTuple):
         dof: degrees of freedom of χ².
     """
 
-    design: Design
+    design: AllanDesign
     V: Float[Array, " m"]
     free: Bool[Array, " terms"]
     active: Bool[Array, " terms"]
@@ -126,13 +126,15 @@ class _Problem(NamedTuple):
     dof: Float[Array, ""]
 
     @classmethod
-    def of(cls, design: Design, V: Array, free: Array, active: Array, power: Array, shape: Array) -> _Problem:
+    def of(
+        cls, design: AllanDesign, V: Array, free: Array, active: Array, power: Array, shape: Array
+    ) -> _Problem:
         declared = [s.parameter for s in design.shapes]
         reach = jnp.asarray([_SHAPE_BOUND[p.kind] for p in declared])
         end = jnp.asarray([np.log(p.upper - p.lower) for p in declared]) - _INSIDE
         moves = active[jnp.asarray(design.owner)] & design.movable
-        dof = jnp.maximum(design.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
-        still = None if design.movable.any() else (design.means(shape), design.products(shape))
+        dof = jnp.maximum(design.rows - jnp.sum(active & free) - jnp.sum(moves), 1.0)
+        still = None if design.has_shapes else (design.means(shape), design.products(shape))
         bounds = (shape - reach, jnp.minimum(shape + reach, end))
         return cls(design, V, free, active, jnp.where(active, power, 0.0), shape, moves, *bounds, still, dof)
 
@@ -152,9 +154,9 @@ class _Problem(NamedTuple):
 
     def misfit(self, place: _Place, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
-        variance = self.design.variances(place.covariance) / place.mean**2
-        score = self.design.residual(self.V / place.mean, variance)
-        residual, log_det = self.design.whiten(place.covariance, place.mean, power_error, score[:, None])
+        # Relative residuals as they are: normal scores of each would not be jointly normal.
+        residual = (self.V / place.mean - 1.0)[:, None]
+        residual, log_det = self.design.whiten(place.covariance, place.mean, power_error, residual)
         return jnp.sum(residual**2), log_det
 
     def project_powers(self, shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
@@ -231,9 +233,7 @@ def _next(problem: _Problem, state: _State) -> _State:
         jnp.stack([jnp.zeros(()), state.power_error])
     )
     # Minus twice the Gaussian log-likelihood, to choose among starts.
-    cost = problem.design.cost(
-        problem.V, new.mean, new.covariance, state.power_error, with_error + 2.0 * log_det
-    )
+    cost = with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(new.mean))
     # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
     excess = with_error / problem.dof
     settled = at_rest & (jnp.abs(excess - 1.0) < 0.02)
@@ -303,7 +303,7 @@ def _solve(problem: _Problem) -> Solution:
 
 @eqx.filter_jit
 def solve(
-    design: Design,
+    design: AllanDesign,
     V: Float[ArrayLike, "axes m"],
     free: Bool[ArrayLike, " terms"],
     active: Bool[ArrayLike, "axes terms"],

@@ -91,6 +91,19 @@ def infer(
     return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s))(V, active, solution)
 
 
+def without_padding(inference: Inference, m: int, terms: int, shapes: int) -> Inference:
+    """Inference of so many estimates, terms and shapes, by a design with room for more."""
+    places = np.arange(inference.power_at.shape[1] + shapes)
+    own = places[(places < terms) | (places >= inference.power_at.shape[1])]
+    return Inference(
+        inference.covariance[:, own[:, None], own],
+        inference.estimate_variance[:, :m],
+        inference.power_at[:, :terms],
+        inference.pivot_at[:, :terms],
+        inference.ceiling[:, :terms],
+    )
+
+
 def _infer(
     design: Design,
     V: Float[Array, " m"],
@@ -142,8 +155,9 @@ class _Axis(NamedTuple):
     def of(cls, design: Design, V: Float[Array, " m"], active: Bool[Array, " terms"], s: Solution) -> _Axis:
         owner = jnp.asarray(design.owner)
         means, products = design.means(s.shape), design.products(s.shape)
-        moving = design.movable.any()
-        by_shape = jax.jacfwd(design.means)(s.shape) if moving else jnp.zeros((*means.shape, len(s.shape)))
+        by_shape = jnp.zeros((*means.shape, len(s.shape)))
+        if design.has_shapes:
+            by_shape = jax.jacfwd(design.means)(s.shape)
         has_shape = active[owner] & (s.power[owner] > 0.0) & design.movable
         return cls(design, V, active, s, owner, means, products, by_shape, has_shape)
 
@@ -155,9 +169,9 @@ class _Axis(NamedTuple):
         moved = jnp.einsum("k,kms->ms", power, self.by_shape)
         raw = jnp.concatenate([self.means.T, moved], axis=1) / mean[:, None]
         raw = raw * estimated
-        columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None], jnp.eye(len(V))], axis=1)
-        columns = design.whiten(covariance, mean, self.s.power_error, columns).values
-        D, residual, W = columns[:, : len(estimated)], columns[:, len(estimated)], columns[:, -len(V) :]
+        columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None]], axis=1)
+        whitened, weighed = design.whiten_and_weigh(covariance, mean, self.s.power_error, columns)
+        D, residual = whitened[:, :-1], whitened[:, -1]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
         # A zero column (not estimated) gets a unit on the diagonal, and no variance afterwards.
@@ -166,7 +180,7 @@ class _Axis(NamedTuple):
         return _Linearized(
             covariance=normal_inverse * (estimated[:, None] * estimated),
             step=normal_inverse @ (D.T @ residual),
-            weights=normal_inverse @ (D.T @ W),
+            weights=normal_inverse @ weighed[:-1],
             weighted=normal_inverse @ raw.T,
             estimate_variance=design.variances(covariance),
         )
@@ -186,9 +200,10 @@ class _Axis(NamedTuple):
         """Powers of which the allowed ones are fitted to the data, weighted by the covariance at `power`."""
         mean = self.design.mean(power, self.means)
         covariance = self.design.covariance(power, self.products)
-        W = self.design.whiten(covariance, mean, self.s.power_error, jnp.eye(len(self.V))).values
-        A = W @ (self.means / mean).T
-        target = W @ (self.V / mean) - A @ jnp.where(allowed, 0.0, power)
+        columns = jnp.concatenate([self.means, self.V[None]]) / mean
+        columns = self.design.whiten(covariance, mean, self.s.power_error, columns.T).values
+        A = columns[:, :-1]
+        target = columns[:, -1] - A @ jnp.where(allowed, 0.0, power)
         return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
 
     def hypotheses(

@@ -6,27 +6,25 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Float
 
+from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
 from allanjax.estimate.design import model_to_fit
-from allanjax.estimate.evidence import Evidence, TermSubset, evidences, power_error, term_subsets
-from allanjax.estimate.spectral_design import bins_per_octave
+from allanjax.estimate.evidence import Evidence, TermSubset, evidences, term_subsets, without_ramp
+from allanjax.estimate.spectral.columns import columns_of
+from allanjax.estimate.spectral.fit import chi_squared, error_of_powers
 from allanjax.estimate.starts import correlation_times
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
-from allanjax.noise.terms import Markov, NoiseTerm, basic_terms
+from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import (
     Bins,
-    CosineBins,
     SpectralStatistics,
     cosine_transform,
     ramp_column,
@@ -243,7 +241,7 @@ def select_terms(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
             "record at least 64"
         )
-    bins = CosineBins.of(recording.n, recording.rate)
+    bins = Bins.of(recording.n, recording.rate)
     place = recording.n, recording.rate
     ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
     c = cosine_transform(recording.values - recording.values.mean(axis=0))
@@ -263,11 +261,9 @@ def rank_terms(
     The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
     """
     fixed, shaped, ramps = _sorted(model)
-    columns, times = _columns(model, fixed, shaped, bins)
-    keep = bins.size > 0
-    statistics = SpectralStatistics(*(np.asarray(x)[:, keep] for x in statistics))
-    subsets = term_subsets(len(fixed), len(times) if shaped else 0, bool(ramps))
-    size, columns = bins.size[keep].astype(float), columns[:, keep]
+    columns, count = _columns(model, fixed, shaped, bins)
+    subsets = term_subsets(len(fixed), count, bool(ramps))
+    size = bins.size.astype(float)
     cut = len(fixed)
     grid = columns[cut:] if shaped else np.ones((1, len(size)))
 
@@ -281,10 +277,14 @@ def rank_terms(
         """Error of powers that the best subset of an axis calls for."""
         best = int(np.argmax(log_evidence[k]))
         mean = power[k, best] @ np.concatenate([columns[:cut], grid[subsets.column[best]][None]])
-        own = SpectralStatistics(*(x[k] for x in statistics))
-        return power_error(own, mean, bool(subsets.ramp[best]), size, per_octave)
+        own = SpectralStatistics(*(np.asarray(x)[k] for x in statistics))
+        rss, dof = without_ramp(own, size, mean, bool(subsets.ramp[best]))
+        ratio, degrees = rss / np.maximum(dof, 1e-3) / mean, max(len(size) - 3.0, 1.0)
+        if chi_squared(ratio, dof) <= beyond_doubt(degrees):
+            return 0.0
+        return error_of_powers(ratio, dof, per_octave, degrees)
 
-    per_octave = bins_per_octave(bins)[keep]
+    per_octave = bins.per_octave()
     log_evidence, power = (np.array(x) for x in run(np.ones((len(axes), len(size))), len(subsets.ramp)))
     incomplete = np.array([error_of(k) > 0.0 for k in range(len(axes))])
     # The sets without a free time come first; only these are compared where none suffices.
@@ -331,25 +331,14 @@ def _sorted(model: Model) -> tuple[list[int], list[int], list[int]]:
 
 def _columns(
     model: Model, fixed: list[int], shaped: list[int], bins: Bins
-) -> tuple[Float[np.ndarray, "columns m"], Float[np.ndarray, " grid"]]:
-    """Unit expectations of the terms without a free shape, then of the other over its grid; and the grid."""
-    times = correlation_times(float(bins.n / bins.rate), bins.rate)
-    terms = tuple(model.terms[k].with_unit_amplitude() for k in fixed)
-    with_time = model.terms[shaped[0]].with_unit_amplitude() if shaped else None
-    return np.asarray(_expectations(terms, with_time, bins, times)), times
-
-
-@eqx.filter_jit
-def _expectations(
-    terms: tuple[NoiseTerm, ...], with_time: NoiseTerm | None, bins: Bins, times: Float[ArrayLike, " grid"]
-) -> Float[Array, "columns m"]:
-    """Expectations of the terms, and of the one with a free time at each time, compiled."""
-    rows = [bins.expected(term) for term in terms]
-    if with_time is not None:
-        name = next(p.name for p in with_time.parameters()[1:] if with_time.is_free(p))
-        grid = jax.lax.map(lambda t: bins.expected(with_time.replace(**{name: t})), jnp.asarray(times))
-        rows += list(grid)
-    return jnp.stack(rows)
+) -> tuple[Float[np.ndarray, "columns m"], int]:
+    """Unit expectations of the terms without a free shape, then of the other over its grid; and its size."""
+    terms = [model.terms[k] for k in fixed]
+    for term in (model.terms[k] for k in shaped):
+        name = next(p.name for p in term.parameters()[1:] if term.is_free(p))
+        times = correlation_times(bins.n / bins.rate, bins.rate)
+        terms += [term.replace(**{name: float(time)}) for time in times]
+    return columns_of(terms, bins).mean(axis=1), len(terms) - len(fixed)
 
 
 def _ranked(

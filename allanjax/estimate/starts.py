@@ -15,9 +15,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from allanjax.estimate.design import Design, free_shapes
 from allanjax.noise.model import Model, ModelParameter
 
-# Shapes that are evaluated roughly, those from which a fit may start, and frequencies that are tried for
-# lines.
+# Shapes that are evaluated roughly, so many at a time; those from which a fit may start; and frequencies that
+# are tried for lines.
 _CANDIDATES = 512
+_BLOCK = 16
 _STARTS = 4
 _PEAKS = 4
 # Starts that differ by less than this in ln lead to the same solution; 1 for kinds of shapes not listed.
@@ -67,13 +68,19 @@ def best_starts(
     given = [getattr(t, t.amplitude_parameter().name) for t in model.terms]
     # A single estimate that is small by chance must not lower all powers.
     smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
-    rough, misfit = _rough_powers(design, design.padded_estimates(smooth), design.padded_terms(active), shape)
-    power = np.array(rough)[..., : len(model)]
+    data = design.padded_estimates(smooth), design.padded_terms(active)
+    count = shape.shape[1]
+    # In blocks of one size: one program serves any number of candidates.
+    shapes, block = design.padded_shapes(shape), min(count, _BLOCK)
+    order = np.arange(-(-count // block) * block) % count
+    found = (_rough_powers(design, *data, shapes[:, rows]) for rows in order.reshape(-1, block))
+    rough, misfit = (np.concatenate(part, axis=1) for part in zip(*map(jax.device_get, found), strict=True))
+    power, misfit = rough[:, :count, : len(model)], misfit[:, :count]
     for k, (term, value) in enumerate(zip(model.terms, given, strict=True)):
         if value is not None and not term.has_free_amplitude:
             power[:, :, k] = value**2
-    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in design.shapes])
-    best = np.stack([_different(*of_axis, apart) for of_axis in zip(shape, np.asarray(misfit), strict=True)])
+    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in free_shapes(model)])
+    best = np.stack([_different(*of_axis, apart) for of_axis in zip(shape, misfit, strict=True)])
     axis = np.arange(len(V))[:, None]
     return Starts(power[axis, best], shape[axis, best])
 

@@ -1,10 +1,8 @@
 """Fit of a noise model to the cosine spectrum of a recording by Whittle's likelihood, axis by axis.
 
-The levels of the spectrum are χ² around their expectations (see `cosine`). For such a law with a mean
-linear in the powers, iterated generalized least squares *is* maximum likelihood: D'C⁻¹(V − μ) = 0 is its
-score. So the solver and the inference are those of the Allan variances, with the levels in their place;
-optimistix moves correlation times and frequencies. Lines, ramps and regressors are estimated alongside
-(`deterministic`).
+The levels of the spectrum are χ² around their expectations (see `cosine`), which the joint spectral model has
+for all terms and the response at once (`spectral`). The inference is that of the Allan variances, with the
+levels in their place. Lines, ramps and regressors are estimated alongside (`deterministic`).
 """
 
 from __future__ import annotations
@@ -18,22 +16,24 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import FitError
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
-from allanjax.estimate.design import Design, free_powers, free_shapes
+from allanjax.estimate.design import free_powers, free_shapes
 from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
-from allanjax.estimate.gls import Solution, solve
-from allanjax.estimate.inference import infer
+from allanjax.estimate.gls import Solution
 from allanjax.estimate.misfit import Misfit, spectral_misfit, widened
-from allanjax.estimate.spectral_design import SpectralDesign
+from allanjax.estimate.spectral.design import SpectralDesign
+from allanjax.estimate.spectral.fit import infer_levels, levels_under, solve_levels
 from allanjax.estimate.starts import best_starts, find_lines, shape_candidates
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.spectrum.cosine import CosineBins, cosine_transform, term_column
+from allanjax.spectrum.cosine import PER_OCTAVE, Bins, cosine_transform, term_column
 
 # Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
 _ROUNDS = 3
 # Levels with fewer degrees of freedom are smoothed for the start values.
 _FEW = 8.0
+# Bins an octave where the spectrum is not smooth: of resonances, and of filters.
+_FINE = 24
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,7 +71,8 @@ def spectrum_of(
     around = [line.frequency for line in found]
     narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
     around += [p.start if p.start is not None else float(find_lines(x, rate)[0]) for p in narrow]
-    bins = CosineBins.of(n, rate, tuple(around))
+    per_octave = PER_OCTAVE if template.response is None else _FINE
+    bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
     columns: list[tuple[str | int, np.ndarray]] = []
     for name, z in regressors.items():
         columns.append((name, cosine_transform(z)))
@@ -121,24 +122,22 @@ def fit_spectrum(
         raise FitError(
             "Whittle's likelihood needs a noise term besides lines and ramps: add AngleRandomWalk()"
         )
-    noise = Model(tuple(term for term in template.terms if not term.deterministic))
+    labels = zip(template.term_labels, random, strict=True)
+    noise = template.without([label for label, here in labels if not here])
     used = spectrum.used([k for k in range(len(template)) if not active[k]])
     design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
-    V = projection.level[None]
-    misfit = None
-    if bool(solution.converged[0]) and float(solution.discrepancy[0]) > 0.0:
-        variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
-        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, variance, projection.dof)
-        solution = widened(solution, [misfit])
-    inference = infer(design, V, free_powers(noise), active[random][None], solution)
+    misfit, mean = None, levels_under(design, solution)
+    if bool(solution.converged) and float(solution.discrepancy) > 0.0:
+        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
+    solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
+    inference = infer_levels(design, projection.level, free_powers(noise), active[random], solution)
     (noise_found,) = coefficients_of(
         noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
     )
     solution = jax.tree.map(lambda x: np.asarray(x)[0], solution)
-    variance = _expected(design, solution)
     values = dict(noise_found.values)
     for k in np.flatnonzero(~random):
-        values |= _deterministic(template, int(k), axis, spectrum, variance, bool(active[k]))
+        values |= _deterministic(template, int(k), axis, spectrum, mean, bool(active[k]))
     order = [p.label for p in reported(template)]
     covariance = np.diag([values[label].std ** 2 for label in order])
     places = [order.index(label) for label in noise_found.values]
@@ -146,16 +145,11 @@ def fit_spectrum(
     return WhittleFit(
         Coefficients({label: values[label] for label in order}, np.nan_to_num(covariance)),
         solution,
-        float(design.count),
+        float(np.sum(np.minimum(projection.dof, 1.0))),
         spectrum,
         _regression(spectrum, projection),
         misfit,
     )
-
-
-def _expected(design: Design, solution: Solution) -> Float[np.ndarray, " m"]:
-    """Expected levels under a solution."""
-    return np.asarray(solution.power @ design.means(solution.shape))
 
 
 def _fit_noise(
@@ -168,34 +162,28 @@ def _fit_noise(
     """Fit the random terms, alternating with the projection of the deterministic parts in use."""
     bins = spectrum.bins
     solution: Solution | None = None
-    variance, free = _smoothed(spectrum), free_powers(noise)
+    variance, free, smooth = _smoothed(spectrum), free_powers(noise), _smoothed(spectrum)
+    empty = SpectralDesign.of(noise, bins)
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)
-        design = SpectralDesign.of(noise, bins, projection.dof)
-        V = projection.level[None]
+        design = empty.with_data(projection.level, projection.dof)
         if solution is None:
             # Single coefficients scatter too much for start values.
-            rough = np.where(projection.dof < _FEW, _smoothed(spectrum), projection.level)
+            rough = np.where(projection.dof < _FEW, smooth, projection.level)
             shapes = shape_candidates(free_shapes(noise), float(bins.n / bins.rate), bins.rate, peaks)
             starts = best_starts(noise, design, rough[None], active[None], shapes[None])
-            # The cost may have several minima in a correlation time: all starts are tried.
-            for k in range(starts.power.shape[1] if design.movable.any() else 1):
-                other = solve(design, V, free, active[None], starts.power[:, k], starts.shape[:, k])
-                if solution is None or _better(other, solution):
-                    solution = other
+            # The likelihood may have several maxima in a correlation time: all starts are tried.
+            tried = range(starts.power.shape[1] if design.moves.any() else 1)
+            begun = [
+                solve_levels(design, free, active, starts.power[0, k], starts.shape[0, k], smooth)
+                for k in tried
+            ]
+            solution = min(begun, key=lambda s: (not s.converged, float(np.nan_to_num(s.cost, nan=np.inf))))
         else:
-            solution = solve(design, V, free, active[None], solution.power, solution.shape)
-        assert solution is not None
-        variance = _expected(design, jax.tree.map(lambda x: x[0], solution))
+            solution = solve_levels(design, free, active, solution.power, solution.shape, smooth)
+        variance = levels_under(design, solution)
     assert solution is not None
     return design, projection, solution
-
-
-def _better(new: Solution, old: Solution) -> bool:
-    """Whether a solution is to replace another: it converged, and at a lower cost."""
-    if not bool(old.converged[0]):
-        return bool(new.converged[0])
-    return bool(new.converged[0]) and float(new.cost[0]) < float(old.cost[0])
 
 
 def _smoothed(spectrum: AxisSpectrum) -> Float[np.ndarray, " m"]:

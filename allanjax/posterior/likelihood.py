@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import i0e
@@ -25,12 +26,14 @@ from allanjax.estimate.design import Design, free_shapes
 from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.spectral_design import SpectralDesign
+from allanjax.estimate.spectral.design import SpectralDesign
 from allanjax.noise.model import Model, ModelParameter
 
 # The likelihood of the Allan variances takes every second of the fit's cluster times, which are four an
 # octave.
 _THINNED = 2
+# Cluster sizes and terms that its arrays have room for.
+_CAPACITY = (48, 6)
 # Priors of amplitudes reach beyond what fits under the data by this factor at least.
 _CEILING = 1e2
 # Largest distance of a resonance's frequency from its fit, in ln.
@@ -90,7 +93,7 @@ class _ParameterLayout(eqx.Module):
     """Map from a vector of free parameters to the powers and shapes of a design's terms.
 
     `amplitude` and `shape` are indices among the free parameters, −1 of those that are held at `held` and
-    `held_shape`; `bound` are lower bounds of the shapes.
+    `held_shape`, the latter transformed; `bound` are lower bounds of the shapes.
     """
 
     amplitude: Int[np.ndarray, " terms"]
@@ -100,17 +103,23 @@ class _ParameterLayout(eqx.Module):
     held_shape: Float[np.ndarray, " shapes"]
 
     @classmethod
-    def of(cls, model: Model, parameters: Sequence[ModelParameter], result: AxisFit) -> _ParameterLayout:
-        """Layout of these free parameters of a model, the others as in the fit."""
+    def of(
+        cls, model: Model, parameters: Sequence[ModelParameter], result: AxisFit, design: Design
+    ) -> _ParameterLayout:
+        """Layout of these free parameters of a model, the others as in the fit, for a design."""
         labels = [p.label for p in parameters]
         shapes = free_shapes(model)
         amplitudes = [p for p in model.parameters if p.parameter.is_amplitude]
+        # Places are counted from one while they are padded by zeros.
+        amplitude = [labels.index(p.label) + 1 if p.free else 0 for p in amplitudes]
+        shape = [labels.index(p.label) + 1 if p.label in labels else 0 for p in shapes]
+        apart = [1.0 if p.label in labels else result[p.label].value - p.parameter.lower for p in shapes]
         return cls(
-            np.array([labels.index(p.label) if p.free else -1 for p in amplitudes], int),
-            np.array([0.0 if p.free else float(p.start or 0.0) for p in amplitudes]),
-            np.array([labels.index(p.label) if p.label in labels else -1 for p in shapes], int),
-            np.array([p.parameter.lower for p in shapes]),
-            np.array([0.0 if p.label in labels else result[p.label].value for p in shapes]),
+            design.padded_terms(np.array(amplitude, int)) - 1,
+            design.padded_terms(np.array([0.0 if p.free else float(p.start or 0.0) for p in amplitudes])),
+            design.padded_shapes(np.array(shape, float)).astype(int) - 1,
+            design.padded_shapes(np.array([p.parameter.lower for p in shapes])),
+            design.padded_shapes(np.log(apart)),
         )
 
     def power(self, values: Float[Array, " params"]) -> Float[Array, " terms"]:
@@ -120,7 +129,10 @@ class _ParameterLayout(eqx.Module):
 
     def shapes(self, values: Float[Array, " params"]) -> Float[Array, " shapes"]:
         """Transformed shapes of the terms."""
-        return jnp.log(jnp.where(self.shape >= 0, values[self.shape], self.held_shape) - self.bound)
+        moved = self.shape >= 0
+        return jnp.where(
+            moved, jnp.log(jnp.where(moved, values[self.shape] - self.bound, 1.0)), self.held_shape
+        )
 
 
 class _Lines(eqx.Module):
@@ -153,12 +165,14 @@ class WhittleLikelihood(Likelihood):
     share: Float[np.ndarray, " m"]
     ramps: Int[np.ndarray, " ramps"]
     lines: _Lines
+    n: Int[np.ndarray, ""]
+    rate: Float[np.ndarray, ""]
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
-        bins = self.design.bins
-        mean = self.layout.power(values) @ self.design.means(self.layout.shapes(values))
+        design = self.design
+        mean = design.mean(self.layout.power(values), design.means(self.layout.shapes(values)))
         weight = jnp.asarray(self.share) / mean
-        total = -0.5 * jnp.sum(self.share * bins.size * jnp.log(mean) + self.squares * weight)
+        total = -jnp.sum(design.levels.shape * jnp.log(mean)) - 0.5 * jnp.sum(self.squares * weight)
         p, U = weight @ self.cross, jnp.einsum("m,mab->ab", weight, self.gram)
         q = len(p) - len(self.ramps)
         if q:
@@ -177,10 +191,10 @@ class WhittleLikelihood(Likelihood):
 
     def _line(self, k: int, values: Float[Array, " params"], weight: Float[Array, " m"]) -> Float[Array, ""]:
         """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law)."""
-        lines, bins = self.lines, self.design.bins
+        lines = self.lines
         A = jnp.where(lines.amplitude[k] >= 0, values[lines.amplitude[k]], lines.held[k, 0])
         f = jnp.where(lines.frequency[k] >= 0, values[lines.frequency[k]], lines.held[k, 1])
-        columns = line_columns(f, lines.index[k], bins.n, bins.rate, jnp).T
+        columns = line_columns(f, lines.index[k], self.n, self.rate).T
         weighted = columns * jnp.where(lines.known[k], weight[lines.bin[k]], 0.0)
         p = weighted @ lines.coefficients[k]
         u = jnp.sum(weighted * columns) / 2.0
@@ -199,10 +213,11 @@ class AllanLikelihood(Likelihood):
 
     def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
         power = self.layout.power(values)
-        mean = power @ self.design.means(self.layout.shapes(values))
+        mean = self.design.mean(power, self.design.means(self.layout.shapes(values)))
         covariance = self.design.covariance(power, jnp.asarray(self.products))
-        own = self.design.variances(covariance) / mean**2 + self.power_error**2
-        ratio = self.variance / mean
+        known = jnp.arange(len(mean)) < self.design.rows
+        own = jnp.where(known, self.design.variances(covariance) / mean**2 + self.power_error**2, 1.0)
+        ratio = jnp.where(known, self.variance / mean, 1.0)
         score = cube_root_score(ratio, own)
         whitened = self.design.whiten(
             covariance, mean, jnp.asarray(self.power_error), (score * jnp.sqrt(own))[:, None]
@@ -217,20 +232,19 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     """Whittle's likelihood of one axis of a fit."""
     spectrum = result.spectrum
     assert spectrum is not None
-    noise = Model(tuple(term for term in fit.template.terms if not term.deterministic))
-    design = SpectralDesign.of(noise, spectrum.bins, spectrum.bins.size.astype(float))
-    layout = _ParameterLayout.of(noise, parameters, result)
+    labels = [label for label in fit.template.term_labels if fit.template[label].deterministic]
+    noise, size = fit.template.without(labels), spectrum.bins.size.astype(float)
+    design = SpectralDesign.of(noise, spectrum.bins)
+    layout = _ParameterLayout.of(noise, parameters, result, design)
     labels = [p.label for p in parameters]
-    share = 1.0 / (1.0 + 2.0 * spectrum.bins.size * design.per_octave * result.discrepancy**2)
+    share = 1.0 / (1.0 + 2.0 * size * spectrum.bins.per_octave() * result.discrepancy**2)
     columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
     ramps = [owner for owner in spectrum.owners if isinstance(owner, int) and owner not in spectrum.lines]
     own = {p.term: [labels.index(q.label) for q in parameters if q.term == p.term] for p in parameters}
     start = _start(result, parameters)
-    mean = np.asarray(layout.power(jnp.asarray(start)) @ design.means(layout.shapes(jnp.asarray(start))))
-    known = spectrum.bins.size > 0
-    level = np.where(known, spectrum.squares / np.maximum(spectrum.bins.size, 1), np.inf)
-    variance = 2.0 * mean**2 / np.maximum(share * spectrum.bins.size, 1e-9)
-    prior_scale, ceiling = _amplitude_scales(design, layout, start, mean, variance, level, 0.0)
+    level = spectrum.squares / size
+    design = design.with_data(level, share * size)
+    prior_scale, ceiling, mean, _ = _amplitude_scales(design, layout, start, level, 0.0)
     for k, owner in enumerate(spectrum.owners):
         if isinstance(owner, int) and fit.template.terms[owner].has_free_amplitude:
             place = own[owner][0]
@@ -242,13 +256,20 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
         design=design,
         layout=layout,
         # The likelihood ratio of each line neglects the other lines.
-        squares=spectrum.squares - spectrum.overlap,
-        cross=spectrum.cross[:, columns],
-        gram=spectrum.gram[:, columns][:, :, columns],
-        share=share,
+        squares=_padded(spectrum.squares - spectrum.overlap, design),
+        cross=_padded(spectrum.cross[:, columns], design),
+        gram=_padded(spectrum.gram[:, columns][:, :, columns], design),
+        share=_padded(share, design),
         ramps=np.array([own[k][0] if k in own else -1 for k in ramps], int),
         lines=_lines(fit, spectrum, labels),
+        n=np.asarray(spectrum.bins.n),
+        rate=np.asarray(spectrum.bins.rate),
     )
+
+
+def _padded(x: Float[np.ndarray, "m ..."], design: SpectralDesign) -> Float[np.ndarray, "capacity ..."]:
+    """Values of the bins followed by zeros for those that only pad."""
+    return np.pad(x, [(0, len(design.per_octave) - len(x))] + [(0, 0)] * (x.ndim - 1))
 
 
 def _lines(fit: Fit, spectrum: AxisSpectrum, labels: list[str]) -> _Lines:
@@ -275,21 +296,17 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     curve = fit.curve
     chosen = slice(0, None, _THINNED)
     sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
-    design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides)
-    layout = _ParameterLayout.of(fit.template, parameters, result)
+    design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides, _CAPACITY)
+    layout = _ParameterLayout.of(fit.template, parameters, result, design)
+    V, power_error = curve.variance[chosen, k], 2.0 * result.discrepancy
     start = _start(result, parameters)
-    power, shapes = layout.power(jnp.asarray(start)), layout.shapes(jnp.asarray(start))
-    products, mean = design.products(shapes), np.asarray(power @ design.means(shapes))
-    covariance = design.covariance(power, products)
-    V = curve.variance[chosen, k]
-    power_error = 2.0 * result.discrepancy
-    prior_scale, ceiling = _amplitude_scales(design, layout, start, mean, covariance, V, power_error)
+    prior_scale, ceiling, _, products = _amplitude_scales(design, layout, start, V, power_error)
     return AllanLikelihood(
         **_common(fit, result, parameters, prior_scale, ceiling),
         design=design,
         layout=layout,
-        variance=V,
-        products=np.asarray(products),
+        variance=design.padded_estimates(V[None])[0],
+        products=products,
         power_error=np.asarray(power_error),
     )
 
@@ -329,23 +346,44 @@ def _amplitude_scales(
     design: Design,
     layout: _ParameterLayout,
     start: Float[np.ndarray, " params"],
-    mean: Float[np.ndarray, " m"],
-    covariance: ArrayLike,
     estimates: Float[np.ndarray, " m"],
     power_error: float,
-) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
-    """Prior scale and upper end of the amplitudes of a design's terms; NaN for other parameters."""
+) -> tuple[
+    Float[np.ndarray, " params"],
+    Float[np.ndarray, " params"],
+    Float[np.ndarray, " m"],
+    Float[np.ndarray, ...],
+]:
+    """Prior scale and upper end of the amplitudes, NaN for others; means and products at the start."""
     prior_scale, ceiling = np.full((2, len(start)), np.nan)
-    means = np.asarray(design.means(layout.shapes(jnp.asarray(start))))
-    known = (jnp.asarray(x) for x in (covariance, mean, power_error, (means / mean).T))
-    own = np.sum(np.asarray(design.whiten(*known).values) ** 2, axis=0) ** -0.25
-    # The largest amplitude of a term whose curve fits under the data everywhere.
-    fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
+    at_start = jax.device_get(_at_start(design, layout, start, np.asarray(power_error)))
+    means, mean = (x[..., : len(estimates)] for x in at_start[:2])
+    with np.errstate(divide="ignore"):
+        own = at_start[2] ** -0.25
+        # The largest amplitude of a term whose curve fits under the data everywhere.
+        fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
     for term, place in enumerate(layout.amplitude):
         if place >= 0:
             prior_scale[place] = own[term]
             ceiling[place] = max(PRIOR_RANGE * own[term], _CEILING * fits[term])
-    return prior_scale, ceiling
+    return prior_scale, ceiling, mean, at_start[3]
+
+
+@eqx.filter_jit
+def _at_start(
+    design: Design,
+    layout: _ParameterLayout,
+    start: Float[ArrayLike, " params"],
+    power_error: Float[ArrayLike, ""],
+) -> tuple[Array, Array, Array, Array]:
+    """Means of unit amplitudes, expected estimates, each amplitude's information on its power, products."""
+    values = jnp.asarray(start)
+    power, shapes = layout.power(values), layout.shapes(values)
+    means, products = design.means(shapes), design.products(shapes)
+    mean = design.mean(power, means)
+    covariance = design.covariance(power, products)
+    whitened = design.whiten(covariance, mean, jnp.asarray(power_error), (means / mean).T).values
+    return means, mean, jnp.sum(whitened**2, axis=0), products
 
 
 def _ranges(

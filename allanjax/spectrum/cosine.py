@@ -24,30 +24,26 @@ PSD of the samples, aliases included. High frequencies are averaged in bins: c_j
 
 from __future__ import annotations
 
-import abc
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from allanjax.allan.covariance import discrete_gauss
+from allanjax.base.equality import ByValue
 from allanjax.base.errors import FitError
-from allanjax.noise.parameter import Value
 from allanjax.noise.terms import DriftRamp, NoiseTerm
 
 # Coefficients up to this one are a bin each, and have their exact expectation.
 _SINGLE = 64
 #: Bins an octave above these.
 PER_OCTAVE = 6
-# Nodes of the quadratures over lags, between two of their edges, and over a bin.
+# Nodes of the quadratures over lags, between two of their edges.
 _LAG_ORDER = 12
-_BIN_ORDER = 3
-# Lags of pooled spectra are padded to a multiple of this, so that compiled functions are used again.
-_LAGS = 128
-# Single coefficients on either side of a line, and the factor by which bins grow beyond.
+# Bins on either side of a line that are of one width; and the factor by which they grow beyond.
 _AROUND = 12
 _GROWTH = 1.25
 
@@ -59,164 +55,8 @@ def cosine_transform(x: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n-1 ..
     return dct(x, type=2, norm="ortho", axis=0, workers=-1)[1:]
 
 
-class Bins(eqx.Module):
-    """Bins of cosine coefficients, of one transform or pooled over several.
-
-    Attributes:
-        n: number of samples.
-        rate: sample rate [Hz].
-        size: number of coefficients in each bin; 0 for bins that only pad the array.
-    """
-
-    n: eqx.AbstractVar[Any]
-    rate: eqx.AbstractVar[float]
-    size: eqx.AbstractVar[Int[np.ndarray, " m"]]
-
-    @property
-    @abc.abstractmethod
-    def frequency(self) -> Float[np.ndarray, " m"]:
-        """Middle of each bin [Hz]."""
-
-    @abc.abstractmethod
-    def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
-        """Mean expected square [rate²] of the coefficients in each bin; zero for a deterministic term."""
-
-
-class CosineBins(Bins):
-    """Bins of the coefficients of n samples, and the quadratures for their expectation under a noise term.
-
-    Attributes:
-        n: number of samples.
-        rate: sample rate [Hz].
-        size: number of coefficients in each bin; 0 for bins that only pad the array.
-        first: index j of each bin's first coefficient.
-        lags, lag_weights: lags [s], and weights of G there in the expectation of the single coefficients.
-        nodes, node_weights: frequencies [Hz] in each bin, and weights of the density there.
-    """
-
-    n: int = eqx.field(static=True)
-    rate: float = eqx.field(static=True)
-    size: Int[np.ndarray, " m"]
-    first: Int[np.ndarray, " m"]
-    lags: Float[np.ndarray, " lags"]
-    lag_weights: Float[np.ndarray, "low lags"]
-    nodes: Float[np.ndarray, "m order"]
-    node_weights: Float[np.ndarray, "m order"]
-
-    @classmethod
-    def of(cls, n: int, rate: float, around: tuple[float, ...] = ()) -> CosineBins:
-        """Bins of single coefficients, then six an octave; finer ones around lines at `around` [Hz]."""
-        top = min(_SINGLE, n - 1)
-        octaves = np.log2(n / top)
-        growing = top * 2.0 ** (np.arange(1, np.floor(PER_OCTAVE * octaves)) / PER_OCTAVE)
-        edges = np.concatenate([np.arange(1, top + 2), np.rint(growing) + 1.0])
-        steps = np.arange(1.0, _AROUND + 1.0)
-        while steps[-1] * (_GROWTH - 1.0) < n / 16.0:
-            steps = np.append(steps, np.ceil(steps[-1] * _GROWTH))
-        for f in around:
-            j = np.rint(2.0 * n * f / rate)
-            # Farther out they would be wider than the logarithmic bins.
-            near = steps[steps < max(0.6 * j, _AROUND + 1.0)]
-            edges = np.concatenate([edges, j - near + 1.0, j + near])
-        edges = np.unique(edges[(edges > top + 1) & (edges < n)])
-        edges = np.concatenate([np.arange(1, top + 2), edges, [n]]).astype(int)
-        first, size = edges[:-1], np.diff(edges)
-        first, size = first[size > 0], size[size > 0]
-        # The number of bins does not depend on where the lines are, so that compiled functions are used
-        # again.
-        most = top + int(PER_OCTAVE * octaves) + 1 + 2 * len(steps) * len(around)
-        pad = most - len(first)
-        first, size = np.append(first, np.full(pad, n // 2)), np.append(size, np.zeros(pad, int))
-        nodes, weights = discrete_gauss(np.maximum(size, 1), _BIN_ORDER)
-        lags, lag_weights = exact_expectation(n, rate, top)
-        nodes = (first[:, None] + nodes) * rate / (2.0 * n)
-        weights = weights * rate / np.maximum(size, 1)[:, None]
-        return cls(n, rate, size, first, lags, lag_weights, nodes, weights)
-
-    @property
-    def frequency(self) -> Float[np.ndarray, " m"]:
-        """Middle of each bin [Hz]."""
-        return (self.first + (self.size - 1) / 2.0) * self.rate / (2.0 * self.n)
-
-    def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
-        return _expected(term, self)
-
-    def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
-        """Sums of products of coefficients over each bin."""
-        real = self.size > 0
-        found = np.zeros((len(self.first), *products.shape[1:]))
-        found[real] = np.add.reduceat(products, self.first[real] - 1, axis=0)
-        return found
-
-    def statistics(
-        self, c: Float[np.ndarray, "n-1 axes"], ramp: Float[np.ndarray, " n-1"]
-    ) -> SpectralStatistics:
-        """Statistics [axes, m] of axes with these coefficients, and of a ramp with these."""
-        squares, cross, gram = (self.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
-        return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
-
-
-class _Transform(eqx.Module):
-    """Quadratures of one transform as in `CosineBins`, with length and rate as data, not compiled in."""
-
-    n: Value
-    rate: Value
-    lags: Float[np.ndarray, " lags"]
-    lag_weights: Float[np.ndarray, "low lags"]
-    nodes: Float[np.ndarray, "m order"]
-    node_weights: Float[np.ndarray, "m order"]
-
-    @classmethod
-    def of(cls, n: int, rate: float, edges: Int[np.ndarray, " m+1"]) -> _Transform:
-        """Quadratures for bins with these edges of the transform of n samples."""
-        size = np.diff(edges)
-        nodes, weights = discrete_gauss(size, _BIN_ORDER)
-        nodes = (edges[:-1, None] + nodes) * rate / (2.0 * n)
-        lags, lag_weights = np.zeros(0), np.zeros((0, 0))
-        if edges[0] == 1:
-            lags, lag_weights = exact_expectation(n, rate, _SINGLE)
-            pad = -len(lags) % _LAGS
-            lags, lag_weights = np.pad(lags, (0, pad)), np.pad(lag_weights, ((0, 0), (0, pad)))
-        return cls(
-            np.asarray(float(n)), np.asarray(rate), lags, lag_weights, nodes, weights * rate / size[:, None]
-        )
-
-
-class PooledBins(Bins):
-    """Bins of several transforms, each of many segments that share its bins.
-
-    Attributes:
-        n: number of samples of the stream.
-        rate: its sample rate [Hz].
-        size: number of coefficients in each bin, of all segments together.
-        middle: middle of each bin [Hz], increasing.
-        transforms: the quadratures of each transform.
-    """
-
-    n: Int[np.ndarray, ""]
-    rate: float = eqx.field(static=True)
-    size: Int[np.ndarray, " m"]
-    middle: Float[np.ndarray, " m"]
-    transforms: tuple[_Transform, ...]
-
-    @classmethod
-    def of(cls, n: int, rate: float, parts: Sequence[Part]) -> PooledBins:
-        """Bins of these parts of the spectrum, the lowest frequencies first."""
-        size = np.concatenate([part.segments * np.diff(part.edges) for part in parts])
-        middle = [(p.edges[:-1] + p.edges[1:] - 1) * p.rate / (4.0 * p.n) for p in parts]
-        transforms = tuple(_Transform.of(part.n, part.rate, part.edges) for part in parts)
-        return cls(np.asarray(n), rate, size, np.concatenate(middle), transforms)
-
-    @property
-    def frequency(self) -> Float[np.ndarray, " m"]:
-        return self.middle
-
-    def expected(self, term: NoiseTerm) -> Float[Array, " m"]:
-        return jnp.concatenate([_expected(term, transform) for transform in self.transforms])
-
-
 class Part(NamedTuple):
-    """Part of a pooled spectrum: the transforms of segments of one length and rate.
+    """Part of a spectrum: the transforms of segments of one length and rate, of a record the whole.
 
     Attributes:
         n: number of values in a segment.
@@ -231,32 +71,106 @@ class Part(NamedTuple):
     edges: Int[np.ndarray, " m+1"]
     segments: int
 
+    @property
+    def middle(self) -> Float[np.ndarray, " m"]:
+        """Middle of each bin [Hz]."""
+        return (self.edges[:-1] + self.edges[1:] - 1) * self.rate / (4.0 * self.n)
+
+    @property
+    def low(self) -> int:
+        """Number of lowest coefficients that feel the record's finite length, each of which is a bin."""
+        if self.edges[0] > 1:
+            return 0
+        return min(int(np.argmax(np.append(np.diff(self.edges) > 1, True))), _SINGLE)
+
+    @property
+    def node_frequencies(self) -> Float[np.ndarray, "2 m"]:
+        """Two frequencies [Hz] in each bin, which have the mean and the variance of its coefficients'."""
+        away = np.sqrt((np.diff(self.edges) ** 2 - 1.0) / 12.0)
+        return self.middle + np.stack([-away, away]) * self.rate / (2.0 * self.n)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bins(ByValue):
+    """Bins of the cosine coefficients of a record, or of the parts of a stream's spectrum.
+
+    Attributes:
+        n: number of samples.
+        rate: sample rate [Hz].
+        parts: the transforms, those of the lowest frequencies first.
+    """
+
+    n: int
+    rate: float
+    parts: tuple[Part, ...]
+
+    @functools.cached_property
+    def size(self) -> Int[np.ndarray, " m"]:
+        """Number of coefficients in each bin, of all segments together."""
+        return np.concatenate([part.segments * np.diff(part.edges) for part in self.parts])
+
+    @functools.cached_property
+    def frequency(self) -> Float[np.ndarray, " m"]:
+        """Middle of each bin [Hz], increasing."""
+        return np.concatenate([part.middle for part in self.parts])
+
+    @classmethod
+    def of(
+        cls,
+        n: int,
+        rate: float,
+        around: Sequence[tuple[float, float]] = (),
+        per_octave: int = PER_OCTAVE,
+    ) -> Bins:
+        """Bins of single coefficients, then so many an octave; finer ones around lines and resonances.
+
+        Each of these is given by its frequency and its width [Hz]; a width of 0 stands for any.
+        """
+        top = min(_SINGLE, n - 1)
+        growing = top * 2.0 ** (np.arange(1, np.floor(per_octave * np.log2(n / top))) / per_octave)
+        edges = [np.rint(growing) + 1.0]
+        for frequency, width in around:
+            j = 2.0 * n * frequency / rate
+            unit = max(2.0 * n * width / rate / 8.0, 1.0)
+            steps = unit * np.arange(1.0, _AROUND + 1.0)
+            # Farther out they would be wider than the logarithmic bins.
+            while steps[-1] * (_GROWTH - 1.0) < j * np.log(2.0) / per_octave:
+                steps = np.append(steps, np.ceil(steps[-1] * _GROWTH))
+            near = np.rint(steps[steps < max(0.6 * j, _AROUND + 1.0)])
+            edges += [np.rint(j) - near + 1.0, np.rint(j) + near]
+        above = np.unique(np.concatenate(edges))
+        above = above[(above > top + 1) & (above < n)]
+        every = np.unique(np.concatenate([np.arange(1, top + 2), above, [n]]).astype(int))
+        return cls(n, rate, (Part(n, rate, every, 1),))
+
+    @property
+    def edges(self) -> Int[np.ndarray, " m+1"]:
+        """First coefficient of each bin of a record, and the one after the last."""
+        (whole,) = self.parts
+        return whole.edges
+
+    def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
+        """Sums of products of a record's coefficients over each bin."""
+        return np.add.reduceat(products, self.edges[:-1] - 1, axis=0)
+
+    def statistics(
+        self, c: Float[np.ndarray, "n-1 axes"], ramp: Float[np.ndarray, " n-1"]
+    ) -> SpectralStatistics:
+        """Statistics [axes, m] of axes with these coefficients, and of a ramp with these."""
+        squares, cross, gram = (self.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
+        return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
+
+    def per_octave(self) -> Float[np.ndarray, " m"]:
+        """Number of bins in the octave around each bin."""
+        inside = abs(np.log2(self.frequency[:, None] / self.frequency)) <= 0.5
+        return inside.sum(axis=1).astype(float)
+
 
 def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
     """Edges of logarithmic bins of the coefficients first … stop−1; single up to 64 if first is 1."""
     single = np.arange(1, _SINGLE + 1) if first == 1 else np.zeros(0, int)
     rest = np.rint(np.geomspace(first + len(single), stop, bins - len(single) + 1)).astype(int)
     return np.append(single, rest)
-
-
-def _expected(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
-    """Mean expected square [rate²] of the coefficients in each bin: exact for the lowest ones."""
-    above = _from_density(term, of)
-    # An oscillating covariance needs too many lags; its difference from a smooth one has a short memory.
-    smooth = term.at_low_frequencies() if term.oscillates else term
-    if smooth is None or term.deterministic or not of.lags.size:
-        return above
-    low = jnp.asarray(of.lag_weights) @ smooth.phase_covariance(jnp.asarray(of.lags))
-    if smooth is not term:
-        low += (above - _from_density(smooth, of))[: len(low)]
-    return above.at[: len(low)].set(low)
-
-
-def _from_density(term: NoiseTerm, of: CosineBins | _Transform) -> Float[Array, " m"]:
-    """Mean expected square [rate²] from the density of the samples, but for the record's finite length."""
-    density = term.sampled_psd(of.nodes, of.rate)
-    density += term.end_effect(of.nodes, of.rate) / (of.n * of.rate)
-    return jnp.sum(of.node_weights * density, axis=1)
 
 
 def exact_expectation(

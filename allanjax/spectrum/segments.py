@@ -25,9 +25,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.spectrum.cosine import (
     PER_OCTAVE,
     Bins,
-    CosineBins,
     Part,
-    PooledBins,
     SpectralStatistics,
     bin_edges,
     cosine_transform,
@@ -236,7 +234,7 @@ class SegmentSpectra:
         c = cosine_transform(self.last - self.last.mean(axis=0))
         ramp = ramp_column(n, self.rate / _FACTOR**depth)
         if not depth:
-            bins = CosineBins.of(n, self.rate)
+            bins = Bins.of(n, self.rate)
             return bins, bins.statistics(c, ramp)
         edges = bin_edges(1, -(-n * _LOWEST * _FACTOR // _SEGMENT), _LAST_BINS)
         parts = [Part(n, self.rate / _FACTOR**depth, edges, 1)]
@@ -249,7 +247,7 @@ class SegmentSpectra:
             sums.append([level.squares, level.cross / rate, gram / rate**2])
         squares, cross, gram = (np.concatenate(x).T for x in zip(*sums, strict=True))
         statistics = SpectralStatistics(squares, cross, np.broadcast_to(gram, squares.shape))
-        return PooledBins.of(self.n, self.rate, parts), statistics
+        return Bins(self.n, self.rate, tuple(parts)), statistics
 
     def _with_level(self) -> SegmentSpectra:
         """These statistics with the last level cut into segments, and a shorter one after it."""

@@ -50,7 +50,7 @@ class Spectrum:
     ) -> None:
         n, family = view.n, view.family
         self._view, self._spacing = view, view.rate / (2.0 * n)
-        own = family.bins.first[family.keep] - 1
+        own = family.bins.edges[:-1] - 1
         place = float(np.exp(start[0])) / self._spacing
         # Each bin of the family consists of whole ones.
         self._first = np.union1d(fine_bins(n, place, max(width, 2.0)), own)

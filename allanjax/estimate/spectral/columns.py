@@ -1,56 +1,76 @@
-"""Expectations of terms without a free shape, of unit power, at the nodes of a record's levels."""
+"""Expectations of noise terms, of unit amplitude, at the nodes of a record's levels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float
 
-from allanjax.estimate.spectral.components import flicker
-from allanjax.estimate.spectral.levels import Levels, levels_of, node_angles
-from allanjax.noise.terms import BiasInstability, NoiseTerm
-from allanjax.spectrum.cosine import exact_expectation
+from allanjax.base.arrays import namespace
+from allanjax.noise.terms import NoiseTerm
+from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
-_flicker = jax.jit(flicker)
+# Lags are padded to a multiple of this, so that compiled functions are used again.
+_LAGS = 256
 
 
-def columns_of(
-    terms: Sequence[NoiseTerm], edges: Int[np.ndarray, " m+1"], n: int, rate: float
-) -> Float[np.ndarray, "columns 2 m"]:
-    """Expected squares [rate² per unit power] of each term at the nodes of the levels with these edges.
+class Place(NamedTuple):
+    """Where the expectations of a part of a spectrum are evaluated.
 
-    Args:
-        terms: random terms whose shape parameters have values.
-        edges: first coefficients of the levels, and the one after the last.
-        n: number of samples.
-        rate: sample rate [Hz].
+    Attributes:
+        frequency: nodes of the bins [Hz] (2, m).
+        rate: rate of the values that were transformed [Hz].
+        length: number of values in a transform.
+        lags, weights: lags [s], and weights of G there whose sums are the exact expectations of the lowest
+            coefficients; none where these are no part of the spectrum.
     """
-    nodes = node_angles(edges, n)
-    found = [_column(term.with_unit_amplitude().sampled(rate), edges, nodes, n, rate) for term in terms]
-    return np.stack(found) if found else np.zeros((0, *nodes.shape))
+
+    frequency: Any
+    rate: Any
+    length: Any
+    lags: Any
+    weights: Any
+
+    @classmethod
+    def of(cls, part: Part) -> Place:
+        """Place of a part of a spectrum."""
+        lags, weights = np.zeros(0), np.zeros((0, 0))
+        if part.low:
+            lags, weights = exact_expectation(part.n, part.rate, part.low)
+            pad = -len(lags) % _LAGS
+            lags, weights = np.pad(lags, (0, pad)), np.pad(weights, ((0, 0), (0, pad)))
+        return cls(part.node_frequencies, np.asarray(part.rate), np.asarray(float(part.n)), lags, weights)
+
+    def expected(self, term: NoiseTerm) -> Float[Array, "2 m"]:
+        """Expected squares [rate²] of the coefficients at the nodes, exact for the lowest ones."""
+        xp = namespace(self, term)
+        above = self._from_density(term)
+        # An oscillating covariance needs too many lags; its difference from a smooth one has a short memory.
+        smooth = term.at_low_frequencies() if term.oscillates else term
+        if smooth is None or not len(self.lags):
+            return above
+        low = self.weights @ xp.asarray(smooth.phase_covariance(xp.asarray(self.lags)))
+        count = len(low)
+        if smooth is not term:
+            low = low + (above - self._from_density(smooth))[:, :count]
+        return xp.concatenate([xp.broadcast_to(low, (2, count)), above[:, count:]], axis=1)
+
+    def _from_density(self, term: NoiseTerm) -> Float[Array, "2 m"]:
+        """Expected squares [rate²] from the density of the samples, but for the record's finite length."""
+        ends = term.end_effect(self.frequency, self.rate) / self.length
+        return term.sampled_psd(self.frequency, self.rate) * self.rate + ends
 
 
-def _column(
-    term: NoiseTerm, edges: Int[np.ndarray, " m+1"], nodes: Float[np.ndarray, "2 m"], n: int, rate: float
-) -> Float[np.ndarray, "2 m"]:
-    if isinstance(term, BiasInstability) and not term.oscillates:
-        m = len(edges) - 1
-        return np.asarray(_flicker(_bare(edges, n)))[:, :m]
-    f = nodes * rate / (2.0 * np.pi)
-    expected = np.asarray(term.sampled_psd(f, rate)) * rate + np.asarray(term.end_effect(f, rate)) / n
-    if term.oscillates:
-        return expected
-    # The lowest coefficients, of which each is a level, feel the record's finite length.
-    low = int(np.argmax(np.append(np.diff(edges) > 1, True)))
-    lags, weights = exact_expectation(n, rate, low)
-    expected[:, :low] = weights @ np.asarray(term.phase_covariance(jnp.asarray(lags)))
-    return expected
+def columns_of(terms: Sequence[NoiseTerm], bins: Bins) -> Float[np.ndarray, "terms 2 m"]:
+    """Expected squares [rate²] of random terms of unit amplitude at two nodes of each bin.
 
-
-def _bare(edges: Int[np.ndarray, " m+1"], n: int) -> Levels:
-    """Levels without data or columns."""
-    m = len(edges) - 1
-    return levels_of(np.ones(m), np.ones(m), edges, n, np.zeros((0, 2, m)))
+    The terms' other parameters must have values.
+    """
+    places = [Place.of(part) for part in bins.parts]
+    found = np.zeros((len(terms), 2, len(bins.size)))
+    for column, term in zip(found, terms, strict=True):
+        unit = term.with_unit_amplitude().sampled(bins.rate)
+        column[:] = np.concatenate([np.asarray(place.expected(unit)) for place in places], axis=1)
+    return found

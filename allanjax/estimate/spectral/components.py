@@ -13,9 +13,7 @@ filter are of one form, and no lag is ever summed.
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Num
 
 from allanjax.estimate.spectral.levels import Levels
@@ -93,17 +91,3 @@ def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Ar
     u = (a / wc) ** 2
     limited = [1.0 / (1.0 + u), 1.0 / ((1.0 - u) ** 2 + u / Q**2)]
     return jnp.select([kind == k for k in range(4)], [jnp.ones_like(a), one, two, limited[0]], limited[1])
-
-
-# Nodes of the integral over rates of decay, uniform in the logarithm: the trapezoidal rule converges
-# exponentially, here to 10⁻⁸.
-_DECAY_TIMES = np.arange(-45.0, 45.0, 0.5)
-
-
-def flicker(levels: Levels) -> Float[Array, "nodes m"]:
-    """Expected squares for flicker noise of PSD 1/(2πf) per cycle of the sampling: a sum of Markov processes.
-
-    Markov processes of variance 1/π, one for each logarithm of the correlation time, add up to 1/(2πf).
-    """
-    each = jax.lax.map(lambda log_time: markov(levels, log_time), jnp.asarray(_DECAY_TIMES))
-    return (_DECAY_TIMES[1] - _DECAY_TIMES[0]) / jnp.pi * jnp.sum(each, axis=0)

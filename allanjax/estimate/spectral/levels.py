@@ -1,24 +1,16 @@
-"""Levels of a cosine spectrum as the joint spectral model takes them: always of one shape."""
+"""Levels of a cosine spectrum as the joint spectral model takes them: in arrays of few different lengths."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from allanjax.base.errors import FitError
+from allanjax.spectrum.cosine import Bins
 
-#: Number of levels, the last of which only pad the arrays: one compiled program serves every record.
-LEVELS = 640
-#: Columns for the terms without a free shape.
-COLUMNS = 8
-# Single coefficients at the low end, and levels an octave above them.
-_SINGLE = 64
-_PER_OCTAVE = 24
-# Levels on either side of a resonance; they begin with an eighth of its width, and grow by this factor.
-_AROUND = 12
-_GROWTH = 1.25
+#: Numbers of levels of which the last only pad the arrays: few compiled programs serve every record.
+CAPACITIES = (256, 640, 1280)
 
 
 class Levels(NamedTuple):
@@ -46,66 +38,50 @@ class Levels(NamedTuple):
     parity: Any
     columns: Any
 
-
-def level_edges(n: int, resonances: tuple[tuple[float, float], ...] = ()) -> Int[np.ndarray, " m+1"]:
-    """First coefficients of the levels of a transform of n values, and the one after the last.
-
-    Single coefficients up to 64, then up to 24 levels an octave, finer around resonances, each given by its
-    frequency in cycles per value and its width in the same unit.
-
-    Raises:
-        FitError: fewer than 16 values.
-    """
-    if n < 16:
-        raise FitError(f"{n} samples are too few for a spectrum; record at least 16")
-    top = min(_SINGLE, n - 1)
-    per_octave = min(_PER_OCTAVE, (LEVELS - top - 2 * _AROUND * len(resonances)) / np.log2(n / top + 1e-9))
-    growing = top * 2.0 ** (np.arange(1.0, np.floor(per_octave * np.log2(n / top))) / per_octave)
-    edges = [np.arange(1, top + 2), np.rint(growing) + 1.0, [n]]
-    for frequency, width in resonances:
-        j, step = 2.0 * n * frequency, max(2.0 * n * width / 8.0, 1.0)
-        away = np.cumsum(step * _GROWTH ** np.arange(_AROUND)) - step / 2.0
-        edges += [np.rint(j - away), np.rint(j + away)]
-    found = np.unique(np.concatenate(edges)).astype(int)
-    return found[(found <= top + 1) & (found >= 1) | (found > top + 1) & (found <= n)]
+    def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Levels:
+        """Copy with these mean squares [rate²] and degrees of freedom, without padding."""
+        capacity = len(self.shape)
+        return self._replace(level=padded(level, capacity, 1.0), shape=padded(dof / 2.0, capacity, 0.0))
 
 
-def padded(x: Float[np.ndarray, "... m"], fill: float) -> Float[np.ndarray, "... levels"]:
+def capacity_of(count: int) -> int:
+    """Number of levels that arrays have room for, of which so many are needed."""
+    fitting = [capacity for capacity in CAPACITIES if capacity >= count]
+    return fitting[0] if fitting else -(-count // CAPACITIES[-1]) * CAPACITIES[-1]
+
+
+def padded(x: Float[np.ndarray, "... m"], capacity: int, fill: float) -> Float[np.ndarray, "... capacity"]:
     """Values of m levels followed by `fill` for the levels that pad."""
-    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, LEVELS - x.shape[-1])], constant_values=fill)
-
-
-def node_angles(edges: Int[np.ndarray, " m+1"], n: int) -> Float[np.ndarray, "2 m"]:
-    """Angles at two nodes of each level, which have the mean and the variance of its coefficients' angles."""
-    first, size = edges[:-1], np.diff(edges)
-    away = np.sqrt((size**2 - 1.0) / 12.0)
-    return np.pi / n * (first + (size - 1.0) / 2.0 + np.stack([-away, away]))
+    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])], constant_values=fill)
 
 
 def levels_of(
-    level: Float[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-    edges: Int[np.ndarray, " m+1"],
-    n: int,
-    columns: Float[np.ndarray, "columns 2 m"],
+    bins: Bins, columns: Float[np.ndarray, "terms 2 m"], slots: int, capacity: int | None = None
 ) -> Levels:
-    """Padded levels of the transform of n samples.
+    """Levels of bins, without data yet.
 
     Args:
-        level, dof: mean square of each level's coefficients [rate²], and its degrees of freedom.
-        edges: first coefficients of the levels, see `level_edges`.
-        n: number of samples.
-        columns: expectations of at most eight terms without a free shape at the nodes, for unit power.
+        bins: the bins.
+        columns: expectations of terms without a free shape at the nodes, for unit power.
+        slots: number of columns that there is room for.
+        capacity: number of levels that there is room for; the least that fits if not given.
     """
-    first, size = edges[:-1], np.diff(edges)
-    parity = np.where(size == 1, 1.0 - 2.0 * (first % 2), 0.0)
-    m = len(level)
+    angle, interval, length, parity = ([] for _ in range(4))
+    for part in bins.parts:
+        first, size = part.edges[:-1], np.diff(part.edges)
+        angle.append(2.0 * np.pi * part.node_frequencies / bins.rate)
+        interval.append(np.full(len(size), np.rint(bins.rate / part.rate)))
+        length.append(np.full(len(size), float(part.n)))
+        parity.append(np.where(size == 1, 1.0 - 2.0 * (first % 2), 0.0))
+    m = len(bins.size)
+    capacity = capacity_of(m) if capacity is None else capacity
+    room = [(0, slots - len(columns)), (0, 0), (0, 0)]
     return Levels(
-        level=padded(level, 1.0),
-        shape=padded(dof / 2.0, 0.0),
-        angle=padded(node_angles(edges, n), np.pi / 2.0),
-        interval=padded(np.ones(m), 1.0),
-        length=padded(np.full(m, float(n)), float(n)),
-        parity=padded(parity, 0.0),
-        columns=padded(np.pad(columns, [(0, COLUMNS - len(columns)), (0, 0), (0, 0)]), 0.0),
+        level=padded(np.ones(m), capacity, 1.0),
+        shape=np.zeros(capacity),
+        angle=padded(np.concatenate(angle, axis=1), capacity, np.pi / 2.0),
+        interval=padded(np.concatenate(interval), capacity, 1.0),
+        length=padded(np.concatenate(length), capacity, float(bins.parts[0].n)),
+        parity=padded(np.concatenate(parity), capacity, 0.0),
+        columns=padded(np.pad(columns, room), capacity, 0.0),
     )

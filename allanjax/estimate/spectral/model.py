@@ -9,33 +9,141 @@ below its scale, where the data hardly show it, logarithmic above, and zero at u
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from allanjax.estimate.spectral.columns import Place
 from allanjax.estimate.spectral.components import NONE, markov, oscillator, response
-from allanjax.estimate.spectral.levels import COLUMNS, Levels
-
-#: Number of slots of each kind with a free shape.
-MARKOVS, OSCILLATORS = 4, 12
-#: Number of components, and of parameters: powers, then correlation times, then frequencies and quality
-#: factors of the oscillators, then bandwidth and quality factor of the response.
-COMPONENTS = COLUMNS + MARKOVS + OSCILLATORS
-PARAMETERS = COMPONENTS + MARKOVS + 2 * OSCILLATORS + 2
-#: First index of each group of parameters after the powers.
-TIMES = COMPONENTS
-FREQUENCIES = TIMES + MARKOVS
-QUALITIES = FREQUENCIES + OSCILLATORS
-RESPONSE = QUALITIES + OSCILLATORS
+from allanjax.estimate.spectral.levels import Levels, padded
+from allanjax.noise.terms import NoiseTerm
+from allanjax.spectrum.cosine import Bins
 
 
-class Slots(NamedTuple):
+class Layout(NamedTuple):
+    """Numbers of slots, and where the parameters of each kind are.
+
+    The parameters are the powers of all components, then the correlation times of Markov processes,
+    frequencies and quality factors of oscillators, bandwidth and quality factor of the response, and the
+    free shapes of other terms.
+
+    Attributes:
+        columns: slots for terms without a free shape.
+        markovs, oscillators: slots for these, whose shapes may be free.
+        others: number of further terms with free shapes.
+        shapes: number of their free shapes.
+    """
+
+    columns: int
+    markovs: int
+    oscillators: int
+    others: int = 0
+    shapes: int = 0
+
+    @property
+    def first_markov(self) -> int:
+        """Index of the first Markov process among the components."""
+        return self.columns
+
+    @property
+    def first_oscillator(self) -> int:
+        """Index of the first oscillator among the components."""
+        return self.columns + self.markovs
+
+    @property
+    def first_other(self) -> int:
+        """Index of the first further term among the components."""
+        return self.columns + self.markovs + self.oscillators
+
+    @property
+    def components(self) -> int:
+        """Number of components, each of which has a power."""
+        return self.first_other + self.others
+
+    @property
+    def times(self) -> int:
+        """Index of the first correlation time among the parameters."""
+        return self.components
+
+    @property
+    def frequencies(self) -> int:
+        """Index of the first oscillator's frequency among the parameters."""
+        return self.times + self.markovs
+
+    @property
+    def qualities(self) -> int:
+        """Index of the first oscillator's quality factor among the parameters."""
+        return self.frequencies + self.oscillators
+
+    @property
+    def response(self) -> int:
+        """Index of the response's bandwidth among the parameters."""
+        return self.qualities + self.oscillators
+
+    @property
+    def other_shapes(self) -> int:
+        """Index of the first free shape of a further term among the parameters."""
+        return self.response + 2
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return self.other_shapes + self.shapes
+
+
+#: Slots of the usual models, and of those with resonances or a response.
+PLAIN, FULL = Layout(8, 2, 0), Layout(8, 4, 12)
+
+
+class Others(eqx.Module):
+    """Terms whose free shapes no slot has, evaluated as they are.
+
+    Attributes:
+        terms: the terms, with unit amplitude.
+        shapes: index of the term, name and lower bound of each free shape.
+        places: where they are evaluated.
+    """
+
+    terms: tuple[NoiseTerm, ...]
+    shapes: tuple[tuple[int, str, float], ...] = eqx.field(static=True)
+    places: tuple[Place, ...]
+
+    @classmethod
+    def of(
+        cls,
+        terms: tuple[NoiseTerm, ...],
+        shapes: tuple[tuple[int, str, float], ...],
+        bins: Bins,
+        capacity: int,
+    ) -> Others:
+        """Terms as they are seen in these bins; those of a record are padded to the levels' capacity."""
+        places = [Place.of(part) for part in bins.parts]
+        if len(places) == 1:
+            nodes = padded(places[0].frequency, capacity, bins.rate / 4.0)
+            places[0] = places[0]._replace(frequency=nodes)
+        units = tuple(term.with_unit_amplitude().sampled(bins.rate) for term in terms)
+        return cls(units, shapes, tuple(places))
+
+    def expected(self, values: Float[Array, " shapes"], m: int) -> Float[Array, "terms 2 m"]:
+        """Expected squares at the nodes of m levels for these values of ln(shape − lower bound)."""
+        terms = list(self.terms)
+        for (k, name, lower), value in zip(self.shapes, values, strict=True):
+            terms[k] = terms[k].replace(**{name: lower + jnp.exp(value)})
+        every = [jnp.concatenate([place.expected(term) for place in self.places], axis=1) for term in terms]
+        found = jnp.stack(every)
+        return jnp.pad(found, [(0, 0), (0, 0), (0, m - found.shape[-1])])
+
+
+class Slots(eqx.Module):
     """What a joint spectral model consists of.
 
     Attributes:
+        layout: numbers of slots.
         scale: scale of each power [rate²] (components).
         inside: whether each component passes through the response.
         band_limited: whether oscillators have no aliases.
@@ -43,8 +151,10 @@ class Slots(NamedTuple):
         free: which parameters are estimated; the others keep their value.
         lower, upper: bounds of the parameters.
         centre, precision: normal prior of each parameter; a precision of 0 for none.
+        others: terms whose free shapes no slot has.
     """
 
+    layout: Layout = eqx.field(static=True)
     scale: Any
     inside: Any
     band_limited: Any
@@ -54,33 +164,53 @@ class Slots(NamedTuple):
     upper: Any
     centre: Any
     precision: Any
+    others: Others | None
+
+    @classmethod
+    def of(
+        cls,
+        layout: Layout,
+        free: Bool[np.ndarray, " parameters"],
+        inside: Bool[np.ndarray, " components"],
+        kind: int = NONE,
+        band_limited: bool = False,
+        others: Others | None = None,
+    ) -> Slots:
+        """Slots with the widest bounds, powers in units of 1 and no prior; see `Slots` for the arguments."""
+        bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, _BANDWIDTH, _QUALITY, _SHAPE)
+        counts = (
+            layout.components,
+            layout.markovs,
+            layout.oscillators,
+            layout.oscillators,
+            1,
+            1,
+            layout.shapes,
+        )
+        lower, upper = np.repeat(np.array(bounds), counts, axis=0).T
+        scale, nothing = np.ones(layout.components), np.zeros(layout.parameters)
+        kind_of, limited = np.asarray(kind), np.asarray(band_limited)
+        return cls(layout, scale, inside, limited, kind_of, free, lower, upper, nothing, nothing, others)
+
+    def usual(self) -> Float[np.ndarray, " parameters"]:
+        """Parameters without powers, and with shapes in the middle of what there is."""
+        at = self.layout
+        theta = np.zeros(at.parameters)
+        theta[at.times : at.frequencies] = np.log(100.0)
+        theta[at.qualities : at.response] = np.log(5.0)
+        return theta
 
 
-# Bounds of correlation times [samples], frequencies [radians per sample], Q − ½, and bandwidths, in ln.
-_POWER, _TIME, _FREQUENCY, _QUALITY, _BANDWIDTH = (
+# Bounds of powers, correlation times [samples], frequencies [radians per sample], Q − ½, bandwidths, and the
+# shapes of other terms [SI], in ln.
+_POWER, _TIME, _FREQUENCY, _QUALITY, _BANDWIDTH, _SHAPE = (
     (0.0, 80.0),
     (-3.0, 40.0),
     (-30.0, np.log(np.pi)),
     (-7.0, 14.0),
     (-20.0, 5.0),
+    (-60.0, 60.0),
 )
-
-
-def slots_of(
-    scale: Float[np.ndarray, " components"],
-    free: Bool[np.ndarray, " parameters"],
-    inside: Bool[np.ndarray, " components"],
-    kind: int = NONE,
-    band_limited: bool = False,
-) -> Slots:
-    """Slots with the widest bounds and no prior; see `Slots` for the arguments."""
-    counts = (COMPONENTS, MARKOVS, OSCILLATORS, OSCILLATORS, 1, 1)
-    bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, _BANDWIDTH, _QUALITY)
-    lower, upper = np.repeat(np.array(bounds), counts, axis=0).T
-    nothing = np.zeros(PARAMETERS)
-    return Slots(
-        scale, inside, np.asarray(band_limited), np.asarray(kind), free, lower, upper, nothing, nothing
-    )
 
 
 class Expected(NamedTuple):
@@ -99,35 +229,67 @@ class Expected(NamedTuple):
 
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
     """Expected levels and their derivatives, each slot's along its own parameters only."""
-    u = theta[:COMPONENTS]
+    at, others = slots.layout, slots.others
+    u = theta[: at.components]
     power, by_u = slots.scale * jnp.expm1(u), slots.scale * jnp.exp(u)
-    times = theta[TIMES:FREQUENCIES]
-    oscillating = jnp.stack([theta[FREQUENCIES:QUALITIES], theta[QUALITIES:RESPONSE]], axis=1)
-
-    def with_slope(function: Any, shape: Array) -> tuple[Array, Array]:
-        return function(shape), jax.jacfwd(function)(shape)
-
-    chains, by_time = jax.vmap(lambda t: with_slope(lambda t: markov(levels, t), t))(times)
-    waves, by_wave = jax.vmap(
-        lambda shape: with_slope(lambda shape: oscillator(levels, shape, slots.band_limited), shape)
-    )(oscillating)
-    R, by_response = with_slope(lambda shape: response(levels, shape, slots.kind), theta[RESPONSE:])
-    unit = jnp.concatenate([levels.columns, chains, waves])
+    unit = _units(theta, slots, levels)
+    R = response(levels, _of_response(theta, at), slots.kind)
+    by_response = jax.jacfwd(lambda shape: response(levels, shape, slots.kind))(_of_response(theta, at))
+    by_shape = []
+    for function, shapes in _free_slots(theta, slots, levels):
+        by_shape += list(jnp.moveaxis(jax.vmap(jax.jacfwd(function))(shapes), -1, 0))
+    owner = [
+        np.arange(at.first_markov, at.first_oscillator),
+        *[np.arange(at.first_oscillator, at.first_other)] * (2 if at.oscillators else 0),
+    ]
+    if others is not None:
+        by_values = jax.jacfwd(lambda shapes: others.expected(shapes, len(levels.shape)))
+        slope = by_values(theta[at.other_shapes :])
+        by_shape += [slope[k, None, ..., s] for s, (k, *_) in enumerate(others.shapes)]
+        owner += [np.array([at.first_other + k for k, *_ in others.shapes])]
     passed = jnp.where(slots.inside[:, None, None], R, 1.0)
     seen = jnp.mean(unit * passed, axis=1)
     components = power[:, None] * seen
     mean = jnp.maximum(jnp.sum(components, axis=0), _LEAST * jnp.max(slots.scale))
     inside = jnp.tensordot(jnp.where(slots.inside, power, 0.0), unit, 1)
-    by_shape = jnp.concatenate([by_time, by_wave[..., 0], by_wave[..., 1]])
-    owner = np.append(np.arange(COLUMNS, COMPONENTS), np.arange(COLUMNS + MARKOVS, COMPONENTS))
-    slope = jnp.concatenate(
-        [
-            by_u[:, None] * seen,
-            power[owner, None] * jnp.mean(by_shape * passed[owner], axis=1),
-            jnp.mean(inside * jnp.moveaxis(by_response, -1, 0), axis=1),
-        ]
-    )
-    return Expected(mean, components, slope / mean)
+    of = np.concatenate(owner)
+    along = power[of, None] * jnp.mean(jnp.concatenate(by_shape) * passed[of], axis=1)
+    along_response = jnp.mean(inside * jnp.moveaxis(by_response, -1, 0), axis=1)
+    of_slots = at.response - at.times
+    slope = [by_u[:, None] * seen, along[:of_slots], along_response, along[of_slots:]]
+    return Expected(mean, components, jnp.concatenate(slope) / mean)
+
+
+def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Float[Array, "components m"]:
+    """Expected levels [rate²] of each component of unit power, after the response if it passes that."""
+    R = response(levels, _of_response(theta, slots.layout), slots.kind)
+    return jnp.mean(_units(theta, slots, levels) * jnp.where(slots.inside[:, None, None], R, 1.0), axis=1)
+
+
+def _of_response(theta: Array, at: Layout) -> Array:
+    """Parameters of the response."""
+    return theta[at.response : at.other_shapes]
+
+
+def _free_slots(
+    theta: Array, slots: Slots, levels: Levels
+) -> list[tuple[Callable[[Array], Array], Float[Array, "slots shapes"]]]:
+    """Each kind of slot with free shapes: expected squares for unit power at the nodes, and the shapes."""
+    at = slots.layout
+    kinds = [(lambda shape: markov(levels, shape[0]), theta[at.times : at.frequencies, None])]
+    if at.oscillators:
+        shapes = [theta[at.frequencies : at.qualities], theta[at.qualities : at.response]]
+        kinds.append((lambda shape: oscillator(levels, shape, slots.band_limited), jnp.stack(shapes, axis=1)))
+    return kinds
+
+
+def _units(theta: Array, slots: Slots, levels: Levels) -> Float[Array, "components 2 m"]:
+    """Expected squares of the components of unit power at the nodes, before the response."""
+    parts = [jnp.asarray(levels.columns)]
+    parts += [jax.vmap(function)(shapes) for function, shapes in _free_slots(theta, slots, levels)]
+    if slots.others is not None:
+        parts.append(slots.others.expected(theta[slots.layout.other_shapes :], len(levels.shape)))
+    return jnp.concatenate(parts)
 
 
 def power_scales(
@@ -138,10 +300,7 @@ def power_scales(
     The shapes of the components are those in `theta`. It is the scale for `Slots`: below it the data hardly
     show a power.
     """
-    ones = jnp.ones(COMPONENTS)
-    at_unit_power = jnp.asarray(theta).at[:COMPONENTS].set(jnp.log(2.0))
-    unit = expected(at_unit_power, slots._replace(scale=ones), levels).components
-    information = jnp.sum(levels.shape * (unit / noise) ** 2, axis=1)
+    information = jnp.sum(levels.shape * (units(theta, slots, levels) / noise) ** 2, axis=1)
     return jnp.where(information > 0.0, 1.0 / jnp.sqrt(jnp.maximum(information, 1e-300)), 1.0)
 
 
@@ -152,30 +311,3 @@ _LEAST = 1e-30
 def loss(mean: Float[Array, " m"], levels: Levels) -> Float[Array, ""]:
     """Minus the log-likelihood of the levels, up to what the data alone determine: Σ k(ln μ + y/μ)."""
     return jnp.sum(levels.shape * (jnp.log(mean) + levels.level / mean))
-
-
-def parameters(
-    power: Float[np.ndarray, " components"],
-    scale: Float[np.ndarray, " components"],
-    times: Float[np.ndarray, " markovs"],
-    frequencies: Float[np.ndarray, " oscillators"],
-    qualities: Float[np.ndarray, " oscillators"],
-    response: Float[np.ndarray, " 2"],
-) -> Float[np.ndarray, " parameters"]:
-    """Parameters from their values, times in sample intervals and frequencies in radians per interval.
-
-    Args:
-        power, scale: powers [rate²] and their scales.
-        times: correlation times.
-        frequencies, qualities: ω0 and Q of the oscillators.
-        response: ω_c and Q of the response.
-    """
-    return np.concatenate(
-        [
-            np.log1p(power / scale),
-            np.log(times),
-            np.log(frequencies),
-            np.log(qualities - 0.5),
-            [np.log(response[0]), np.log(response[1] - 0.5)],
-        ]
-    )

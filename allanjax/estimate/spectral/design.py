@@ -1,0 +1,170 @@
+"""Design of a fit to levels of the cosine spectrum: their expectations and scatter under a model."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Shaped
+
+from allanjax.base.linalg import CholeskyWhitened
+from allanjax.estimate.design import Design, free_shapes
+from allanjax.estimate.spectral.arrangement import Arrangement
+from allanjax.estimate.spectral.levels import Levels, padded
+from allanjax.estimate.spectral.model import Slots, units
+from allanjax.noise.model import Model
+from allanjax.spectrum.cosine import Bins
+
+# Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
+# starts of other shapes are two to a decade or denser.
+_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
+# Margin kept from a shape's upper bound, which is open, in ln.
+_INSIDE = 1e-2
+# Numbers of terms and free shapes that arrays have room for are multiples of these.
+_TERMS, _SHAPES = 8, 4
+
+
+class SpectralDesign(Design):
+    """Model of levels of the cosine spectrum, χ² around their expectations.
+
+    Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are no
+    part of the model. A relative error of the model is taken to be common to the bins of an octave. What the
+    terms and shapes are is data: one program serves all models without shapes of their own kind.
+
+    Attributes:
+        levels, slots: the levels, and the slots of the joint spectral model.
+        component: component of each term.
+        time: parameter with the correlation time of a Markov process, −1 of other terms.
+        parameter, offset: parameter of each free shape, and what is added to ln(value − lower bound) for it.
+        held: parameters with the shapes that are not free.
+        interval: sample interval [s].
+        reach, top: largest distance of each shape from its start, and its upper end.
+        moves: which shapes there are; the others only pad.
+        per_octave: number of bins in the octave around each bin.
+    """
+
+    levels: Levels
+    slots: Slots
+    component: Int[np.ndarray, " terms"]
+    time: Int[np.ndarray, " terms"]
+    parameter: Int[np.ndarray, " shapes"]
+    offset: Float[np.ndarray, " shapes"]
+    held: Float[np.ndarray, " parameters"]
+    interval: Float[np.ndarray, ""]
+    reach: Float[np.ndarray, " shapes"]
+    top: Float[np.ndarray, " shapes"]
+    moves: Bool[np.ndarray, " shapes"]
+    per_octave: Float[np.ndarray, " m"]
+
+    @classmethod
+    def of(cls, model: Model, bins: Bins) -> SpectralDesign:
+        """Design of a noise model of random terms only, for levels without data yet."""
+        found, shapes = Arrangement.of(model, bins), free_shapes(model)
+        terms = -len(model) % _TERMS
+        more = max(-(-len(shapes) // _SHAPES), 1) * _SHAPES - len(shapes)
+        # The response is that of the first term that passes it.
+        owner = [p.term if p.term < len(model) else model.inside.index(True) for p in shapes]
+        top = [np.log(p.parameter.upper - p.parameter.lower) - _INSIDE for p in shapes]
+
+        def with_room(values: Any, fill: float) -> Shaped[np.ndarray, " shapes"]:
+            return np.append(values, np.full(more, fill)).astype(type(fill))
+
+        return cls(
+            owner=with_room(owner, 0),
+            terms=np.asarray(len(model)),
+            rows=np.asarray(len(bins.size)),
+            levels=found.levels,
+            slots=found.slots,
+            component=np.append(found.component, np.zeros(terms, int)),
+            time=np.append(found.time, np.full(terms, -1)),
+            parameter=with_room(found.parameter, len(found.held)),
+            offset=with_room(found.offset, 0.0),
+            held=found.held,
+            interval=np.asarray(1.0 / bins.rate),
+            reach=with_room([_REACH[p.parameter.kind] for p in shapes], 0.0),
+            top=with_room(top, 0.0),
+            moves=np.arange(len(shapes) + more) < len(shapes),
+            per_octave=padded(bins.per_octave(), len(found.levels.shape), 1.0),
+        )
+
+    def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> SpectralDesign:
+        """Copy for these mean squares [rate²] and degrees of freedom."""
+        return dataclasses.replace(self, levels=self.levels.with_data(level, dof))
+
+    @property
+    def movable(self) -> Bool[np.ndarray, " shapes"]:
+        return self.moves
+
+    @property
+    def has_shapes(self) -> bool:
+        return True
+
+    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
+        return padded(V, len(self.per_octave), 1.0)
+
+    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
+        more = len(self.component) - values.shape[-1]
+        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)])
+
+    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
+        more = len(self.moves) - values.shape[-1]
+        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)])
+
+    def parameters(self, shape: Float[Array, " shapes"]) -> Float[Array, " parameters"]:
+        """Parameters of the joint spectral model with these shapes, and without powers."""
+        return jnp.asarray(self.held).at[self.parameter].set(shape + self.offset, mode="drop")
+
+    def unit_power(self, theta: Float[Array, " parameters"]) -> Float[Array, " terms"]:
+        """Power of each term's component where the term has unit amplitude; zero of what only pads.
+
+        That of a Gauss–Markov process is its variance q_c²T_c/2 (4.59).
+        """
+        variance = jnp.exp(theta[self.time]) * self.interval / 2.0
+        there = jnp.arange(len(self.component)) < self.terms
+        return jnp.where(there, jnp.where(jnp.asarray(self.time) >= 0, variance, 1.0), 0.0)
+
+    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
+        theta = self.parameters(shape)
+        every = units(theta, self.slots, self.levels)
+        return every[self.component] * self.unit_power(theta)[:, None]
+
+    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
+        there = jnp.arange(means.shape[1]) < self.rows
+        return jnp.where(there, power @ means, 1.0)
+
+    def products(self, shape: Float[Array, " shapes"]) -> Array:
+        return self.means(shape)
+
+    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
+        return self.mean(power, products) ** 2 / jnp.maximum(self.levels.shape, 1e-9)
+
+    def variances(self, covariance: Array) -> Float[Array, " m"]:
+        return covariance
+
+    def whiten(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        power_error: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> CholeskyWhitened:
+        relative = covariance / mean**2 + power_error**2 * self.per_octave
+        known = jnp.asarray(self.levels.shape) > 0.0
+        scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
+        return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
+
+    def whiten_and_weigh(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        power_error: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
+        scale = self.whiten(covariance, mean, power_error, jnp.ones((len(mean), 1))).values
+        return X * scale, (X * scale**2).T
+
+    @property
+    def weight(self) -> Float[Array, " m"]:
+        return 2.0 * jnp.asarray(self.levels.shape)
