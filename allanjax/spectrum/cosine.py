@@ -127,7 +127,7 @@ class Bins(ByValue):
         Each of these is given by its frequency and its width [Hz]; a width of 0 stands for any.
         """
         top = min(_SINGLE, n - 1)
-        growing = top * 2.0 ** (np.arange(1, np.floor(per_octave * np.log2(n / top))) / per_octave)
+        growing = top * 2.0 ** (np.arange(1, np.ceil(per_octave * np.log2(n / top))) / per_octave)
         edges = [np.rint(growing) + 1.0]
         for frequency, width in around:
             j = 2.0 * n * frequency / rate
@@ -136,8 +136,8 @@ class Bins(ByValue):
             # Farther out they would be wider than the logarithmic bins.
             while steps[-1] * (_GROWTH - 1.0) < j * np.log(2.0) / per_octave:
                 steps = np.append(steps, np.ceil(steps[-1] * _GROWTH))
-            near = np.rint(steps[steps < max(0.6 * j, _AROUND + 1.0)])
-            edges += [np.rint(j) - near + 1.0, np.rint(j) + near]
+            near = steps[steps < max(0.6 * j, _AROUND + 1.0)] - unit / 2.0
+            edges += [np.rint(np.rint(j) + 0.5 - near), np.rint(np.rint(j) + 0.5 + near)]
         above = np.unique(np.concatenate(edges))
         above = above[(above > top + 1) & (above < n)]
         every = np.unique(np.concatenate([np.arange(1, top + 2), above, [n]]).astype(int))

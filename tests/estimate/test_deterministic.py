@@ -11,7 +11,7 @@ from allanjax.estimate.coefficients import deterministic_coefficients
 from allanjax.estimate.deterministic import AxisSpectrum, amplitude_quantile, line_columns, take_out_lines
 from allanjax.noise.terms import AngleRandomWalk, Sinusoid
 from allanjax.record.recording import Axis
-from allanjax.spectrum.cosine import CosineBins, cosine_transform, ramp_column
+from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
 
 RATE = 100.0
 GYRO = Axis("gyro_x", "gyro", "rad/s")
@@ -132,7 +132,7 @@ def test_what_is_left_is_the_noise():
 
 def spectrum_with_columns():
     n, random = 600, np.random.default_rng(7)
-    bins = CosineBins.of(n, RATE, (20.0,))
+    bins = Bins.of(n, RATE, [(20.0, 0.0)])
     temperature = np.cumsum(random.normal(size=n))
     x = random.normal(size=n) + 0.1 * np.cumsum(random.normal(size=n)) + wave(20.0, 2.0, 0.3, n)
     x += 0.4 * temperature + 1.5 * np.arange(n) / RATE
@@ -152,7 +152,7 @@ def test_projection_is_weighted_least_squares(absent):
     assert spectrum.owners == ("temperature", 1, 2, 2)
     used = spectrum.used(absent)
     np.testing.assert_array_equal(used, [True, 1 not in absent, 2 not in absent, 2 not in absent])
-    variance = 1.0 + 50.0 / np.maximum(bins.first, 1.0)
+    variance = 1.0 + 50.0 / np.maximum(bins.edges[:-1], 1.0)
     found = spectrum.project(variance, used)
 
     of_coefficient = np.repeat(variance[real], bins.size[real])
@@ -160,7 +160,7 @@ def test_projection_is_weighted_least_squares(absent):
     beta = np.linalg.lstsq(A, b, rcond=None)[0]
     rss = (b - A @ beta) ** 2 * of_coefficient
     leverage = np.sum(np.linalg.qr(A)[0] ** 2, axis=1)
-    starts = bins.first[real] - 1
+    starts = bins.edges[:-1][real] - 1
     np.testing.assert_allclose(found.amplitude[used], beta, rtol=1e-8)
     assert not found.amplitude[~used].any()
     np.testing.assert_allclose(found.covariance[np.ix_(used, used)], np.linalg.inv(A.T @ A), rtol=1e-8)
@@ -175,12 +175,12 @@ def test_projection_is_weighted_least_squares(absent):
 
 
 def test_a_bin_without_freedom_counts_for_nothing():
-    bins = CosineBins.of(200, RATE)
+    bins = Bins.of(200, RATE)
     c = np.random.default_rng(8).normal(size=199)
     only_first = np.zeros(199)
     only_first[0] = 3.0
     spectrum = AxisSpectrum.of(bins, c, [("a", only_first)], {})
-    found = spectrum.project(np.full(len(bins.first), 2.0), spectrum.used())
+    found = spectrum.project(np.full(len(bins.edges[:-1]), 2.0), spectrum.used())
     assert found.amplitude[0] == pytest.approx(c[0] / 3.0)
     assert found.covariance[0, 0] == pytest.approx(2.0 / 9.0)
     assert (found.dof[0], found.level[0]) == (0.0, 2.0)

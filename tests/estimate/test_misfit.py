@@ -25,7 +25,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import basic_terms
 from allanjax.record.recording import Axis, Recording
 from allanjax.report.files import write_coefficients_csv, write_json, write_results
-from allanjax.spectrum.cosine import CosineBins, cosine_transform
+from allanjax.spectrum.cosine import Bins, cosine_transform
 
 RATE, N, FEWER, WHITE = 100.0, 60_000, 20_000, 1e-3
 AXIS = Axis("gyro_x", "gyro", "rad/s")
@@ -58,7 +58,7 @@ def by_spectrum(height, place=20.0):
     x = noise(1, N)
     c = cosine_transform(x - x.mean())
     c = c * hump(np.log2(np.arange(1, N) * RATE / (2.0 * N) / place), height)
-    spectrum = AxisSpectrum.of(CosineBins.of(N, RATE), c, [], {})
+    spectrum = AxisSpectrum.of(Bins.of(N, RATE), c, [], {})
     return result_of(fit_spectrum(TERMS.sampled(RATE), AXIS, spectrum, ACTIVE[0]), TERMS, AXIS, ACTIVE[0])
 
 

@@ -54,20 +54,20 @@ def solve_levels(
     def fitted(error: float, power: ArrayLike, shape: ArrayLike) -> tuple[Solution, np.ndarray]:
         return jax.device_get(_maximum(design, *of_terms, power, shape, noise, np.asarray(error)))
 
-    noise, error = design.padded_estimates(noise), 0.0
+    noise = design.padded_estimates(noise[None])[0]
     start = design.padded_terms(np.asarray(power)), design.padded_shapes(np.asarray(shape))
-    found, mean = fitted(error, *start)
+    found, mean = fitted(0.0, *start)
     parameters = np.sum(free & active) + np.sum(active[design.owner[design.moves]])
     dof = 2.0 * np.asarray(design.levels.shape)
     degrees = max(float(np.sum(np.minimum(dof, 1.0))) - parameters, 1.0)
     if np.isfinite(found.cost) and not (found.converged and found.chi2 < beyond_doubt(degrees)):
+        error = 0.0
         for _ in range(_ROUNDS):
-            last, error = error, error_of_powers(design.levels.level / mean, dof, design.per_octave, degrees)
-            if abs(error - last) <= _SETTLED * error:
+            wanted = error_of_powers(design.levels.level / mean, dof, design.per_octave, degrees)
+            if abs(wanted - error) <= _SETTLED * wanted:
                 break
+            error = wanted
             found, mean = fitted(error, found.power, found.shape)
-        widened: dict[str, Any] = {"power_error": np.asarray(error)}
-        found = found._replace(**widened)
     return found._replace(power=found.power[:terms], shape=found.shape[:shapes])
 
 
