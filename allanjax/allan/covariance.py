@@ -39,6 +39,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.noise.model import NoiseTerm
+from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
 
 if TYPE_CHECKING:
@@ -226,7 +227,7 @@ class AllanCovariance(eqx.Module):
         real = jnp.asarray(self.count) * (self.count + 1) // 2
         return jax.lax.fori_loop(0, -(-real // few), add, nothing)
 
-    def kernel(self, term: NoiseTerm) -> Float[Array, "lags pairs"]:
+    def kernel(self, term: Process) -> Float[Array, "lags pairs"]:
         """C_ij(u) of one noise term at the quadrature's lags."""
         mi, mj = jnp.asarray(self.sizes)[jnp.asarray(self.pairs)]
         offsets = jnp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj])

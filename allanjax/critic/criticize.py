@@ -138,6 +138,11 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
         raise AllanjaxError(
             f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
         )
+    if given is not None and given.template.response is not None:
+        raise FitError(
+            f"{label}: the critique does not judge a model with a response ({given.template.response!r}) "
+            "yet: leave the fit out, and it looks for a filter itself"
+        )
     for result in given.results if given else ():
         if not result.converged:
             raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")

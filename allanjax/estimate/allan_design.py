@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
@@ -14,6 +15,7 @@ from allanjax.allan.covariance import AllanCovariance
 from allanjax.base.linalg import CholeskyWhitened, whiten
 from allanjax.estimate.design import Design, FreeShape, free_shapes, with_shapes
 from allanjax.noise.model import Model
+from allanjax.noise.process import Process
 from allanjax.noise.terms import NoiseTerm, basic_terms
 
 # Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
@@ -222,7 +224,32 @@ def _constants(
     return _Constants(_chosen(means, columns), None, _bilinear(terms, geometry, products, columns))
 
 
-def _mean(term: NoiseTerm, geometry: AllanCovariance) -> Float[Array, " m"]:
+def moments_behind(
+    model: Model, geometry: AllanCovariance
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Expectation and variance of Allan variances under a sampled model with values, response included."""
+    values = {p.label: np.asarray(p.start) for p in model.parameters if p.start and np.isfinite(p.start)}
+    mean, variance = jax.device_get(_moments_behind(model.with_values(**values), geometry))
+    rows = int(geometry.count)
+    return mean[:rows], variance[:rows]
+
+
+@eqx.filter_jit
+def _moments_behind(
+    model: Model, geometry: AllanCovariance
+) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
+    seen = model.seen
+
+    def of_part(part: AllanCovariance) -> Array:
+        kernels = jnp.stack([part.kernel(process) for process in seen])
+        return _products(kernels, kernels, part)
+
+    products = _bilinear(seen, geometry, geometry.over_pairs(of_part), np.arange(len(seen)))
+    mean = sum(_mean(process, geometry) for process in seen)
+    return jnp.asarray(mean), jnp.diag(geometry.symmetric(jnp.sum(products, axis=(0, 1))))
+
+
+def _mean(term: Process, geometry: AllanCovariance) -> Float[Array, " m"]:
     """Allan variance of a term; zero where there is no estimate."""
     return geometry.known(term.allan_variance(geometry.cluster_time), 0.0)
 
@@ -235,7 +262,7 @@ def _products(
 
 
 def _bilinear(
-    terms: Sequence[NoiseTerm],
+    terms: Sequence[Process],
     geometry: AllanCovariance,
     products: Float[Array, "basis basis pairs"],
     columns: Int[ArrayLike, " terms"],
@@ -256,7 +283,7 @@ def _chosen(rows: Float[Array, "basis ..."], columns: Int[ArrayLike, " terms"]) 
     return rows.at[jnp.asarray(columns)].get(mode="fill", fill_value=0.0)
 
 
-def _narrow_band_scatter(term: NoiseTerm, geometry: AllanCovariance) -> Float[Array, " pairs"]:
+def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Array, " pairs"]:
     """Covariance of the estimates of a narrow-band term alone.
 
     Its power fluctuates as one, which all estimates share; an estimate's own overlaps of differences add as

@@ -16,6 +16,7 @@ from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
 from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import DeadAxis
 
@@ -44,6 +45,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "objective": fit.objective,
         "converged": fit.converged,
         "model": [_term(term) for term in fit.template],
+        "response": None if fit.template.response is None else _response(fit.template),
         "curve": _curve(fit.curve, fit.axes),
         "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
         "warnings": list(fit.warnings),
@@ -130,6 +132,18 @@ def _term(term: NoiseTerm) -> dict[str, Any]:
         "term": term.name(),
         "parameters": {name: _start(x) for name, x in values.items()},
         "held": sorted(term.held),
+    }
+
+
+def _response(model: Model) -> dict[str, Any]:
+    """The response of a model, and the terms that pass it."""
+    response = model.response
+    assert response is not None
+    return {
+        "response": response.name(),
+        "parameters": {p.name: _start(getattr(response, p.name)) for p in response.parameters()},
+        "held": sorted(response.held),
+        "inside": [label for label, inside in zip(model.term_labels, model.inside, strict=True) if inside],
     }
 
 

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
+from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import upper_tail
-from allanjax.estimate.allan_design import AllanDesign
+from allanjax.estimate.allan_design import AllanDesign, moments_behind
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
-from allanjax.estimate.design import free_powers, free_shapes
+from allanjax.estimate.design import free_powers, free_shapes, of_owners
 from allanjax.estimate.deterministic import lines_of, take_out_lines
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import Inference, infer, without_padding
@@ -163,7 +164,8 @@ def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> So
 
 def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
     """Number of coefficients that are estimated, by which the degrees of freedom of χ² are reduced."""
-    return sum(p.free and bool(active[p.term]) for p in reported(template))
+    here = of_owners(template, active)
+    return sum(p.free and bool(here[p.term]) for p in reported(template))
 
 
 def _axis_fit(
@@ -194,8 +196,7 @@ def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
     """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
-    means, scatter = zip(*(_moments_of(design, template, result) for result in results), strict=True)
+    means, scatter = zip(*_moments_under(curve, template, results), strict=True)
     curve = _with_model_edf(curve, results, means, scatter)
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
@@ -223,6 +224,22 @@ def _with_model_edf(
         if result.converged:
             edf[:, k] = 2.0 * means[k] ** 2 / variances[k]
     return dataclasses.replace(curve, edf=edf)
+
+
+def _moments_under(
+    curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
+) -> list[tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]]:
+    """Expectation and variance of the Allan variances of each axis under its fitted model."""
+    of_curve = (curve.n, curve.rate, curve.cluster_size)
+    if template.response is None:
+        design = AllanDesign.of(template, *of_curve, curve.strides, _CAPACITY)
+        return [_moments_of(design, template, result) for result in results]
+    geometry = AllanCovariance.of(*of_curve, strides=curve.strides, capacity=_CAPACITY[0])
+    nothing = np.full(len(curve.cluster_size), np.nan)
+    return [
+        moments_behind(result.model.sampled(curve.rate), geometry) if result.converged else (nothing, nothing)
+        for result in results
+    ]
 
 
 def _moments_of(

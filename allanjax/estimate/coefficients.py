@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.estimate.design import of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantile
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, ESTIMATE, Inference
@@ -98,7 +99,8 @@ def estimates_of(
         if not p.free:
             value[:, row] = p.start or 0.0
             interval[:, row] = interval_68[:, row] = value[:, row, None]
-            found[:, p.term] |= is_amplitude
+            if is_amplitude:
+                found[:, p.term] = True
         elif is_amplitude:
             column = p.term
             value[:, row] = np.sqrt(power[:, column])
@@ -115,7 +117,7 @@ def estimates_of(
         else:
             column = len(model) + shapes.index(p)
             distance, sd = np.exp(shape[:, column - len(model)]), np.sqrt(covariance[:, column, column])
-            present = has_power[:, p.term]
+            present = of_owners(model, has_power)[:, p.term]
             value[:, row] = np.where(present, p.parameter.lower + distance, np.nan)
             std[:, row] = np.where(present, distance * sd, np.nan)
             jacobian[:, row, column] = np.where(present, distance, 0.0)
@@ -124,7 +126,8 @@ def estimates_of(
                 np.where(present[:, None], _around(p.parameter, distance, level * sd), nowhere)
                 for level in (TWO_SIDED_95, TWO_SIDED_68)
             )
-        detected[:, row] = found[:, p.term]
+        # The response comes after all terms.
+        detected[:, row] = of_owners(model, found)[:, p.term]
     covariance = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
     return Estimates(value, std, interval, interval_68, limit, detected, covariance)
 

@@ -120,19 +120,27 @@ class Design(eqx.Module):
         """Rough relative weight of each estimate, where no model is known."""
 
 
-def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
+def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
     """Model as `as_model` makes it, for a fit to these axes.
 
     Raises:
-        FitError: the model has a response.
+        FitError: the model has a response, and that can not be fitted here.
     """
     found = as_model(model, axes)
-    if found.response is not None:
+    if found.response is not None and not with_response:
         raise FitError(
-            f"a fit does not estimate a response yet ({found.response!r}): fit the terms without it, or "
-            "simulate the model"
+            f"a response ({found.response!r}) is estimated from the spectrum of a recording only: give "
+            'objective="whittle" (--objective whittle), or leave it out'
         )
     return found
+
+
+def of_owners(model: Model, of_terms: Bool[np.ndarray, "... terms"]) -> Bool[np.ndarray, "... owners"]:
+    """Flags of what has parameters: of the terms, then of the response if any term that passes it has one."""
+    if model.response is None:
+        return of_terms
+    passing = of_terms[..., np.array(model.inside, bool)]
+    return np.concatenate([of_terms, passing.any(axis=-1, keepdims=True)], axis=-1)
 
 
 def free_shapes(model: Model) -> tuple[ModelParameter, ...]:

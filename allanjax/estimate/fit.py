@@ -111,7 +111,7 @@ def inspected(
     vibrating: bool,
 ) -> Inspection:
     """Inspection of a recording for a fit of this model, which may say that the mean moves."""
-    terms = () if model is None else model_to_fit(model, recording.axes).terms
+    terms = () if model is None else model_to_fit(model, recording.axes, with_response=True).terms
     timed = any(isinstance(term, Transient) for term in terms)
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
     # The time of a step counts from the first sample.
@@ -199,7 +199,8 @@ def terms_to_fit(
         FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
     """
     if selection is None:
-        template = basic_terms() if model is None else model_to_fit(model, axes)
+        whittle = objective == "whittle"
+        template = basic_terms() if model is None else model_to_fit(model, axes, with_response=whittle)
         template = _with_known_transients(template, objective)
         _check_distinct(template)
         return template, np.ones((len(axes), len(template)), bool)
@@ -223,10 +224,10 @@ def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
 def _check_distinct(template: Model) -> None:
     """Raise FitError for two terms that differ in nothing but their amplitudes, which are to be found."""
     seen = set()
-    for term in template.terms:
+    for k, term in enumerate(template.terms):
         shape = [getattr(term, p.name) for p in term.parameters() if not term.is_free(p)]
         if len(term.parameters()) == len(shape) + 1:
-            if (key := (type(term), *shape)) in seen:
+            if (key := (type(term), *shape, template.inside[k : k + 1])) in seen:
                 raise FitError(f"no data tell {term.name()} from {term.name()}: leave one of them out")
             seen.add(key)
 
@@ -247,7 +248,7 @@ def _with_known_transients(template: Model, objective: Objective) -> Model:
                     f'{type(term).__name__}({shape}=120.0).hold("{shape}"); the critique finds it'
                 )
         terms[k] = term.hold(*shapes)
-    return Model(tuple(terms))
+    return dataclasses.replace(template, terms=tuple(terms))
 
 
 def _regressors(

@@ -20,7 +20,7 @@ from allanjax.estimate.result import AxisFit, Fit, fitted_model
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.noise.notation import term_classes
+from allanjax.noise.notation import response_classes, term_classes
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis, DeadAxis
 
@@ -73,7 +73,7 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
             f"written by allanjax {document.get('allanjax_version')}, without its curve; characterize the "
             "recording again"
         )
-    template = Model(tuple(_term(term, classes) for term in document["model"]))
+    template = _model(document, classes)
     alive = [a for a in document["axes"] if not a["dead"]]
     axes = tuple(map(_axis, alive))
     name = document["recording"]["name"]
@@ -89,6 +89,16 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
         selection=_selection(name, alive, axes),
         dead=tuple(DeadAxis(_axis(a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
+
+
+def _model(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Model:
+    """The model that was fitted."""
+    plain = Model(tuple(_term(term, classes) for term in document["model"]))
+    if not (of := document.get("response")):
+        return plain
+    response = response_classes()[of["response"]](**of["parameters"]).hold(*of["held"])
+    inside = tuple(label in of["inside"] for label in plain.term_labels)
+    return Model(plain.terms, response, inside)
 
 
 def _term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> NoiseTerm:

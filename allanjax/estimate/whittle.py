@@ -70,7 +70,8 @@ def spectrum_of(
     c, found = take_out_lines(x - x.mean(), rate, wanted)
     around = [line.frequency for line in found]
     narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
-    around += [p.start if p.start is not None else float(find_lines(x, rate)[0]) for p in narrow]
+    peaks = iter(find_lines(x, rate) if any(p.start is None for p in narrow) else ())
+    around += [p.start if p.start is not None else float(next(peaks, rate / 8.0)) for p in narrow]
     per_octave = PER_OCTAVE if template.response is None else _FINE
     bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
     columns: list[tuple[str | int, np.ndarray]] = []

@@ -26,6 +26,13 @@ class Filtered(Process):
     def oscillates(self) -> bool:
         return self.process.oscillates
 
+    @property
+    def narrow_band(self) -> bool:  # type: ignore[override]  # of the process, not of the class
+        return self.process.narrow_band
+
+    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        return self.process.power_scatter(duration)
+
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         change = self.response.change(self.process.parts(self._known_rate), self.rate)
         return self.process.phase_covariance(lag) + change.phase_covariance(lag, self.rate)

@@ -46,10 +46,6 @@ class NoiseTerm(Parametrized, Process):
         """
         raise NotImplementedError(f"{type(self).__name__} defines no column(time)")
 
-    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
-        """Relative variance of a narrow-band term's mean square over a record of this duration [s]."""
-        raise NotImplementedError(f"{type(self).__name__} is narrow-band and defines no power_scatter")
-
     def sampled(self, rate: float) -> Self:
         """The term as seen by a sensor that samples at `rate` [Hz]; itself, unless sampling matters."""
         return self

@@ -96,6 +96,10 @@ class Process(eqx.Module):
         """
         return namespace(self, frequency).zeros(np.shape(frequency))
 
+    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        """Relative variance of a narrow-band process's mean square over a record of this duration [s]."""
+        raise NotImplementedError(f"{type(self).__name__} is narrow-band and defines no power_scatter")
+
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
         return self._filter_variance(cluster_time, (6.0, -8.0, 2.0), 2.0)

@@ -22,7 +22,7 @@ from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import whiten
 from allanjax.estimate.allan_design import AllanDesign
-from allanjax.estimate.design import Design, free_shapes
+from allanjax.estimate.design import Design, free_shapes, of_owners
 from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
@@ -323,7 +323,8 @@ def _common(
     std = np.nan_to_num([result[p.label].std for p in parameters])
     # Where the fit gives none it is a share of the prior's scale or of the start.
     rough = np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)
-    found = np.array([p.term_label in result.term_labels for p in parameters], bool)
+    there = np.array([label in result.term_labels for label in fit.template.term_labels], bool)
+    found = of_owners(fit.template, there)[[p.term for p in parameters]]
     lower, upper = _ranges(parameters, result, fit, ceiling)
     return {
         "parameters": parameters,

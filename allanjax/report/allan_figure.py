@@ -14,7 +14,7 @@ from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import title_of
-from allanjax.noise.terms import NoiseTerm
+from allanjax.noise.process import Process
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.report.figure import (
@@ -145,7 +145,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
     time = _times_to_draw(fit.curve)
     total = np.zeros(len(time))
     lines = {}
-    for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).terms, strict=True):
+    for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).seen, strict=True):
         if _is_transient(term):
             continue
         variance = np.asarray(term.allan_variance(time))
@@ -167,7 +167,7 @@ def _residual(fit: Fit, k: int) -> Residual:
     return Residual(points, curve.edf[:, k] > 0.5 / PRECISE**2, off)
 
 
-def _is_transient(term: NoiseTerm) -> bool:
+def _is_transient(term: Process) -> bool:
     return isinstance(term, Transient)
 
 

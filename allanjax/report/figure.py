@@ -225,6 +225,10 @@ def term_entries(
             text += remark
         drawn = term in drawn_terms(result) and not is_hidden
         entries.append(KeyEntry(wrapped(text), term_style(fit, term) if drawn else None))
+    if (response := fit.template.response) is not None:
+        own = [c.in_unit() for c in result.coefficients.values() if c.term == response.name()]
+        values = ", ".join(f"{c.symbol} = {c.describe()}" for c in own)
+        entries.append(KeyEntry(wrapped(f"{title_of(response.name(), result.axis)}: {values}"), None))
     return entries
 
 

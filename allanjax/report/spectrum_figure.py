@@ -13,6 +13,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.parameter import Parametrized
 from allanjax.report.figure import (
     FREQUENCY,
     MODEL,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from allanjax.noise.model import Model
+    from allanjax.noise.process import Process
     from allanjax.noise.terms import NoiseTerm
 
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
@@ -144,7 +146,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     model = result.model.sampled(rate)
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
-    for label, term in zip(result.term_labels, model.terms, strict=True):
+    for label, term in zip(result.term_labels, model.seen, strict=True):
         style: dict[str, Any] = {"label": title_of(label, result.axis), **term_style(fit, label)}
         drawn = label in drawn_terms(result)
         if not term.deterministic:
@@ -199,9 +201,9 @@ def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
     return np.unique(np.floor(_RESIDUALS_PER_OCTAVE * np.log2(first_ordinate)), return_index=True)[1]
 
 
-def _line_of(term: NoiseTerm) -> list[float]:
+def _line_of(term: Process) -> list[float]:
     """Frequency of a deterministic line [Hz], none for another term."""
-    if not term.deterministic:
+    if not (term.deterministic and isinstance(term, Parametrized)):
         return []
     return [float(getattr(term, p.name)) for p in term.parameters() if p.kind == "line"]
 

@@ -1,0 +1,191 @@
+"""Fits of models with a response: white noise and a walk through a filter, with a resonance after it."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+
+import allanjax as aj
+from allanjax.allan.covariance import AllanCovariance
+from allanjax.estimate.allan_design import moments_behind
+
+RATE, N, BANDWIDTH = 100.0, 30_000, 15.0
+TRUTH = {
+    "angle_random_walk": 1e-3,
+    "rate_random_walk": 2e-4,
+    "resonance_amplitude": 5e-3,
+    "resonance_frequency": 20.0,
+    "resonance_quality_factor": 15.0,
+    "low_pass1_bandwidth": BANDWIDTH,
+}
+MODEL = "low_pass1 * (N + K) + resonance"
+
+
+def oscillation(rng, n):
+    """Noise of an oscillator at the samples, R(t) = e^{−at}(cos wt + (a/w) sin wt), by its circulant."""
+    w0, Q = 2.0 * np.pi * TRUTH["resonance_frequency"] / RATE, TRUTH["resonance_quality_factor"]
+    a = w0 / (2.0 * Q)
+    w = np.sqrt(w0**2 - a**2)
+    t = np.arange(2 * n)
+    t = np.minimum(t, 2 * n - t)
+    S = np.maximum(np.fft.rfft(np.exp(-a * t) * (np.cos(w * t) + a / w * np.sin(w * t))).real, 0.0)
+    white = np.fft.rfft(rng.standard_normal(2 * n))
+    return TRUTH["resonance_amplitude"] * np.fft.irfft(white * np.sqrt(S), 2 * n)[:n]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Two axes by NumPy and SciPy alone; the filter has settled when the record begins."""
+    rng, h = np.random.default_rng(11), 1.0 / RATE
+    n = N + 1000
+    axes = []
+    for _ in range(2):
+        white = TRUTH["angle_random_walk"] / np.sqrt(h) * rng.standard_normal(n)
+        walk = TRUTH["rate_random_walk"] * np.sqrt(h) * np.cumsum(rng.standard_normal(n))
+        w = np.exp(-2.0 * np.pi * BANDWIDTH * h)
+        axes.append(lfilter([1.0 - w], [1.0, -w], white + walk)[1000:] + oscillation(rng, N))
+    return aj.Recording.from_array(np.array(axes).T, RATE, gyro_unit="rad/s", names=["gyro_x", "gyro_y"])
+
+
+@pytest.fixture(scope="module")
+def fitted(recording):
+    return aj.fit(recording, MODEL, objective="whittle", as_is=True)
+
+
+def test_what_was_put_in_is_found(fitted):
+    """Within four standard deviations each; of twelve numbers no more is expected once in 1300 times."""
+    for result in fitted.results:
+        assert list(result.coefficients) == list(TRUTH)
+        for label, truth in TRUTH.items():
+            c = result[label]
+            assert c.detected
+            assert abs(c.value - truth) < 4.0 * c.std, label
+            assert c.interval[0] < c.value < c.interval[1]
+        assert result.misfit is None
+        assert result["low_pass1_bandwidth"].unit == "Hz"
+
+
+def test_the_fitted_model_is_the_sensor(fitted):
+    """Its Allan deviation is the measured one within the scatter of 97 % of the estimates, at all times."""
+    for k, result in enumerate(fitted.results):
+        name = result.axis.name
+        model = result.model
+        assert model.response is not None
+        assert model.inside == (True, True, False)
+        ratio = fitted.curve.deviation[:, k] / fitted.model_deviation(name, fitted.curve.cluster_time)
+        scatter = 1.0 / np.sqrt(2.0 * fitted.curve.edf[:, k])
+        assert np.mean(abs(ratio - 1.0) < 3.0 * scatter + 1e-3) > 0.97
+
+
+def test_without_the_response_it_is_no_measurement(recording):
+    plain = aj.fit(recording, "N + K + resonance", objective="whittle", as_is=True)
+    assert not any(result.measured for result in plain.results)
+
+
+def test_another_length_compiles_nothing(recording, fitted):
+    programs = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: programs.append(name) if name.endswith("backend_compile_duration") else None
+    )
+    shorter = aj.Recording.from_array(
+        recording.values[:25_000], RATE, gyro_unit="rad/s", names=["gyro_x", "gyro_y"]
+    )
+    aj.fit(shorter, MODEL, objective="whittle", as_is=True)
+    # The Allan curve beside it has a program an octave of lengths, and one for the moments behind a filter.
+    assert len(programs) <= 3
+
+
+def test_a_held_response_is_what_was_given(recording):
+    model = aj.LowPass1(BANDWIDTH).hold("bandwidth") * (aj.AngleRandomWalk() + aj.RateRandomWalk())
+    found = aj.fit(recording, model + aj.Resonance(), objective="whittle", as_is=True)
+    free = aj.fit(recording, MODEL, objective="whittle", as_is=True)
+    for one, other in zip(found.results, free.results, strict=True):
+        c = one["low_pass1_bandwidth"]
+        assert c.held
+        assert c.value == BANDWIDTH
+        # What is known need not be estimated beside the rest.
+        assert one["angle_random_walk"].std < other["angle_random_walk"].std
+
+
+def test_two_poles_are_found(recording):
+    """A Butterworth filter of 12 Hz: the bandwidth and its Q within four standard deviations."""
+    truth = aj.LowPass2(12.0, 0.7) * aj.AngleRandomWalk(1e-3)
+    x = np.asarray(aj.simulate(truth, N, RATE, 5))
+    record = aj.Recording.from_array(x[:, None], RATE, gyro_unit="rad/s", names=["gyro_x"])
+    (result,) = aj.fit(record, aj.LowPass2(12.0, 0.7) * aj.AngleRandomWalk(), "whittle", as_is=True).results
+    for label, value in {"angle_random_walk": 1e-3, "low_pass2_bandwidth": 12.0}.items():
+        assert abs(result[label].value - value) < 4.0 * result[label].std
+    assert abs(result["low_pass2_quality_factor"].value - 0.7) < 4.0 * result["low_pass2_quality_factor"].std
+
+
+def test_it_is_written_and_loaded(fitted, tmp_path):
+    from allanjax.report.files import write_json
+
+    path = tmp_path / "fit.json"
+    write_json(fitted, path)
+    document = json.loads(path.read_text())
+    assert document["response"]["inside"] == ["angle_random_walk", "rate_random_walk"]
+    again = aj.load(path)
+    for one, other in zip(again.results, fitted.results, strict=True):
+        assert one.coefficients == other.coefficients
+        assert repr(one.model) == repr(other.model)
+        time = np.geomspace(0.01, 10.0, 20)
+        np.testing.assert_allclose(
+            again.model_deviation(one.axis.name, time), fitted.model_deviation(one.axis.name, time)
+        )
+
+
+def test_its_posterior_and_its_picture_have_the_bandwidth(fitted, tmp_path):
+    posterior = aj.sample(fitted, axes=["gyro_x"], seed=1)
+    c = posterior["gyro_x"]["low_pass1_bandwidth"]
+    assert c.sampled
+    assert abs(c.value - BANDWIDTH) < 4.0 * c.std
+    # Of what the data know well, posterior and interval are as wide.
+    assert c.std == pytest.approx(fitted["gyro_x"]["low_pass1_bandwidth"].std, rel=0.2)
+    figure = fitted.plot(path=tmp_path / "fit.png")
+    texts = [t.get_text() for axes in figure.axes for t in axes.texts] + [
+        t.get_text() for axes in figure.axes if axes.get_legend() for t in axes.get_legend().get_texts()
+    ]
+    assert any("low pass1" in text for text in texts)
+
+
+def test_what_cannot_be_done_is_said(recording, fitted):
+    with pytest.raises(aj.FitError, match='objective="whittle"'):
+        aj.fit(recording, MODEL)
+    with pytest.raises(aj.FitError, match="does not judge a model with a response"):
+        aj.critique(recording, fitted)
+
+
+def test_moments_of_allan_variances_behind_a_filter_are_those_of_quadratic_forms():
+    """Expectation and variance of x'Ax of 300 samples, by the dense covariance of filtered noise.
+
+    The walk makes the samples' own covariance grow without end; differences of clusters do not see it, so a
+    Markov process stands in for it.
+    """
+    n, rate = 300, 4.0
+    w, q = np.exp(-2.0 * np.pi * 0.3 / rate), np.exp(-1.0 / (5.0 * rate))
+    model = aj.LowPass1(0.3) * (aj.AngleRandomWalk(1.0) + aj.Markov(1.0, 5.0)) + aj.AngleRandomWalk(0.1)
+    sizes = np.array([1, 2, 5, 20])
+    geometry = AllanCovariance.of(n, rate, sizes)
+    mean, variance = moments_behind(model.sampled(rate), geometry)
+    # The impulse response of the filter, applied to the covariances of white noise and of Markov means.
+    x = 1.0 / (5.0 * rate)
+    r0, r1 = 2.0 * (np.exp(-x) - 1.0 + x) / x**2, ((1.0 - np.exp(-x)) / x) ** 2
+    lags = np.arange(2000)
+    before = 2.5 * np.where(lags == 0, r0, r1 * q ** np.maximum(lags - 1.0, 0.0)) + rate * (lags == 0)
+    pulse = (1.0 - w) * w ** np.arange(200)
+    echo = np.correlate(pulse, pulse, "full")
+    both = np.convolve(np.concatenate([before[:0:-1], before]), echo, "same")
+    V = toeplitz(both[len(both) // 2 :][:n]) + 0.01 * rate * np.eye(n)
+    for k, m in enumerate(sizes):
+        count = n - 2 * m + 1
+        D = np.zeros((count, n))
+        for i in range(count):
+            D[i, i : i + m], D[i, i + m : i + 2 * m] = -1.0 / m, 1.0 / m
+        C = D @ V @ D.T
+        assert mean[k] == pytest.approx(np.trace(C) / (2.0 * count), rel=1e-6)
+        # The quadrature over lags is good to half a per cent.
+        assert variance[k] == pytest.approx(np.sum(C**2) / (2.0 * count**2), rel=5e-3)
