@@ -158,7 +158,7 @@ def section(name: str, waves: tuple[Wave, ...], seeds: int, first: int) -> str:
             table(HEAD, rows),
             "",
             f"Converged: {len(good)} of {seeds}; a fit takes {taken:.2f} s (median). Up to {SHORT:g} s the "
-            f"model's Allan deviation is off by at most {100.0 * np.median(off):.1f} % (median of the records), "
+            f"model's Allan deviation is off by at most {100.0 * np.median(off):.1f} % (median), "
             f"{100.0 * max(off):.1f} % (the worst).",
             "",
         ]
