@@ -27,7 +27,7 @@ FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_w
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
 #: Share of white noise in all noise above which the two are not told apart: a judgement.
 NEARLY_ALL = 0.9
-# Lengths of spectra are rounded up to multiples of this, so that few programs are compiled.
+# Least length of spectra, which are padded so that few programs are compiled.
 _PADDED = 4096
 #: Number of values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
@@ -182,7 +182,11 @@ def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) ->
 
 
 def _padded(frequency: Float[np.ndarray, " k"]) -> Float[np.ndarray, " more"]:
-    return np.append(frequency, np.full(-len(frequency) % _PADDED, frequency[-1]))
+    # Powers of two, and half as much again: two programs an octave of lengths.
+    count = max(len(frequency), _PADDED)
+    octave = 1 << (count - 1).bit_length()
+    length = 3 * octave // 4 if 4 * count <= 3 * octave else octave
+    return np.append(frequency, np.full(length - len(frequency), frequency[-1]))
 
 
 def _evaluated(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[np.ndarray, " k"]:
