@@ -18,12 +18,12 @@ from allanjax.estimate.bulk import BulkFit as BulkFit
 from allanjax.estimate.bulk import fit_many as fit_many
 from allanjax.estimate.fit import fit as fit
 from allanjax.estimate.loading import load as load
+from allanjax.estimate.ranking import select_terms as select_terms
 from allanjax.estimate.result import AxisFit as AxisFit
 from allanjax.estimate.result import Fit as Fit
 from allanjax.estimate.selection import AxisSelection as AxisSelection
 from allanjax.estimate.selection import TermSelection as TermSelection
 from allanjax.estimate.selection import TermSet as TermSet
-from allanjax.estimate.selection import select_terms as select_terms
 from allanjax.fleet.fleet import FleetResult as FleetResult
 from allanjax.fleet.fleet import characterize_fleet as characterize_fleet
 from allanjax.fleet.stream import AllanAccumulator as AllanAccumulator

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.wording import finite_or_none
+from allanjax.estimate.averaged import Averaged
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
@@ -77,6 +78,7 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "covariance": {"labels": [], "units": [], "values": []},
         "selection": None,
         "selection_discrepancy": None,
+        "selection_averaged": None,
         "regression": {},
     }
 
@@ -108,6 +110,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         },
         "selection": None if selection is None else _ranking(selection[result.axis.name]),
         "selection_discrepancy": None if selection is None else selection[result.axis.name].discrepancy,
+        "selection_averaged": None if selection is None else _averaged(selection[result.axis.name].averaged),
         "regression": {
             name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
         },
@@ -184,6 +187,17 @@ def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
         }
         for s in sets
     ]
+
+
+def _averaged(averaged: Averaged | None) -> dict[str, Any] | None:
+    if averaged is None:
+        return None
+    return {
+        "coefficients": [_coefficient(c) for c in averaged.coefficients.values()],
+        "cluster_time_s": averaged.cluster_time.tolist(),
+        "deviation": averaged.deviation.tolist(),
+        "interval_95": averaged.interval.tolist(),
+    }
 
 
 def _coefficient(c: Estimate) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from allanjax.base.arrays import namespace
 from allanjax.base.linalg import inverse, whiten
@@ -46,8 +46,8 @@ class TermSubset(NamedTuple):
     """A subset of the candidate terms, or several, stacked [subsets].
 
     Attributes:
-        terms: which of the terms without a free shape it has, and whether the one with a free shape.
-        column: index of the latter's shape in its grid, 0 without.
+        terms: which of the terms without a free shape it has, and whether the one with a free shape, or two.
+        column: index of the latter's shape in its grid, 0 without; of two an array.
         ramp: whether it has a ramp.
     """
 
@@ -67,6 +67,16 @@ def term_subsets(fixed: int, grid: int, ramp: bool) -> TermSubset:
     rows += [((*s[:-1], True), column, s[-1]) for s in subsets for column in range(grid)]
     terms, columns, with_ramp = (np.array(values) for values in zip(*rows, strict=True))
     return TermSubset(terms, columns, with_ramp)
+
+
+def term_pairs(
+    some: Bool[np.ndarray, "sets fixed"], ramp: Bool[np.ndarray, " sets"], grid: int
+) -> TermSubset:
+    """Subsets of two terms with a free shape, all pairs of different ones, beside each of these sets."""
+    pairs = np.array(list(itertools.combinations(range(grid), 2))).reshape(-1, 2)
+    rows, each = np.repeat(np.arange(len(some)), len(pairs)), np.tile(pairs, (len(some), 1))
+    both = np.ones((len(rows), 2), bool)
+    return TermSubset(np.concatenate([some[rows], both], axis=1), each, ramp[rows])
 
 
 class Evidence(NamedTuple):
@@ -156,9 +166,10 @@ def _evidence(
     steps: Array,
 ) -> Evidence:
     """Evidence of one subset: Fisher scoring to the maximum, then the integral around it."""
-    columns = jnp.concatenate([fixed, grid[subset.column][None]])
+    shaped = jnp.atleast_1d(subset.column)
+    columns = jnp.concatenate([fixed, grid[shaped]])
     start = jnp.where(jnp.any(first > 0.0), jnp.maximum(first @ columns, 1e-300), smooth)
-    prior_scale = prior_scales[jnp.append(jnp.arange(len(fixed)), len(fixed) + subset.column)]
+    prior_scale = prior_scales[jnp.append(jnp.arange(len(fixed)), len(fixed) + shaped)]
 
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         power, mean = state
@@ -256,7 +267,7 @@ def evidences(
     size, share = np.pad(size, (0, more)), np.pad(share, ((0, 0), (0, more)))
     statistics = SpectralStatistics(*(np.pad(x, ((0, 0), (0, more))) for x in statistics))
     if first is None:
-        first = np.zeros((len(share), count, len(fixed) + 1))
+        first = np.zeros((len(share), *np.shape(subsets.terms)))
     for begin in range(0, count, BLOCK):
         # The last block is padded, so that all have one shape and are compiled once.
         rows = np.minimum(np.arange(begin, begin + BLOCK), count - 1)

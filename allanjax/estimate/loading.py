@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,13 +15,14 @@ from jaxtyping import Float
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.as_json import INFINITY, SCHEMA_VERSION
+from allanjax.estimate.averaged import Averaged
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit, fitted_model
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import response_classes, term_classes
-from allanjax.noise.terms import NoiseTerm
+from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.recording import Axis, DeadAxis
 
 
@@ -86,7 +87,7 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
         warnings=tuple(document["warnings"]),
         stretch=None if document["stretch_s"] is None else tuple(document["stretch_s"]),
         objective=document["objective"],
-        selection=_selection(name, alive, axes),
+        selection=_selection(name, alive, axes, classes),
         dead=tuple(DeadAxis(_axis(a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
 
@@ -137,29 +138,8 @@ def _axis(a: Mapping[str, Any]) -> Axis:
 
 def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
     """Result of one axis."""
-    parameters = {p.label: p for p in template.parameters}
-    coefficients = {}
-    for c in a["coefficients"]:
-        p, si = parameters[c["label"]].parameter, c["si"]
-        limited = p.is_amplitude and c["measured"] and not c["held"]
-        limit = si["upper_limit_95"]
-        coefficients[c["label"]] = Estimate(
-            label=c["label"],
-            term=c["term"],
-            parameter=p,
-            axis=axis,
-            unit=si["unit"],
-            value=_number(si["value"]),
-            std=_number(si["std"]),
-            interval=_interval(si["interval_95"]),
-            interval_68=_interval(si["interval_68"]),
-            upper_limit=math.inf if limit is None and limited else limit,
-            lower_limit=si["lower_limit_95"],
-            detected=c["detected"],
-            rivals=tuple(c.get("rivals", ())),
-            held=c["held"],
-            measured=c["measured"],
-        )
+    parameters = {p.label: p.parameter for p in template.parameters}
+    coefficients = {c["label"]: _estimate(c, parameters[c["label"]], axis, "fit") for c in a["coefficients"]}
     return AxisFit(
         axis=axis,
         converged=a["converged"],
@@ -179,12 +159,38 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
     )
 
 
+def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, source: Literal["fit", "averaged"]) -> Estimate:
+    """Coefficient in SI."""
+    si, limit = c["si"], c["si"]["upper_limit_95"]
+    limited = p.is_amplitude and c["measured"] and not c["held"]
+    return Estimate(
+        label=c["label"],
+        term=c["term"],
+        parameter=p,
+        axis=axis,
+        unit=si["unit"],
+        value=_number(si["value"]),
+        std=_number(si["std"]),
+        interval=_interval(si["interval_95"]),
+        interval_68=_interval(si["interval_68"]),
+        upper_limit=math.inf if limit is None and limited else limit,
+        lower_limit=si["lower_limit_95"],
+        detected=c["detected"],
+        rivals=tuple(c.get("rivals", ())),
+        held=c["held"],
+        measured=c["measured"],
+        source=source,
+    )
+
+
 def _misfit(m: Mapping[str, Any]) -> Misfit:
     largest, rms, octave = (_number(m[f"{key}_deviation"]) for key in ("largest", "rms", "octave"))
     return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave, _number(m["scatter"]))
 
 
-def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> TermSelection | None:
+def _selection(
+    name: str, documents: Sequence[Any], axes: tuple[Axis, ...], classes: Mapping[str, type[NoiseTerm]]
+) -> TermSelection | None:
     """Ranking of the term sets, if the fit chose among them."""
     if any(a["selection"] is None for a in documents):
         return None
@@ -196,10 +202,27 @@ def _selection(name: str, documents: Sequence[Any], axes: tuple[Axis, ...]) -> T
             for s, e in zip(sets, evidence, strict=True)
         )
 
-    pairs = zip(documents, axes, strict=True)
-    return TermSelection(
-        name, tuple(AxisSelection(x, ranking(a["selection"]), a["selection_discrepancy"]) for a, x in pairs)
+    def averaged(of: Mapping[str, Any] | None, axis: Axis) -> Averaged | None:
+        if not of:
+            return None
+        coefficients = {}
+        for c in of["coefficients"]:
+            term = c["term"] if c["term"] in classes else c["term"].rpartition("_")[0]
+            p = classes[term].amplitude_parameter()
+            coefficients[c["label"]] = _estimate(c, p, axis, "averaged")
+        time, deviation = _numbers(of["cluster_time_s"]), _numbers(of["deviation"])
+        return Averaged(coefficients, time, deviation, np.array(of["interval_95"]))
+
+    results = (
+        AxisSelection(
+            axis,
+            ranking(a["selection"]),
+            a["selection_discrepancy"],
+            averaged(a.get("selection_averaged"), axis),
+        )
+        for a, axis in zip(documents, axes, strict=True)
     )
+    return TermSelection(name, tuple(results))
 
 
 def _number(x: float | None) -> float:

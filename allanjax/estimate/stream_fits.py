@@ -10,8 +10,9 @@ from jaxtyping import Bool
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import result_of
 from allanjax.estimate.deterministic import AxisSpectrum, needs_record
+from allanjax.estimate.ranking import candidates_of, rank_terms
 from allanjax.estimate.result import AxisFit
-from allanjax.estimate.selection import TermSelection, candidates_of, rank_terms
+from allanjax.estimate.selection import TermSelection
 from allanjax.estimate.whittle import fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm

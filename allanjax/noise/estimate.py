@@ -33,7 +33,8 @@ class Estimate(ByValue):
         interval_68: 68 % interval.
         unit: the unit that all these numbers are in; the SI one if none is given.
         usual_unit: the unit for people, e.g. "deg/√h"; a model's parameter knows its own.
-        source: where it comes from: "fit", "posterior", "spectrum" or "critique".
+        source: where it comes from: "fit", "posterior", "spectrum", "critique", or "averaged" over sets of
+            terms.
         parameter: the parameter of a noise term that it is, and `term` the term's name; None for what follows
             from a model and for a finding's parameters.
         upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
@@ -61,7 +62,7 @@ class Estimate(ByValue):
     interval_68: tuple[float, float]
     unit: str = ""
     usual_unit: str = ""
-    source: Literal["fit", "posterior", "spectrum", "critique"] = "fit"
+    source: Literal["fit", "posterior", "spectrum", "critique", "averaged"] = "fit"
     parameter: Parameter | None = None
     term: str = ""
     upper_limit: float | None = None

@@ -9,7 +9,8 @@ import numpy as np
 from common.truth import RATE, SHAPES, Case
 
 import allanjax as aj
-from allanjax.estimate.selection import TermSelection, select_terms
+from allanjax.estimate.ranking import select_terms
+from allanjax.estimate.selection import TermSelection
 
 TERMS = {
     "Q": aj.Quantization(),

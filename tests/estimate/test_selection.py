@@ -353,7 +353,7 @@ def test_a_short_record_says_what_it_cannot_tell_apart():
     [
         (aj.AngleRandomWalk() + aj.Sinusoid(), "sinusoid cannot be compared by evidence"),
         (aj.AngleRandomWalk() + aj.Resonance(), "resonance cannot be compared"),
-        (aj.AngleRandomWalk() + aj.Markov() + aj.Markov(), "at most six terms, one of them with a free time"),
+        (aj.AngleRandomWalk() + aj.Markov() + aj.Telegraph(), "one of them with a free time"),
         (
             aj.AngleRandomWalk(0.1).hold("coefficient") + aj.RateRandomWalk(),
             "a held amplitude leaves nothing",
