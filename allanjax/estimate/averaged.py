@@ -93,7 +93,7 @@ def averaged(
             slope = np.sum(share * statistics.cross / mean) / information
             drawn = slope + rng.standard_normal(draws) / np.sqrt(information)
             found[:, candidates.ramps[0]] = drawn**2
-            # A ramp of R per second has σ² = R²T²/2 (4.57).
+            # A ramp of R per second has σ² = R²T²/2 (4.56).
             variance = variance + np.outer(drawn**2, time**2 / 2.0)
         amplitudes.append(np.sqrt(found))
         variances.append(variance)

@@ -26,8 +26,8 @@ def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
     return in_gauge(series, lambda z: xp.expm1(z) - z, z)
 
 
-def _is_zero(sample_interval: Any) -> bool:
-    """Whether a sample interval stands for the continuous rate; one that is traced does not."""
+def is_continuous(sample_interval: Any) -> bool:
+    """Whether a sample interval stands for the continuous rate, 0; one that is traced does not."""
     return isinstance(sample_interval, float) and sample_interval == 0.0
 
 
@@ -42,7 +42,7 @@ def exponential_covariance(
     xp = namespace(pole, weight, lag)
     remainder = exponential_remainder(pole * lag)
     t0 = sample_interval
-    if _is_zero(t0):
+    if is_continuous(t0):
         return -xp.real(weight / pole**2 * remainder)
     kappa = weight * t0**2 / (4.0 * xp.sinh(pole * t0 / 2.0) ** 2)
     slope = xp.real(kappa * (xp.expm1(pole * t0) - pole * t0)) / t0 - t0 * xp.real(weight) / 2.0
@@ -89,7 +89,7 @@ def exponential_density(
     readings' own rate, and for a sample interval of 0.
     """
     xp = namespace(pole, weight, frequency, rate, sample_interval)
-    M = 1.0 if _is_zero(sample_interval) else 1.0 / (rate * sample_interval)
+    M = 1.0 if is_continuous(sample_interval) else 1.0 / (rate * sample_interval)
     r_0, r_1, z = mean_lags(pole / rate / M, M)
     # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, by what is small near Q = 1.
     s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2

@@ -34,7 +34,8 @@ def test_of_white_noise_it_is_the_white_noise():
 def test_the_drift_is_known_where_its_cause_is_not():
     """A walk too weak to be told from flicker noise in most of sixty records: the drift's intervals hold.
 
-    Where the walk is often not seen at all, 95 % intervals hold the truth in nine of ten records (0.88 to 0.97
+    Where the walk is often not seen at all, 95 % intervals hold the truth in nine of ten records (0.88 to
+    0.97
     of 180 others). Of sixty such fewer than 46 would once in a thousand times.
     """
     n, N, K = 8_000, 1e-3, 3e-5

@@ -13,6 +13,7 @@ from allanjax.noise.terms.random_walk import AngleRandomWalk, RateRandomWalk
 from allanjax.noise.terms.resonance import Resonance
 from allanjax.noise.terms.sinusoid import Sinusoid
 from allanjax.noise.terms.telegraph import Telegraph
+from allanjax.noise.terms.wandering_resonance import WanderingResonance
 from allanjax.noise.terms.warm_up import WarmUp
 
 
@@ -36,6 +37,7 @@ __all__ = [
     "Resonance",
     "Sinusoid",
     "Telegraph",
+    "WanderingResonance",
     "WarmUp",
     "basic_terms",
     "parameter",

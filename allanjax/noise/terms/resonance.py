@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.exponential import exponential_covariance, exponential_density
+from allanjax.noise.exponential import exponential_covariance, exponential_density, is_continuous
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
@@ -65,7 +65,7 @@ class Resonance(NoiseTerm):
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD of the oscillator at the sample instants, or of its means between them."""
-        if self.sample_interval == 0.0:
+        if is_continuous(self.sample_interval):
             # For means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
             xp = namespace(self, frequency, rate)
             aliases = xp.asarray(frequency, float)[..., None] + rate * np.arange(-_ALIASES, _ALIASES + 1)
@@ -82,7 +82,7 @@ class Resonance(NoiseTerm):
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples by the exact recursion of position and velocity, as one complex mode."""
-        if self.sample_interval == 0.0:
+        if is_continuous(self.sample_interval):
             return super().simulate(key, n, rate)
         pole, _ = self._poles()
         w0 = 2.0 * jnp.pi * self.frequency
