@@ -21,6 +21,7 @@ def test_letters_and_names_are_the_same_terms():
     )
     assert parse_model(", ".join(model.term_labels)) == model
     others = {"markov", "sinusoid", "resonance", "power_law", "low_pass", "telegraph", "bias_step", "warm_up"}
+    others |= {"wandering_resonance"}
     assert set(term_classes()) == {*model.term_labels, *others}
 
 
