@@ -228,18 +228,22 @@ def moments_behind(
     model: Model, geometry: AllanCovariance
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Expectation and variance of Allan variances under a sampled model with values, response included."""
-    values = {p.label: np.asarray(p.start) for p in model.parameters if p.start and np.isfinite(p.start)}
-    mean, variance = jax.device_get(_moments_behind(model.with_values(**values), geometry))
+    # Numbers are data: other values and rates need no compilation.
+    seen = jax.tree.map(lambda x: np.asarray(x) if _is_data(x) else x, model.seen)
+    mean, variance = jax.device_get(_moments_behind(seen, geometry))
     rows = int(geometry.count)
     return mean[:rows], variance[:rows]
 
 
+def _is_data(x: Any) -> bool:
+    """Whether a number of a process is no limit, such as an infinite cutoff, that decides on its formula."""
+    return isinstance(x, float) and 0.0 < abs(x) < np.inf
+
+
 @eqx.filter_jit
 def _moments_behind(
-    model: Model, geometry: AllanCovariance
+    seen: tuple[Process, ...], geometry: AllanCovariance
 ) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
-    seen = model.seen
-
     def of_part(part: AllanCovariance) -> Array:
         kernels = jnp.stack([part.kernel(process) for process in seen])
         return _products(kernels, kernels, part)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.noise.exponential import is_continuous
 from allanjax.noise.process import Process
 from allanjax.noise.response import Response
 
@@ -53,6 +54,6 @@ class Filtered(Process):
 
     @property
     def _known_rate(self) -> float:
-        if self.rate == 0.0:
+        if is_continuous(self.rate):
             raise AllanjaxError("a response is that of samples: say at which rate, model.sampled(rate)")
         return self.rate

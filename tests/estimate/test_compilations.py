@@ -72,6 +72,38 @@ def test_another_recording_compiles_nothing(model, others, compiled) -> None:
         assert fit.converged
 
 
+@pytest.mark.filterwarnings("ignore::allanjax.PosteriorWarning")
+@pytest.mark.parametrize("model", ["N + B + K", "N + markov", "low_pass1 * (N + K) + resonance"])
+def test_another_spectrum_compiles_nothing(model, compiled) -> None:
+    """Whittle's fits and their posteriors, for another length, rate and number of axes."""
+    aj.allan_deviation(recording(2100, 100.0, 3), cluster_times=4)
+    found = []
+    for n, rate, axes in ((2100, 100.0, 1), (3333, 60.0, 3)):
+        compiled[0] = 0
+        fit = aj.fit(recording(n, rate, axes), model, objective="whittle", as_is=True)
+        if model == "N + B + K":
+            aj.sample(fit, axes=["gyro_x"], seed=1, max_steps=60)
+        found.append(compiled[0])
+    assert found[1] == 0
+
+
+@pytest.mark.filterwarnings("ignore::allanjax.PosteriorWarning")
+def test_another_posterior_of_allan_variances_compiles_nothing(compiled) -> None:
+    for n, rate in ((2100, 100.0), (3333, 60.0)):
+        fit = aj.fit(recording(n, rate, 1), "N + K", as_is=True)
+        compiled[0] = 0
+        aj.sample(fit, seed=1, max_steps=60)
+    assert compiled[0] == 0
+
+
+def test_another_choice_of_terms_compiles_nothing(compiled) -> None:
+    """Other sets and another record; two Markov processes are one more program."""
+    aj.select_terms(recording(2100, 100.0, 1))
+    compiled[0] = 0
+    aj.select_terms(recording(3333, 60.0, 1))
+    assert compiled[0] == 0
+
+
 def test_bulk_fits_of_another_length_compile_nothing(compiled) -> None:
     for n, axes in ((2048, 3), (5000, 5)):
         curve = aj.allan_deviation(recording(n, 100.0, axes).values, 100.0)
