@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -18,20 +18,21 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.allan.clusters import WEIGHTS, Kind, difference_count
+from allanjax.allan.stretches import aligned, stretch
 
 #: Quantities that samples may be of: rates, or phases (angles or velocities).
 DataType = Literal["rate", "phase"]
 
 # Differences are taken this many at a time: few enough to stay in cache, enough to hide the loop's overhead.
-_CHUNK = 8192
+_CHUNK = 2048
 # Chunks for which all cluster sizes are computed before the next block is read.
-_BLOCK = 16
-# Records up to this length are padded to a power of two, so that one program serves all lengths of an octave.
-_PADDED = 1 << 22
+_BLOCK = 64
+# Values of all axes that one call integrates, at most, and that it integrates at a time.
+_PIECE, _STEP = 1 << 20, 8192
 # Cluster sizes are padded to a multiple of this number.
 _SIZES = 64
-# Running sums inside a chunk are products with a triangular matrix of this size, which XLA vectorises.
-_ROW = 32
+# Running sums are products with triangular matrices of this size, which XLA vectorises.
+_ROW = 16
 
 
 def allan_variance_estimates(
@@ -45,7 +46,7 @@ def allan_variance_estimates(
 ) -> Float[Array, "m axes"]:
     """Variances at the given cluster sizes, in the square of the rate's unit.
 
-    Compiled once for each octave of lengths up to 2²² samples, and for each length beyond.
+    Compiled once for each octave of lengths; arrays of JAX of less than 2¹⁷ samples once for each length.
 
     With x_k the phase after k samples and t0 the sample interval, averages over all starts k (every m-th, if
     not overlapping) of
@@ -60,118 +61,177 @@ def allan_variance_estimates(
         rate: sample rate [Hz]; used with phases only.
         kind, overlapping, data_type: as in `allan_deviation`.
 
-    The cores share out the axes and blocks of long records. Differentiable in `values` in forward mode
-    (`jax.jvp`, `jax.jacfwd`); not in reverse mode, since the loop over the differences is only as long as
-    each cluster size needs.
+    The cores share out long records, which are read where they lie, all axes at once; beside them there is
+    memory for their phases only. Differentiable in `values` in forward mode (`jax.jvp`, `jax.jacfwd`); not in
+    reverse mode, since the loop over the differences is only as long as each cluster size needs.
     """
     n = np.shape(values)[0] - (data_type == "phase")
     sizes = np.asarray(sizes)
-    if not isinstance(values, jax.Array):
-        values = _padded(np.asarray(values, dtype=float))
-    # Sizes that leave no difference cost nothing.
-    every = np.pad(sizes, (0, -len(sizes) % _SIZES), constant_values=n + 1)
-    if isinstance(values, jax.core.Tracer) or n < _BLOCK * _CHUNK:
-        sums = _sums_of_axes(values, every, n, rate, kind=kind, overlapping=overlapping, data_type=data_type)
+    every = np.pad(sizes, (0, -len(sizes) % _SIZES))
+    options = {"kind": kind, "overlapping": overlapping}
+    traced = isinstance(values, jax.core.Tracer)
+    if traced or n < _BLOCK * _CHUNK or jax.default_backend() != "cpu":
+        if not isinstance(values, jax.Array):
+            values = _padded(np.asarray(values, dtype=float))
+        sums = _sums_of_axes(values, every, len(sizes), n, data_type=data_type, **options)
     else:
-        sums = _shared_sums_of_axes(values, every, n, rate, kind, overlapping, data_type)
+        sums = _sums_of_long_record(np.asarray(values), every, len(sizes), n, data_type, options)
     if not isinstance(sums, jax.core.Tracer):
         sums = np.asarray(sums)
-    sums = sums[: len(sizes)]
+    sums = sums[: len(sizes)] * (rate**2 if data_type == "phase" else 1.0)
     scale = 6.0 if kind == "hadamard" else 2.0
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 
 
 def _padded(table: Float[np.ndarray, "samples axes"]) -> Float[np.ndarray, "padded axes"]:
     """Table with zeros after the samples, to the next power of two."""
-    room = 1 << (len(table) - 1).bit_length()
-    return table if room > _PADDED else np.pad(table, ((0, room - len(table)), (0, 0)))
+    return np.pad(table, ((0, (1 << (len(table) - 1).bit_length()) - len(table)), (0, 0)))
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping", "data_type"))
 def _sums_of_axes(
     values: Float[ArrayLike, "padded axes"],
     sizes: Int[ArrayLike, " m"],
+    used: int | Int[Array, ""],
     n: int | Int[Array, ""],
-    rate: ArrayLike,
     *,
-    kind: Kind,
-    overlapping: bool,
     data_type: DataType,
+    **options: Any,
 ) -> Float[Array, "m axes"]:
-    """Sums of squared differences of every axis, one axis after the other in one compiled program."""
+    """Sums of squared differences of every axis at the used sizes, the first ones, in one program."""
+    x = jnp.asarray(values, dtype=float)
+    axes = x.shape[1]
+    if data_type == "phase":
+        slope, begun = (x[n] - x[0]) / n, x[0]
+    else:
+        slope, begun = x.sum(axis=0) / n, jnp.zeros(axes)
+    x = jnp.pad(x, ((0, -len(x) % _step(*x.shape)), (0, 0)))
+    phases = _phases(x.reshape(-1), 0, 0, slope, begun, data_type=data_type)
+    phases = jnp.pad(phases, ((0, 0), (int(data_type == "rate"), _CHUNK)))
+    return lax.map(lambda row: _square_sums(row, sizes, used, n, 0, 1, **options), phases).T
 
-    def of_axis(x: Array) -> Array:
-        phases = _phases(x, n, rate, data_type)
-        return _square_sums(phases, sizes, n, 0, 1, kind=kind, overlapping=overlapping)
 
-    return lax.map(of_axis, jnp.asarray(values, dtype=float).T).T
-
-
-def _shared_sums_of_axes(
-    values: Float[Array | np.ndarray, "padded axes"],
-    sizes: Int[ArrayLike, " m"],
+def _sums_of_long_record(
+    table: Float[np.ndarray, "samples axes"],
+    sizes: Int[np.ndarray, " m"],
+    used: int,
     n: int,
-    rate: ArrayLike,
-    kind: Kind,
-    overlapping: bool,
     data_type: DataType,
+    options: Any,
 ) -> Float[np.ndarray, "m axes"]:
-    """Sums of squared differences of every axis, blocks of the record shared out among all cores."""
+    """Sums of squared differences of every axis at the used sizes, blocks shared out among all cores."""
     cores = os.cpu_count() or 1
-    # The running sums of a modified variance go through the whole record in one piece.
-    shares = 1 if kind == "modified" else cores
-
-    def sums_of(task: tuple[Array, int]) -> Float[np.ndarray, " m"]:
-        phases, share = task
-        return np.asarray(_square_sums(phases, sizes, n, share, shares, kind=kind, overlapping=overlapping))
-
     with ThreadPoolExecutor(cores) as pool:
-        phases = list(pool.map(lambda x: _phases(x, n, rate, data_type), values.T))
-        sums = list(pool.map(sums_of, product(phases, range(shares))))
-    return np.reshape(sums, (len(phases), shares, -1)).sum(axis=1).T
+        phases = _long_phases(table, n, data_type, pool)
+
+        def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
+            axis, share = task
+            return np.asarray(_square_sums(phases[axis], sizes, used, n, share, cores, **options))
+
+        sums = list(pool.map(sums_of, product(range(len(phases)), range(cores))))
+    return np.reshape(sums, (len(phases), cores, -1)).sum(axis=1).T
 
 
-def _chunk(room: int) -> int:
-    """Differences taken at a time in a record for which there is so much room."""
-    return min(_CHUNK, max(_ROW, 1 << room.bit_length()))
+def _long_phases(
+    table: Float[np.ndarray, "samples axes"], n: int, data_type: DataType, pool: ThreadPoolExecutor
+) -> Float[np.ndarray, "axes room"]:
+    """Phases of every axis as `_phases` gives them, and after them values of no meaning up to a power of two.
+
+    Memory that is never written costs nothing, and one program serves all lengths of an octave.
+    """
+    axes = table.shape[1]
+    room = 1 << n.bit_length()
+    rows = max(min(room // 8, _PIECE >> (axes - 1).bit_length()), _CHUNK)
+    starts = range(0, len(table), rows)
+    phases = aligned(axes, room + _CHUNK)
+    first = int(data_type == "rate")
+    if first:
+        # The mean as a small correction to a number near it, so that a bias costs no digits.
+        centre = table[:: n // 1024].mean(axis=0, dtype=float)
+
+        def total(start: int) -> Float[np.ndarray, " axes"]:
+            return np.asarray(_total(*stretch(table, start, rows, centre), centre))
+
+        totals = np.stack(list(pool.map(total, starts)))
+        slope = centre + totals.sum(axis=0) / n
+        # The difference as rounded, or pieces would not join.
+        steps = totals - rows * (slope - centre)
+        begun = np.cumsum(steps, axis=0) - steps
+        phases[:, 0] = 0.0
+    else:
+        slope, begun = (table[n] - table[0]) / n, np.broadcast_to(table[0], (len(starts), axes))
+
+    def integrate(k: int) -> None:
+        start, end = starts[k], min(starts[k] + rows, len(table))
+        piece = stretch(table, start, rows, 0.0)
+        found = np.asarray(_phases(*piece, start, slope, begun[k], data_type=data_type))
+        phases[:, first + start : first + end] = found[:, : end - start]
+
+    list(pool.map(integrate, range(len(starts))))
+    return phases
+
+
+@jax.jit
+def _total(
+    flat: Float[Array, " values"], offset: int | Int[Array, ""], centre: Float[Array, " axes"]
+) -> Float[Array, " axes"]:
+    """Sums over a stretch (see `stretch`) of every axis's samples less a number of its own."""
+    size = _CHUNK * len(centre)
+    centres = jnp.tile(centre, _CHUNK)
+
+    def add(k: Array, total: Array) -> Array:
+        return total + (lax.dynamic_slice(flat, (offset + k * size,), (size,)) - centres)
+
+    return lax.fori_loop(0, len(flat) // size, add, jnp.zeros(size)).reshape(_CHUNK, -1).sum(axis=0)
+
+
+def _chunk(room: int, most: int = _CHUNK) -> int:
+    """Samples or differences taken at a time in a record for which there is so much room."""
+    return max(min(most, 1 << room.bit_length() - 1), _ROW**2)
+
+
+def _step(rows: int, axes: int) -> int:
+    """Rows of so many in all that are integrated at a time."""
+    return _chunk(rows, _STEP >> (axes - 1).bit_length())
 
 
 @partial(jax.jit, static_argnames="data_type")
 def _phases(
-    values: Float[ArrayLike, " padded"], n: int | Int[Array, ""], rate: ArrayLike, data_type: DataType
-) -> Float[Array, " phases"]:
-    """The n + 1 phases in the rate's unit times the sample interval, and values of no meaning after them.
+    flat: Float[Array, " values"],
+    offset: int | Int[Array, ""],
+    start: int | Int[Array, ""],
+    slope: Float[Array, " axes"],
+    begun: Float[Array, " axes"],
+    *,
+    data_type: DataType,
+) -> Float[Array, "axes rows"]:
+    """Phases after every row of a stretch (see `stretch`) that begins with row `start` of the record.
 
-    The straight line between their ends is subtracted: no estimator sees it, and the differences keep more
-    digits without it.
+    A straight line is subtracted, best one through the record's ends: no estimator sees it, and the
+    differences keep more digits without it. It is `slope` times the sample's number; `begun` is the phase
+    without it after the row before (of rates) or the first one of the record (of phases).
     """
-    x = jnp.asarray(values)
-    room = len(x) - (data_type == "phase")
-    chunk = _chunk(room)
+    axes = len(slope)
+    chunk = _step(len(flat) // axes, axes)
+    rows = len(flat) // axes // chunk * chunk
     if data_type == "phase":
-        line = jnp.arange(room + 1) * ((x[n] - x[0]) / n)
-        return jnp.pad((x - x[0] - line) * rate, (0, _CHUNK))
-    mean = x.sum() / n
+        x = lax.dynamic_slice(flat, (offset,), (rows * axes,)).reshape(rows, axes)
+        return (x - begun - (start + jnp.arange(rows))[:, None] * slope).T
 
-    def add(start: ArrayLike, rates: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+    def add(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         total, phases = state
-        sums = total + _running_sum(rates - mean)
-        return sums[-1], lax.dynamic_update_slice(phases, sums, (start + 1,))
+        x = lax.dynamic_slice(flat, (offset + k * chunk * axes,), (chunk * axes,)).reshape(chunk, axes).T
+        sums = total[:, None] + _running_sums(x - slope[:, None])
+        return sums[:, -1], lax.dynamic_update_slice(phases, sums, (0, k * chunk))
 
-    def add_chunk(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        return add(k * chunk, lax.dynamic_slice(x, (k * chunk,), (chunk,)), state)
-
-    whole = room // chunk * chunk
-    state = (jnp.zeros(()), jnp.zeros(room + 1 + _CHUNK))
-    if whole:
-        state = lax.fori_loop(0, room // chunk, add_chunk, state)
-    return add(whole, jnp.pad(x[whole:], (0, whole + chunk - room)), state)[1]
+    return lax.fori_loop(0, rows // chunk, add, (begun, jnp.zeros((axes, rows))))[1]
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping"))
 def _square_sums(
     phases: Float[Array, " phases"],
     sizes: Int[ArrayLike, " m"],
+    used: int | Int[Array, ""],
     n: int | Int[Array, ""],
     share: int | Int[Array, ""],
     shares: int | Int[Array, ""],
@@ -179,7 +239,10 @@ def _square_sums(
     kind: Kind,
     overlapping: bool,
 ) -> Float[Array, " m"]:
-    """Sums of squared differences of every `shares`-th block from number `share` on (all, if modified)."""
+    """Sums of squared differences of every `shares`-th block from number `share` on.
+
+    If modified, of every so manieth size: its running sums go through the record in one piece.
+    """
     x, weights, chunk = phases, WEIGHTS[kind], _chunk(len(phases) - 1 - _CHUNK)
     lane = jnp.arange(chunk)
     sizes = jnp.asarray(sizes, dtype=int)
@@ -202,46 +265,58 @@ def _square_sums(
         # One partial sum per lane: XLA does not vectorise a reduction of doubles to a scalar.
         return lax.fori_loop(block * _BLOCK, end, add, jnp.zeros(chunk)).sum()
 
+    def of_sizes(first: Any, step: Any, of_size: Callable[[Array], Array], totals: Array) -> Array:
+        def add(k: Array, totals: Array) -> Array:
+            i = first + k * step
+            return totals.at[i].add(of_size(sizes[i]))
+
+        return lax.fori_loop(0, -(-(used - first) // step), add, totals)
+
+    nothing = jnp.zeros(len(sizes))
     if kind == "modified":
-        return _square_sums_of_sums(x, sizes, n, differences)
+        return of_sizes(share, shares, partial(_square_sum_of_sums, x, n, differences), nothing)
 
-    def add_block(k: Array, totals: Array) -> Array:
-        return totals + lax.map(lambda m: of_block(k * shares + share, m), sizes)
+    def add_block(k: Any, totals: Array) -> Array:
+        return of_sizes(0, 1, partial(of_block, k * shares + share), totals)
 
-    blocks = -(-(n + 1) // (_BLOCK * chunk))
-    return lax.fori_loop(0, -(-(blocks - share) // shares), add_block, jnp.zeros(len(sizes)))
+    blocks: Any = -(-(n + 1) // (_BLOCK * chunk))
+    return lax.fori_loop(0, -(-(blocks - share) // shares), add_block, nothing)
 
 
-def _square_sums_of_sums(
+def _square_sum_of_sums(
     x: Float[Array, " phases"],
-    sizes: Int[Array, " m"],
     n: int | Int[Array, ""],
     differences: Callable[[Array, Array], Float[Array, " chunk"]],
-) -> Float[Array, " m"]:
-    """Sums of squared means of m consecutive second differences, given the third differences."""
-    x_sums = jnp.pad(jnp.cumsum(x), (1, 0))
+    m: Int[Array, ""],
+) -> Float[Array, ""]:
+    """Sum of squared means of m consecutive second differences, given the third differences."""
     chunk = _chunk(len(x) - 1 - _CHUNK)
     lane = jnp.arange(chunk)
 
-    def of_size(m: Array) -> Array:
-        # The first sum of m second differences comes from sums of the phases, the others by their increments:
-        # sums of phases grow so fast that they would lose their digits far into the record.
-        first = x_sums[3 * m] - 3 * x_sums[2 * m] + 3 * x_sums[m]
-        count = difference_count(n, m, "modified")
+    # The first sum of m second differences comes from the phases, the others by their increments: sums of
+    # phases grow so fast that they would lose their digits far into the record.
+    def add_second(k: Array, total: Array) -> Array:
+        a, b, c = (lax.dynamic_slice(x, (k * chunk + p * m,), (chunk,)) for p in range(3))
+        return total + jnp.where(lane < m - k * chunk, a - 2 * b + c, 0)
 
-        def add(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-            total, previous = carry
-            inside = lane < count - 1 - k * chunk
-            s = previous + _running_sum(jnp.where(inside, differences(k * chunk, m), 0))
-            return total + jnp.where(inside, s**2, 0), s[-1]
+    first = lax.fori_loop(0, -(-m // chunk), add_second, jnp.zeros(chunk)).sum()
+    count = difference_count(n, m, "modified")
 
-        total, _ = lax.fori_loop(0, -(-(count - 1) // chunk), add, (jnp.zeros(chunk), first))
-        return (total.sum() + first**2) / m.astype(float) ** 2
+    def add(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        total, previous = carry
+        inside = lane < count - 1 - k * chunk
+        s = previous + _running_sums(jnp.where(inside, differences(k * chunk, m), 0)[None])[0]
+        return total + jnp.where(inside, s**2, 0), s[-1]
 
-    return lax.map(of_size, sizes)
+    total, _ = lax.fori_loop(0, -(-(count - 1) // chunk), add, (jnp.zeros(chunk), first))
+    return (total.sum() + first**2) / m.astype(float) ** 2
 
 
-def _running_sum(x: Float[Array, " chunk"]) -> Float[Array, " chunk"]:
-    """Cumulative sum of a chunk, by products with triangular matrices."""
+def _running_sums(x: Float[Array, "axes chunk"]) -> Float[Array, "axes chunk"]:
+    """Cumulative sums of chunks by products with triangular matrices: of rows, their ends, the ends' ends."""
     rows = x.reshape(-1, _ROW) @ jnp.triu(jnp.ones((_ROW, _ROW)))
-    return (rows + jnp.tri(len(rows), k=-1) @ rows[:, -1:]).reshape(-1)
+    before = rows[:, -1].reshape(-1, _ROW) @ jnp.triu(jnp.ones((_ROW, _ROW + 1)), 1)
+    ends = before[:, -1].reshape(len(x), -1)
+    earlier = ends @ jnp.triu(jnp.ones((ends.shape[1],) * 2), 1)
+    offsets = before[:, :-1] + earlier.reshape(-1, 1)
+    return (rows + offsets.reshape(-1, 1)).reshape(x.shape)
