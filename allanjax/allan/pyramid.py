@@ -178,29 +178,29 @@ def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecu
     """Pyramid of samples that fit into memory with their upper levels; error messages count from `origin`."""
     n, axes = values.shape
     pyramid = _empty(start, n, axes)
-    rows, first = values.T, start
+    table, first = values, start
     for k in range(0, len(pyramid.head), LEVELS):
-        if rows.shape[1] == 0:
+        if len(table) == 0:
             break
-        _hold_ends(pyramid, k, rows, first)
-        sums, rows_above = climb(rows, first, pool)
+        _hold_ends(pyramid, k, table, first)
+        sums, above = climb(table, first, pool)
         if k == 0:
             pyramid.sums[:_SMALL] = sums[:_SMALL]
             # Every sample is in a block that the first pass returns, or among the samples beside these
             # blocks.
-            if not all(np.isfinite(x).all() for x in (rows_above, values[:_HELD], values[-_HELD:])):
+            if not all(np.isfinite(x).all() for x in (above, values[:_HELD], values[-_HELD:])):
                 check_finite(values, origin)
         levels = pyramid.sums[_SMALL + k :][:LEVELS]
         levels[:] = sums[_SMALL:][: len(levels)]
-        rows, first = rows_above, -(-first >> LEVELS)
+        table, first = above, -(-first >> LEVELS)
     return pyramid
 
 
-def _hold_ends(pyramid: Pyramid, k: int, rows: Any, first: int) -> None:
+def _hold_ends(pyramid: Pyramid, k: int, table: Any, first: int) -> None:
     """Store the outermost blocks of the levels that a pass from level k computes, given all of level k."""
     enough = (_HELD + 1) << (LEVELS - 1)
-    head, tail = np.asarray(rows[:, :enough], float), np.asarray(rows[:, -enough:], float)
-    head_first, tail_first = first, first + rows.shape[1] - tail.shape[1]
+    head, tail = np.asarray(table[:enough], float).T, np.asarray(table[-enough:], float).T
+    head_first, tail_first = first, first + len(table) - tail.shape[1]
     for level in range(k, min(k + LEVELS, len(pyramid.head))):
         pyramid._hold(level, head, tail)
         head, head_first = _next_level(head, head_first)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import product
 from typing import Any
 
 import jax
@@ -18,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
+
+from allanjax.allan.stretches import stretch
 
 LEVELS = 4
 """Levels of the pyramid that one pass computes."""
@@ -28,16 +29,18 @@ _WINDOW = WINDOWS[-1]
 # Blocks of the lowest level that the differences starting in a chunk reach beyond it.
 _REACH = 2 * _WINDOW << (LEVELS - 1)
 # Partial sums: reductions to a scalar are not vectorised on a CPU.
-_LANES = 1 << 13
+_LANES = 1 << 11
+# Values of all axes in a piece.
+_PIECE = 1 << 18
 
 
 def climb(
-    rows: Float[np.ndarray, "axes n"] | Float[Array, "axes n"], first: int, pool: ThreadPoolExecutor
-) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "axes above"] | Float[Array, "axes above"]]:
+    table: Float[np.ndarray, "n axes"] | Float[Array, "n axes"], first: int, pool: ThreadPoolExecutor
+) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "above axes"] | Float[Array, "above axes"]]:
     """Sums of squared differences of window means at four levels, and the blocks of the level above them.
 
     Args:
-        rows: consecutive blocks of the lowest level; copied piece by piece only.
+        table: consecutive blocks of the lowest level; read where they lie, or copied piece by piece.
         first: index of the first of them.
         pool: the threads that compute pieces at the same time.
 
@@ -45,51 +48,54 @@ def climb(
         Sums for windows of 1, 2, 4 and 8 blocks of the lowest level and of 8 of each of the others, and the
         whole blocks of the fifth level, from index ⌈first / 16⌉ on, which stay on a device that is no CPU.
     """
-    axes, n = rows.shape
-    chunk, piece = _shape()
+    n, axes = table.shape
+    chunk, piece = _shape(axes)
     base = first >> LEVELS << LEVELS
-    tasks = list(product(range(base - first, n, piece), range(axes)))
+    begins = range(base - first, n, piece)
 
-    def run(task: tuple[int, int]) -> tuple[Any, Any]:
-        begin, axis = task
-        blocks = _padded(rows[axis], begin, piece + _REACH)
+    def run(begin: int) -> tuple[Any, Any]:
         chunks = -(-min(n - begin, piece) // chunk)
-        sums, above = _climb_piece(blocks, chunks, chunk=chunk)
+        blocks = _stretch(table, begin, piece + _REACH, chunks * chunk + _REACH)
+        sums, above = _climb_piece(*blocks, chunks, axes=axes, chunk=chunk)
         return np.asarray(sums), np.asarray(above) if _on_cpu() else above
 
-    sums, above = zip(*pool.map(run, tasks), strict=True)
-    total = np.sum(np.reshape(sums, (-1, axes, len(sums[0]))), axis=0).T
-    xp: Any = np if _on_cpu() else jnp
-    joined = xp.stack([xp.concatenate(above[axis::axes]) for axis in range(axes)])
-    start, end = -(-first >> LEVELS), (first + n) >> LEVELS
-    return total, joined[:, start - (base >> LEVELS) : max(end, start) - (base >> LEVELS)]
+    # A thread of its own for a single piece would take longer than the piece.
+    found = pool.map(run, begins) if len(begins) > 1 else map(run, begins)
+    sums, above = zip(*found, strict=True)
+    joined: Any = (np if _on_cpu() else jnp).concatenate(above)
+    start, end = (-(-first >> LEVELS)) - (base >> LEVELS), ((first + n) >> LEVELS) - (base >> LEVELS)
+    return np.sum(sums, axis=0), joined[start : max(start, end)]
 
 
 def _on_cpu() -> bool:
     return jax.default_backend() == "cpu"
 
 
-def _shape() -> tuple[int, int]:
-    """Number of blocks in a chunk (a core's cache, or a large share of a device) and in a compiled piece."""
-    return (_LANES, 16 * _LANES) if _on_cpu() else (1 << 24, 1 << 24)
+def _shape(axes: int) -> tuple[int, int]:
+    """Blocks of an axis in a chunk, which a core's cache holds (or a device), and in a compiled piece."""
+    return (_LANES, max(_PIECE >> (axes - 1).bit_length(), _LANES)) if _on_cpu() else (1 << 24, 1 << 24)
 
 
-def _padded(row: Any, begin: int, length: int) -> Any:
-    """A stretch of `length` values from `begin` on, which may be negative; NaN where there are none."""
-    found = row[max(begin, 0) : begin + length]
-    before = max(-begin, 0)
-    after = length - before - len(found)
-    if isinstance(row, jax.Array):
-        return jnp.pad(found.astype(float), (before, after), constant_values=np.nan)
-    found = np.ascontiguousarray(found, dtype=float)
-    return np.pad(found, (before, after), constant_values=np.nan) if before or after else found
+def _stretch(table: Any, begin: int, rows: int, read: int) -> tuple[Any, int]:
+    """Rows of a table as `stretch` gives them, on a device too; NaN where there are none."""
+    if isinstance(table, jax.Array) and not _on_cpu():
+        found = table[max(begin, 0) : begin + rows].astype(float)
+        before = max(-begin, 0)
+        outside = ((before, rows - before - len(found)), (0, 0))
+        return jnp.pad(found, outside, constant_values=np.nan).reshape(-1), 0
+    return stretch(np.asarray(table), begin, rows, np.nan, read)
 
 
-@partial(jax.jit, static_argnames="chunk")
+@partial(jax.jit, static_argnames=("axes", "chunk"))
 def _climb_piece(
-    blocks: Float[Array, " piece"], chunks: Int[Array, ""], *, chunk: int
-) -> tuple[Float[Array, " sizes"], Float[Array, " above"]]:
-    """Sums of squared differences and the blocks of the level above, for one axis of one piece."""
+    flat: Float[Array, " values"],
+    offset: int | Int[Array, ""],
+    chunks: int | Int[Array, ""],
+    *,
+    axes: int,
+    chunk: int,
+) -> tuple[Float[Array, "sizes axes"], Float[Array, "above axes"]]:
+    """Sums of squared differences and the blocks of the level above, for every axis of one piece."""
 
     def stored(function: Callable[[Array], Array], x: Array) -> Array:
         """Result of the function, forced into an array of its own by a branch.
@@ -98,35 +104,39 @@ def _climb_piece(
         """
         return lax.cond(chunks > 0, function, lambda x: jnp.zeros_like(function(x)), x)
 
-    def fetch(c: Array) -> Array:
-        return lax.dynamic_slice(blocks, (c * chunk,), (chunk + _REACH,))
+    def fetch(start: Array) -> Array:
+        return lax.dynamic_slice(flat, (start,), ((chunk + _REACH - 1) * axes + 1,))[::axes]
 
     def square_sum(sums: Array, window: int, starts: int) -> Array:
         d = differences(sums, window)[:starts]
         squares = jnp.where(d == d, d**2, 0.0)
         return squares.reshape(-1, min(starts, _LANES)).sum(axis=0)
 
-    def add(c: Array, state: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
-        sums, above = state
-        found = []
-        level = stored(fetch, c)
-        for k in range(LEVELS):
-            halves = stored(partial(window_sums, window=_WINDOW // 2), level)
-            if k == 0:
-                found += [square_sum(window_sums(level, w), w, chunk) for w in WINDOWS[:-2]]
-                found.append(square_sum(halves, _WINDOW // 2, chunk))
-            whole = window_sums(halves, _WINDOW, of=_WINDOW // 2)
-            found.append(square_sum(whole, _WINDOW, chunk >> k))
-            level = stored(pair_means, level)
-        above = lax.dynamic_update_slice(above, level[: chunk >> LEVELS], (c * (chunk >> LEVELS),))
-        return [s + f for s, f in zip(sums, found, strict=True)], above
+    def of_axis(axis: Array) -> tuple[Array, Array]:
+        def add(c: Array, state: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
+            sums, above = state
+            found = []
+            level = stored(fetch, offset + c * chunk * axes + axis)
+            for k in range(LEVELS):
+                halves = stored(partial(window_sums, window=_WINDOW // 2), level)
+                if k == 0:
+                    found += [square_sum(window_sums(level, w), w, chunk) for w in WINDOWS[:-2]]
+                    found.append(square_sum(halves, _WINDOW // 2, chunk))
+                whole = window_sums(halves, _WINDOW, of=_WINDOW // 2)
+                found.append(square_sum(whole, _WINDOW, chunk >> k))
+                level = stored(pair_means, level)
+            above = lax.dynamic_update_slice(above, level[: chunk >> LEVELS], (c * (chunk >> LEVELS),))
+            return [s + f for s, f in zip(sums, found, strict=True)], above
+
+        above = jnp.full((len(flat) // axes - _REACH) >> LEVELS, jnp.nan)
+        sums, above = lax.fori_loop(0, chunks, add, (nothing, above))
+        return jnp.stack([s.sum() for s in sums]) / windows**2, above
 
     starts = [chunk] * len(WINDOWS) + [chunk >> k for k in range(1, LEVELS)]
     nothing = [jnp.zeros(min(s, _LANES)) for s in starts]
-    above = jnp.full((len(blocks) - _REACH) >> LEVELS, jnp.nan)
-    sums, above = lax.fori_loop(0, chunks, add, (nothing, above))
     windows = np.array([*WINDOWS, *[_WINDOW] * (LEVELS - 1)])
-    return jnp.stack([s.sum() for s in sums]) / windows**2, above
+    sums, above = lax.map(of_axis, jnp.arange(axes))
+    return sums.T, above.T
 
 
 def pair_means(blocks: Any) -> Any:

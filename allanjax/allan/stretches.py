@@ -20,7 +20,7 @@ def aligned(*shape: int) -> Float[np.ndarray, "..."]:
 
 
 def stretch(
-    table: Any, begin: int, rows: int, fill: float | Float[np.ndarray, " axes"]
+    table: Any, begin: int, rows: int, fill: float | Float[np.ndarray, " axes"], read: int | None = None
 ) -> tuple[Float[np.ndarray, " values"], int]:
     """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX reads where it lies.
 
@@ -29,6 +29,7 @@ def stretch(
         begin: index of the first row, which may be negative.
         rows: number of rows, which may go beyond the table.
         fill: what stands in rows that the table does not have.
+        read: how many of the rows are read, if not all.
 
     Returns:
         So many rows and eight values more, and the index of the first row's first value among them.
@@ -44,6 +45,6 @@ def stretch(
     copied = aligned(size)
     filled = copied[: rows * axes].reshape(rows, axes)
     start, end = (min(max(k, 0), len(table)) for k in (begin, begin + rows))
-    filled[: start - begin] = filled[end - begin :] = fill
+    filled[: start - begin] = filled[end - begin : read] = fill
     filled[start - begin : end - begin] = table[start:end]
     return copied, 0

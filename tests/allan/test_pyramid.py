@@ -118,7 +118,7 @@ def test_a_bias_costs_no_digits():
 
 def test_chunks_of_another_backend(monkeypatch):
     """What runs off the CPU: large chunks whose squares are added up to fewer lanes, arrays of JAX."""
-    monkeypatch.setattr(climb, "_shape", lambda: (1 << 15, 1 << 15))
+    monkeypatch.setattr(climb, "_shape", lambda axes: (1 << 15, 1 << 15))
     monkeypatch.setattr(climb, "_on_cpu", lambda: False)
     x = noise(70_000)
     for values in (x, jax.numpy.asarray(x)):
