@@ -97,46 +97,62 @@ def _climb_piece(
 ) -> tuple[Float[Array, "sizes axes"], Float[Array, "above axes"]]:
     """Sums of squared differences and the blocks of the level above, for every axis of one piece."""
 
-    def stored(function: Callable[[Array], Array], x: Array) -> Array:
+    def stored(function: Callable[[], Array]) -> Array:
         """Result of the function, forced into an array of its own by a branch.
 
         Otherwise XLA repeats the arithmetic wherever the result is used, and then does not vectorise it.
         """
-        return lax.cond(chunks > 0, function, lambda x: jnp.zeros_like(function(x)), x)
+        return lax.cond(chunks > 0, function, lambda: jnp.zeros_like(function()))
 
-    def fetch(start: Array) -> Array:
-        return lax.dynamic_slice(flat, (start,), ((chunk + _REACH - 1) * axes + 1,))[::axes]
-
-    def square_sum(sums: Array, window: int, starts: int) -> Array:
-        d = differences(sums, window)[:starts]
+    def square_sum(sums: Array, windows_on: Array) -> Array:
+        d = windows_on - sums
         squares = jnp.where(d == d, d**2, 0.0)
-        return squares.reshape(-1, min(starts, _LANES)).sum(axis=0)
+        return squares.reshape(-1, min(len(d), _LANES)).sum(axis=0)
 
     def of_axis(axis: Array) -> tuple[Array, Array]:
         def add(c: Array, state: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
-            sums, above = state
-            found = []
-            level = stored(fetch, offset + c * chunk * axes + axis)
+            blocks, begin = flat, offset + c * chunk
+            if axes > 1:
+                length, first = chunk + _REACH, offset + c * chunk * axes + axis
+                span = (length - 1) * axes + 1
+                blocks = stored(lambda: lax.dynamic_slice(flat, (first,), (span,))[::axes])
+                begin = jnp.asarray(0)
+
+            def window(width: int, start: int, starts: int) -> Array:
+                """Sums over windows of the lowest level from successive starts, by slices: they vectorise."""
+                if width == 1:
+                    return lax.dynamic_slice(blocks, (begin + start,), (starts,))
+                halves = (window(width // 2, start + k, starts) for k in (0, width // 2))
+                return sum(halves, jnp.zeros(()))
+
+            found = [square_sum(window(w, 0, chunk), window(w, w, chunk)) for w in WINDOWS[:-2]]
+            half = stored(lambda: window(_WINDOW // 2, 0, chunk + _REACH - _WINDOW // 2 + 1))
+            found.append(square_sum(half[:chunk], half[_WINDOW // 2 :][:chunk]))
+            sums = stored(lambda: half[: -_WINDOW // 2] + half[_WINDOW // 2 :])
             for k in range(LEVELS):
-                halves = stored(partial(window_sums, window=_WINDOW // 2), level)
-                if k == 0:
-                    found += [square_sum(window_sums(level, w), w, chunk) for w in WINDOWS[:-2]]
-                    found.append(square_sum(halves, _WINDOW // 2, chunk))
-                whole = window_sums(halves, _WINDOW, of=_WINDOW // 2)
-                found.append(square_sum(whole, _WINDOW, chunk >> k))
-                level = stored(pair_means, level)
-            above = lax.dynamic_update_slice(above, level[: chunk >> LEVELS], (c * (chunk >> LEVELS),))
-            return [s + f for s, f in zip(sums, found, strict=True)], above
+                starts = chunk >> k
+                found.append(square_sum(sums[:starts], sums[_WINDOW:][:starts]))
+                sums = stored(partial(next_windows, sums))
+                if _WINDOW << (k + 1) == 1 << LEVELS:
+                    above = sums[: starts // 2 : _WINDOW] / (1 << LEVELS)
+            totals, joined = state
+            joined = lax.dynamic_update_slice(joined, above, (c * len(above),))
+            return [t + f for t, f in zip(totals, found, strict=True)], joined
 
-        above = jnp.full((len(flat) // axes - _REACH) >> LEVELS, jnp.nan)
-        sums, above = lax.fori_loop(0, chunks, add, (nothing, above))
-        return jnp.stack([s.sum() for s in sums]) / windows**2, above
+        nothing = [jnp.zeros(min(s, _LANES)) for s in starts]
+        sums, above = lax.fori_loop(0, chunks, add, (nothing, jnp.full(rows >> LEVELS, jnp.nan)))
+        return jnp.stack([s.sum() for s in sums]) / sizes**2, above
 
+    rows = (len(flat) // axes - _REACH) >> LEVELS << LEVELS
     starts = [chunk] * len(WINDOWS) + [chunk >> k for k in range(1, LEVELS)]
-    nothing = [jnp.zeros(min(s, _LANES)) for s in starts]
-    windows = np.array([*WINDOWS, *[_WINDOW] * (LEVELS - 1)])
+    sizes = np.array([*WINDOWS, *(_WINDOW << k for k in range(1, LEVELS))])
     sums, above = lax.map(of_axis, jnp.arange(axes))
     return sums.T, above.T
+
+
+def next_windows(sums: Any) -> Any:
+    """Sums over 16 blocks from every other start: over windows of 8 blocks of the next level."""
+    return sums[:-_WINDOW:2] + sums[_WINDOW::2]
 
 
 def pair_means(blocks: Any) -> Any:
