@@ -26,7 +26,9 @@ DataType = Literal["rate", "phase"]
 # Differences are taken this many at a time: few enough to stay in cache, enough to hide the loop's overhead.
 _CHUNK = 2048
 # Chunks for which all cluster sizes are computed before the next block is read.
-_BLOCK = 64
+_BLOCK = 32
+# Samples from which on the cores share a record.
+_LONG = 1 << 17
 # Values of all axes that one call integrates, at most, and that it integrates at a time.
 _PIECE, _STEP = 1 << 20, 8192
 # Cluster sizes are padded to a multiple of this number.
@@ -70,7 +72,7 @@ def allan_variance_estimates(
     every = np.pad(sizes, (0, -len(sizes) % _SIZES))
     options = {"kind": kind, "overlapping": overlapping}
     traced = isinstance(values, jax.core.Tracer)
-    if traced or n < _BLOCK * _CHUNK or jax.default_backend() != "cpu":
+    if traced or n < _LONG or jax.default_backend() != "cpu":
         if not isinstance(values, jax.Array):
             values = _padded(np.asarray(values, dtype=float))
         sums = _sums_of_axes(values, every, len(sizes), n, data_type=data_type, **options)

@@ -73,6 +73,42 @@ def test_equals_the_definition(n, start):
     np.testing.assert_allclose(pyramid.variance(), variances, rtol=1e-12)
 
 
+def with_long_doubles(x: np.ndarray, start: int, sizes: np.ndarray) -> np.ndarray:
+    """Variances [m, axes] from running sums of 64 binary digits."""
+    sums = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x.astype(np.longdouble), axis=0)])
+    found = []
+    for m in sizes:
+        stride = max(1, m // 8)
+        d = (sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m])[-start % stride :: stride] / m
+        found.append((d**2).mean(axis=0) / 2)
+    return np.array(found, dtype=float)
+
+
+@pytest.mark.parametrize("axes", [1, 2, 7, 20])
+@pytest.mark.parametrize(
+    ("n", "start"),
+    [(4096, 0), (4097, 1), (8191, 0), (16_384, 16), (16_399, 1), (65_535, 1), (65_536, 4095), (65_537, 0)],
+)
+def test_lengths_around_chunks_and_pieces(n, start, axes, monkeypatch):
+    """Pieces of 4096 samples of one axis, and of 2048 of each of several: one chunk."""
+    monkeypatch.setattr(climb, "_PIECE", 4096)
+    x = noise(n, axes)
+    pyramid = Pyramid.of(x, start)
+    expected = with_long_doubles(x, start, pyramid.cluster_size)
+    # Rounding of the means of the walks, which reach some hundreds: 10⁻¹⁶ of them in each difference of 1.
+    np.testing.assert_allclose(pyramid.variance(), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changed", [np.asfortranarray, lambda x: x[:, ::-1], lambda x: x.astype(">f8"), lambda x: x[1:]]
+)
+def test_samples_may_lie_in_memory_as_they_like(changed):
+    x = changed(noise(150_000, 3))
+    plain = np.array(x, dtype=float, order="C")
+    np.testing.assert_array_equal(Pyramid.of(x, 5).sums, Pyramid.of(plain, 5).sums)
+    np.testing.assert_array_equal(x, plain)
+
+
 def test_one_sample_and_none_have_no_variance():
     for n in (0, 1):
         pyramid = Pyramid.of(np.ones((n, 2)))
