@@ -30,7 +30,7 @@ _BLOCK = 32
 # Samples from which on the cores share a record.
 _LONG = 1 << 17
 # Values of all axes that one call integrates, at most, and that it integrates at a time.
-_PIECE, _STEP = 1 << 20, 8192
+_PIECE, _STEP = 1 << 19, 8192
 # Cluster sizes are padded to a multiple of this number.
 _SIZES = 64
 # Running sums are products with triangular matrices of this size, which XLA vectorises.
@@ -148,20 +148,11 @@ def _long_phases(
     phases = aligned(axes, room + _CHUNK)
     first = int(data_type == "rate")
     if first:
-        # The mean as a small correction to a number near it, so that a bias costs no digits.
-        centre = table[:: n // 1024].mean(axis=0, dtype=float)
-
-        def total(start: int) -> Float[np.ndarray, " axes"]:
-            return np.asarray(_total(*stretch(table, start, rows, centre), centre))
-
-        totals = np.stack(list(pool.map(total, starts)))
-        slope = centre + totals.sum(axis=0) / n
-        # The difference as rounded, or pieces would not join.
-        steps = totals - rows * (slope - centre)
-        begun = np.cumsum(steps, axis=0) - steps
+        slope, begun = _means(table, n, starts, pool)
         phases[:, 0] = 0.0
     else:
-        slope, begun = (table[n] - table[0]) / n, np.broadcast_to(table[0], (len(starts), axes))
+        ends = np.asarray(table[[0, n]], dtype=float)
+        slope, begun = (ends[1] - ends[0]) / n, np.broadcast_to(ends[0], (len(starts), axes))
 
     def integrate(k: int) -> None:
         start, end = starts[k], min(starts[k] + rows, len(table))
@@ -171,6 +162,24 @@ def _long_phases(
 
     list(pool.map(integrate, range(len(starts))))
     return phases
+
+
+def _means(
+    table: Float[np.ndarray, "samples axes"], n: int, starts: range, pool: ThreadPoolExecutor
+) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, "pieces axes"]]:
+    """Means of every axis, and its phases without them before each piece."""
+    # The mean is a small correction to a number near it, so that a bias costs no digits.
+    centre = table[:: n // 1024].mean(axis=0, dtype=float)
+
+    def total(start: int) -> Float[np.ndarray, " axes"]:
+        return np.asarray(_total(*stretch(table, start, starts.step, centre), centre))
+
+    totals = np.stack(list(pool.map(total, starts)))
+    mean = centre + totals.sum(axis=0) / n
+    # The correction as rounded, or pieces would not join. Samples may be infinite; all phases are NaN then.
+    with np.errstate(invalid="ignore"):
+        steps = totals - starts.step * (mean - centre)
+        return mean, np.cumsum(steps, axis=0) - steps
 
 
 @jax.jit

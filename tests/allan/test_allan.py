@@ -197,6 +197,15 @@ def test_long_phases():
     np.testing.assert_allclose(found, with_long_doubles(x, sizes, "oadev"), rtol=1e-8)
 
 
+@pytest.mark.parametrize("row", [0, 77, 139_999])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_long_records_with_what_is_not_finite(row, value):
+    x = white_and_walk(140_000)
+    x[row, 1] = value
+    with pytest.raises(AllanjaxError, match=f"1 values are not finite, the first at sample {row}, axis 1"):
+        allan_deviation(x, 1.0)
+
+
 def test_lengths_of_an_octave_share_their_programs():
     """Long records, too: no length of its own is in a program."""
     for n in (263_000, 400_001, 524_287):
