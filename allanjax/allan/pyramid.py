@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from allanjax.allan.pyramid_pass import LEVELS, WINDOWS, climb, differences, pair_means, window_sums
+from allanjax.allan.pyramid_pass import LEVELS, WINDOWS, climb
 from allanjax.base.errors import AllanjaxError
 
 _WINDOW = WINDOWS[-1]
@@ -107,7 +107,7 @@ class Pyramid:
             begin, end = block << k, (block + 1) << k
             across = np.empty((axes, 0))
             if self.start <= begin < border and end <= right.start + right.n:
-                across = pair_means(junction[:, 2 * block - first :][:, :2])
+                across = _pair_means(junction[:, 2 * block - first :][:, :2])
             junction = np.concatenate([left_tail, across, right_head], axis=1)
             first = block - left_tail.shape[1]
             if k == 0:
@@ -171,7 +171,15 @@ def _block_count(start: int, n: int, k: int) -> int:
 
 def _square_sum(blocks: _Blocks, window: int) -> Float[np.ndarray, " axes"]:
     """Sum of squared differences between the means of adjacent windows of `window` blocks."""
-    return (differences(window_sums(blocks, window), window) ** 2).sum(axis=1) / window**2
+    sums, of = blocks, 1
+    while of < window:
+        sums, of = sums[:, :-of] + sums[:, of:], 2 * of
+    return ((sums[:, window:] - sums[:, :-window]) ** 2).sum(axis=1) / window**2
+
+
+def _pair_means(blocks: _Blocks) -> Float[np.ndarray, "axes halves"]:
+    """Means of blocks 0 and 1, 2 and 3, …"""
+    return (blocks[:, ::2] + blocks[:, 1::2]) * 0.5
 
 
 def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecutor) -> Pyramid:
@@ -211,7 +219,7 @@ def _next_level(blocks: _Blocks, first: int) -> tuple[Float[np.ndarray, "axes ha
     """Whole blocks of the next level, and the index of the first of them."""
     odd = first % 2
     pairs = (blocks.shape[1] - odd) // 2
-    return pair_means(blocks[:, odd : odd + 2 * pairs]), (first + odd) // 2
+    return _pair_means(blocks[:, odd : odd + 2 * pairs]), (first + odd) // 2
 
 
 def check_finite(values: Any, origin: int = 0) -> None:

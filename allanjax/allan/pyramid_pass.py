@@ -153,22 +153,3 @@ def _climb_piece(
 def next_windows(sums: Any) -> Any:
     """Sums over 16 blocks from every other start: over windows of 8 blocks of the next level."""
     return sums[:-_WINDOW:2] + sums[_WINDOW::2]
-
-
-def pair_means(blocks: Any) -> Any:
-    """Means of blocks 0 and 1, 2 and 3, … along the last dimension."""
-    pairs = blocks.reshape(*blocks.shape[:-1], -1, 2)
-    return (pairs[..., 0] + pairs[..., 1]) * 0.5
-
-
-def window_sums(blocks: Any, window: int, of: int = 1) -> Any:
-    """Sums over windows from every start along the last dimension, given sums over windows of `of` blocks."""
-    while of < window:
-        blocks = blocks[..., :-of] + blocks[..., of:]
-        of *= 2
-    return blocks
-
-
-def differences(sums: Any, window: int) -> Any:
-    """Differences of the sums of adjacent windows, from every start along the last dimension."""
-    return sums[..., window:] - sums[..., :-window]
