@@ -28,16 +28,15 @@ from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.spectral.design import SpectralDesign
 from allanjax.noise.model import Model, ModelParameter
+from allanjax.posterior.ranges import ranges_of, start_of
 
 # The likelihood of the Allan variances takes every second of the fit's cluster times, which are four an
 # octave.
 _THINNED = 2
-# Cluster sizes and terms that its arrays have room for.
-_CAPACITY = (48, 6)
+# Numbers of cluster sizes that its arrays have room for are multiples of this, those of terms at least that.
+_SIZES, _TERMS = 16, 6
 # Priors of amplitudes reach beyond what fits under the data by this factor at least.
 _CEILING = 1e2
-# Largest distance of a resonance's frequency from its fit, in ln.
-_LINE_RANGE = 0.3
 
 
 class Likelihood(eqx.Module):
@@ -234,14 +233,14 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     assert spectrum is not None
     labels = [label for label in fit.template.term_labels if fit.template[label].deterministic]
     noise, size = fit.template.without(labels), spectrum.bins.size.astype(float)
-    design = SpectralDesign.of(noise, spectrum.bins)
+    design = SpectralDesign.of(noise, spectrum.bins, tight=True)
     layout = _ParameterLayout.of(noise, parameters, result, design)
     labels = [p.label for p in parameters]
     share = 1.0 / (1.0 + 2.0 * size * spectrum.bins.per_octave() * result.discrepancy**2)
     columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
     ramps = [owner for owner in spectrum.owners if isinstance(owner, int) and owner not in spectrum.lines]
     own = {p.term: [labels.index(q.label) for q in parameters if q.term == p.term] for p in parameters}
-    start = _start(result, parameters)
+    start = start_of(result, parameters)
     level = spectrum.squares / size
     design = design.with_data(level, share * size)
     prior_scale, ceiling, mean, _ = _amplitude_scales(design, layout, start, level, 0.0)
@@ -296,10 +295,11 @@ def _allan(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...], k:
     curve = fit.curve
     chosen = slice(0, None, _THINNED)
     sizes, strides = curve.cluster_size[chosen], curve.strides[chosen]
-    design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides, _CAPACITY)
+    capacity = (-(-len(sizes) // _SIZES) * _SIZES, _TERMS)
+    design = AllanDesign.of(fit.template, curve.n, curve.rate, sizes, strides, capacity)
     layout = _ParameterLayout.of(fit.template, parameters, result, design)
     V, power_error = curve.variance[chosen, k], 2.0 * result.discrepancy
-    start = _start(result, parameters)
+    start = start_of(result, parameters)
     prior_scale, ceiling, _, products = _amplitude_scales(design, layout, start, V, power_error)
     return AllanLikelihood(
         **_common(fit, result, parameters, prior_scale, ceiling),
@@ -319,13 +319,13 @@ def _common(
     ceiling: Float[np.ndarray, " params"],
 ) -> dict[str, Any]:
     """The fields of `Likelihood`, given prior scales and upper ends of the amplitudes."""
-    start = _start(result, parameters)
+    start = start_of(result, parameters)
     std = np.nan_to_num([result[p.label].std for p in parameters])
     # Where the fit gives none it is a share of the prior's scale or of the start.
     rough = np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)
     there = np.array([label in result.term_labels for label in fit.template.term_labels], bool)
     found = of_owners(fit.template, there)[[p.term for p in parameters]]
-    lower, upper = _ranges(parameters, result, fit, ceiling)
+    lower, upper = ranges_of(parameters, result, fit, ceiling)
     return {
         "parameters": parameters,
         "start": start,
@@ -335,12 +335,6 @@ def _common(
         "prior_scale": prior_scale,
         "found": found,
     }
-
-
-def _start(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Float[np.ndarray, " params"]:
-    """Values of the fit; shapes of absent terms have some value in their range."""
-    values = np.array([result[p.label].value for p in parameters])
-    return np.where(np.isfinite(values), values, [p.parameter.lower + 1.0 for p in parameters])
 
 
 def _amplitude_scales(
@@ -385,26 +379,3 @@ def _at_start(
     covariance = design.covariance(power, products)
     whitened = design.whiten(covariance, mean, jnp.asarray(power_error), (means / mean).T).values
     return means, mean, jnp.sum(whitened**2, axis=0), products
-
-
-def _ranges(
-    parameters: tuple[ModelParameter, ...], result: AxisFit, fit: Fit, ceiling: Float[np.ndarray, " params"]
-) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
-    """Lower and upper ends of the parameters' ranges, given those of the amplitudes."""
-    n, rate = fit.curve.n, fit.curve.rate
-    lower, upper = np.zeros(len(parameters)), ceiling.copy()
-    seen = {"time": (2.0 / rate, n / rate), "frequency": (rate / n, rate / 2.0)}
-    for k, p in enumerate(parameters):
-        if p.parameter.kind in seen:
-            lower[k], upper[k] = seen[p.parameter.kind]
-        elif p.parameter.kind == "number":
-            lowest = p.parameter.lower
-            lower[k], upper[k] = lowest + 1e-2, min(lowest + 1e4, p.parameter.upper - 1e-2)
-        elif p.parameter.kind == "line":
-            f = result[p.label].value
-            if fit.template.terms[p.term].deterministic:
-                reach = LINE_REACH / 2.0 * rate / (2.0 * n)
-                lower[k], upper[k] = max(f - reach, 0.1 * rate / n), min(f + reach, rate / 2.0)
-            else:
-                lower[k], upper[k] = f * np.exp(-_LINE_RANGE), min(f * np.exp(_LINE_RANGE), rate / 2.0)
-    return lower, upper

@@ -145,5 +145,5 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(aj.AllanjaxError, match="no response 'low'"):
         parse_model("low * N")
     recording = aj.simulate_recording({"gyro_x": N}, 4096, RATE, 1)
-    with pytest.raises(aj.FitError, match="does not estimate a response"):
+    with pytest.raises(aj.FitError, match="is estimated from the spectrum of a recording only"):
         aj.fit(recording, aj.LowPass1() * aj.AngleRandomWalk())

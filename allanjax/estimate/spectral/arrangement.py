@@ -18,6 +18,8 @@ from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
 _COLUMN, _MARKOV, _OSCILLATOR, _OTHER = range(4)
+# Numbers of levels of a tight arrangement are multiples of this.
+_TIGHT = 64
 
 
 class Arrangement(NamedTuple):
@@ -42,10 +44,13 @@ class Arrangement(NamedTuple):
     held: Float[np.ndarray, " parameters"]
 
     @classmethod
-    def of(cls, model: Model, bins: Bins) -> Arrangement:
-        """Arrangement of a model for the levels of these bins."""
+    def of(cls, model: Model, bins: Bins, tight: bool = False) -> Arrangement:
+        """Arrangement of a model for the levels of these bins, with no spare slots if it is to be tight.
+
+        A tight one is evaluated faster, and is compiled for each structure of a model.
+        """
         model = model.sampled(bins.rate)
-        kind, layout = _kinds(model)
+        kind, layout = _kinds(model, tight)
         others = np.flatnonzero(kind == _OTHER)
         own = [p for p in model.parameters if p.free and p.term in others and not p.parameter.is_amplitude]
         layout = layout._replace(others=len(others), shapes=len(own))
@@ -53,7 +58,8 @@ class Arrangement(NamedTuple):
         before = np.array([np.sum(kind[:k] == kind[k]) for k in range(len(kind))], int)
         component = first[kind] + before
         columns = columns_of([model.terms[k] for k in np.flatnonzero(kind == _COLUMN)], bins)
-        levels = levels_of(bins, columns, layout.columns)
+        capacity = -(-len(bins.size) // _TIGHT) * _TIGHT if tight else None
+        levels = levels_of(bins, columns, layout.columns, capacity)
         inside = np.zeros(layout.components, bool)
         inside[component] = model.inside or False
         further = None
@@ -92,7 +98,7 @@ class Arrangement(NamedTuple):
         return cls(slots, levels, component, time, parameter.astype(int), shift, held)
 
 
-def _kinds(model: Model) -> tuple[Int[np.ndarray, " terms"], Layout]:
+def _kinds(model: Model, tight: bool) -> tuple[Int[np.ndarray, " terms"], Layout]:
     """Kind of each term, and a layout that has room for all; what has no room is one of the others."""
     kind = np.array([_kind(term) for term in model.terms], int)
     counts = [np.sum(kind == k) for k in range(_OTHER)]
@@ -100,6 +106,9 @@ def _kinds(model: Model) -> tuple[Int[np.ndarray, " terms"], Layout]:
     layout = PLAIN if usual else FULL
     for k in (_MARKOV, _OSCILLATOR):
         kind[np.flatnonzero(kind == k)[layout[k] :]] = _OTHER
+    if tight:
+        kept = [int(np.sum(kind == k)) for k in range(_OTHER)]
+        return kind, Layout(max(kept[_COLUMN], 1), kept[_MARKOV], kept[_OSCILLATOR])
     columns = -(-counts[_COLUMN] // layout.columns) * layout.columns
     return kind, layout._replace(columns=max(int(columns), layout.columns))
 

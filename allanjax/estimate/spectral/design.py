@@ -59,9 +59,9 @@ class SpectralDesign(Design):
     per_octave: Float[np.ndarray, " m"]
 
     @classmethod
-    def of(cls, model: Model, bins: Bins) -> SpectralDesign:
-        """Design of a noise model of random terms only, for levels without data yet."""
-        found, shapes = Arrangement.of(model, bins), free_shapes(model)
+    def of(cls, model: Model, bins: Bins, tight: bool = False) -> SpectralDesign:
+        """Design of a noise model of random terms only, for levels without data yet; see `Arrangement.of`."""
+        found, shapes = Arrangement.of(model, bins, tight), free_shapes(model)
         terms = -len(model) % _TERMS
         more = max(-(-len(shapes) // _SHAPES), 1) * _SHAPES - len(shapes)
         # The response is that of the first term that passes it.

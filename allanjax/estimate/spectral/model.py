@@ -276,7 +276,9 @@ def _free_slots(
 ) -> list[tuple[Callable[[Array], Array], Float[Array, "slots shapes"]]]:
     """Each kind of slot with free shapes: expected squares for unit power at the nodes, and the shapes."""
     at = slots.layout
-    kinds = [(lambda shape: markov(levels, shape[0]), theta[at.times : at.frequencies, None])]
+    kinds: list[tuple[Callable[[Array], Array], Array]] = []
+    if at.markovs:
+        kinds.append((lambda shape: markov(levels, shape[0]), theta[at.times : at.frequencies, None]))
     if at.oscillators:
         shapes = [theta[at.frequencies : at.qualities], theta[at.qualities : at.response]]
         kinds.append((lambda shape: oscillator(levels, shape, slots.band_limited), jnp.stack(shapes, axis=1)))
