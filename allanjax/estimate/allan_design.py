@@ -237,7 +237,7 @@ def moments_behind(
 
 def _is_data(x: Any) -> bool:
     """Whether a number of a process is no limit, such as an infinite cutoff, that decides on its formula."""
-    return isinstance(x, float) and 0.0 < abs(x) < np.inf
+    return isinstance(x, float) and abs(x) < np.inf
 
 
 @eqx.filter_jit

@@ -237,9 +237,21 @@ def _moments_under(
     geometry = AllanCovariance.of(*of_curve, strides=curve.strides, capacity=_CAPACITY[0])
     nothing = np.full(len(curve.cluster_size), np.nan)
     return [
-        moments_behind(result.model.sampled(curve.rate), geometry) if result.converged else (nothing, nothing)
+        moments_behind(_with_all_terms(template, result).sampled(curve.rate), geometry)
+        if result.converged
+        else (nothing, nothing)
         for result in results
     ]
+
+
+def _with_all_terms(template: Model, result: AxisFit) -> Model:
+    """The fitted model, absent terms included: with an amplitude of zero, and whatever shape."""
+    values = {}
+    for p in template.parameters:
+        value = result[p.label].value if p.label in result.coefficients else p.start
+        absent = 0.0 if p.parameter.is_amplitude else p.parameter.lower + 1.0
+        values[p.label] = absent if value is None or np.isnan(value) else float(value)
+    return template.with_values(**values)
 
 
 def _moments_of(

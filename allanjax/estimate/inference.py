@@ -93,8 +93,8 @@ def infer(
 
 def without_padding(inference: Inference, m: int, terms: int, shapes: int) -> Inference:
     """Inference of so many estimates, terms and shapes, by a design with room for more."""
-    places = np.arange(inference.power_at.shape[1] + shapes)
-    own = places[(places < terms) | (places >= inference.power_at.shape[1])]
+    places, first = np.arange(inference.covariance.shape[-1]), inference.power_at.shape[1]
+    own = places[(places < terms) | (places >= first) & (places < first + shapes)]
     return Inference(
         inference.covariance[:, own[:, None], own],
         inference.estimate_variance[:, :m],
