@@ -1,11 +1,12 @@
-"""From file to coefficients, cold and warm: six axes × 10⁶ samples through the command line.
+"""From file to coefficients: the first run on a machine, later ones, and one of another length.
 
-    python benchmarks/studies/characterize.py [FILE] [--results PATH]
+    python benchmarks/studies/characterize.py [FILE] [--before CHECKOUT] [--results PATH]
 
-Each run is a process of its own. Cold: no compiled program is reused. Warm: the compilation cache of the run
-before. Without FILE (Parquet, gyros in deg/s, accelerometers in g, 100 Hz) a record is simulated. Beside it,
-in the same run, the peers doing what they do: allantools' `oadev` at the same cluster times and
-allan-variance's five-term fit, from the file as read by pandas.
+Six axes × 10⁶ samples and six × 60,000 (the first ones of these), through the command line, each run a
+process of its own. The first run finds no compiled program, the others those of the runs before them. Without
+FILE (Parquet, gyros in deg/s, accelerometers in g, 100 Hz) a record is simulated. Beside it, in the same run,
+another CHECKOUT of allanjax, and the peers doing what they do: allantools' `oadev` at the same cluster times
+and allan-variance's five-term fit, from the file as read by pandas.
 """
 
 import argparse
@@ -51,30 +52,52 @@ def seconds(command: list[str], **environment: str) -> float:
     return time.perf_counter() - start
 
 
+def runs(path: Path, folder: Path, rows: int, checkout: Path) -> list[float]:
+    """Seconds of a first run, the least of two later ones, and of one of another length, nine tenths."""
+    import pandas as pd
+
+    table_of = pd.read_parquet(path)
+    files = [folder / f"{rows}.parquet", folder / f"{9 * rows // 10}.parquet"]
+    for file, count in zip(files, (rows, 9 * rows // 10), strict=True):
+        table_of.iloc[:count].to_parquet(file)
+    start = "import sys; from allanjax.cli.app import main; sys.exit(main())"
+    options = ["--rate", "100", "--gyro-unit", "deg/s", "--accel-unit", "g", "--out", str(folder / "out")]
+    cache = tempfile.mkdtemp(dir=folder)
+    apart = {"ALLANJAX_CACHE": cache, "JAX_COMPILATION_CACHE_DIR": cache, "PYTHONPATH": str(checkout)}
+
+    def run(file: Path) -> float:
+        return seconds([sys.executable, "-c", start, "characterize", str(file), *options], **apart)
+
+    return [run(files[0]), min(run(files[0]) for _ in range(2)), run(files[1])]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", nargs="?", type=Path)
+    parser.add_argument("--before", type=Path, help="another checkout of allanjax, to compare with")
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "characterize.md")
     arguments = parser.parse_args()
+    checkouts = {"": Path(__file__).parents[2]}
+    if arguments.before:
+        checkouts["before: "] = arguments.before
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
         path = arguments.file or simulated(folder)
-        ours = [str(Path(sys.executable).with_name("allanjax")), "characterize", str(path), "--rate", "100"]
-        ours += ["--gyro-unit", "deg/s", "--accel-unit", "g", "--out", str(folder / "out")]
+        rows = []
+        for count in (1_000_000, 60_000):
+            for name, checkout in checkouts.items():
+                found = runs(path, folder, count, checkout)
+                rows.append([f"{name}six axes × {count:,}", *(f"{x:.1f}" for x in found)])
         peers = [sys.executable, "-c", PEERS, str(path)]
-        cache = str(folder / "cache")
-        rows = [
-            ("allanjax characterize, cold", seconds(ours, ALLANJAX_CACHE=cache)),
-            ("allanjax characterize, warm", min(seconds(ours, ALLANJAX_CACHE=cache) for _ in range(3))),
-            ("allantools oadev + allan-variance: values only", min(seconds(peers) for _ in range(3))),
-        ]
+        rows.append(["allantools and allan-variance, six axes × 1,000,000", "", f"{seconds(peers):.1f}", ""])
     lines = [
         "# From file to coefficients",
         "",
-        f"Six axes × 10⁶ samples ({path.name}), each run a process of its own, wall-clock time. allanjax",
-        "writes a table with intervals, JSON, CSV and a picture; the peers' processes end with the numbers.",
+        f"`allanjax characterize` of {path.name} and of its first samples, wall-clock seconds of processes.",
+        "It writes a table with intervals, JSON, CSV and two pictures; the peers' process (`oadev`, and a fit",
+        "of five terms) ends with the numbers.",
         "",
-        table(["what", "seconds"], [[what, f"{value:.1f}"] for what, value in rows]),
+        table(["recording", "first run on a machine", "later", "another length"], rows),
         "",
         "## Machine",
         "",
