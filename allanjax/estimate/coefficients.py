@@ -23,6 +23,8 @@ TWO_SIDED_95 = 1.960
 ONE_SIDED_95 = 1.645
 # Nearer to a bound than this share of what is between two of them a shape is at it.
 _INSIDE = 0.0125
+# A limit so many times as far from a bound as the estimate is none.
+_NOWHERE = 1e4
 # A line searched for is detected if noise would not have its like anywhere in the record, once in so many.
 _FALSE_LINE = 1.35e-3
 
@@ -179,10 +181,12 @@ def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
     below, above = c.interval[0] <= low, c.interval[1] >= high
     if not (below or above):
         return c
-    ends = (p.lower if below else c.interval[0], p.upper if above else c.interval[1])
-    ends_68 = (p.lower if below else c.interval_68[0], p.upper if above else c.interval_68[1])
     distance = c.value - p.lower
     ratio = float(np.exp(min(ONE_SIDED_95 * c.std / distance, 700.0)))
+    # At a bound itself the data say nothing of the logarithm of the distance from it.
+    below, above = (True, True) if ratio > _NOWHERE else (below, above)
+    ends = (p.lower if below else c.interval[0], p.upper if above else c.interval[1])
+    ends_68 = (p.lower if below else c.interval_68[0], p.upper if above else c.interval_68[1])
     return dataclasses.replace(
         c,
         std=float("nan"),
