@@ -26,7 +26,7 @@ _LONGEST = 2.0
 # The iteration ends where neither a parameter nor a residual moves by more.
 _TOLERANCE = 1e-5
 # Most steps of a fit.
-_STEPS = 100
+_STEPS = 400
 # Smallest ratio of a level to its expectation that counts, and excess over 1 below which a series is used.
 _LEAST_RATIO = 1e-12
 _NEAR = 1e-4
