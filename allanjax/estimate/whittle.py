@@ -21,7 +21,7 @@ from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, 
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.misfit import Misfit, spectral_misfit, widened
 from allanjax.estimate.spectral.design import SpectralDesign
-from allanjax.estimate.spectral.fit import infer_levels, levels_under, solve_levels
+from allanjax.estimate.spectral.fit import best_of, infer_levels, levels_under, solve_levels
 from allanjax.estimate.starts import best_starts, find_lines, shape_candidates
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -179,7 +179,7 @@ def _fit_noise(
                 solve_levels(design, free, active, starts.power[0, k], starts.shape[0, k], smooth)
                 for k in tried
             ]
-            solution = min(begun, key=lambda s: (not s.converged, float(np.nan_to_num(s.cost, nan=np.inf))))
+            solution = best_of(begun)
         else:
             solution = solve_levels(design, free, active, solution.power, solution.shape, smooth)
         variance = levels_under(design, solution)

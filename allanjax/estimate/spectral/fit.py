@@ -7,12 +7,14 @@ given a relative error, common to about an octave, with which χ² equals its de
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import gammaln
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
@@ -26,6 +28,8 @@ from allanjax.estimate.spectral.scoring import maximize
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
 _FEW = 0.05
+# Difference of minus twice the log-likelihood below which two solutions are the same.
+_AS_LIKELY = 0.02
 
 
 def solve_levels(
@@ -45,11 +49,8 @@ def solve_levels(
         power, shape: start values.
         noise: rough levels of the noise [rate²].
     """
-    of_terms, terms, shapes = (
-        (design.padded_terms(free), design.padded_terms(active)),
-        len(free),
-        np.size(shape),
-    )
+    terms, shapes = len(free), np.size(shape)
+    of_terms = design.padded_terms(free), design.padded_terms(active)
 
     def fitted(error: float, power: ArrayLike, shape: ArrayLike) -> tuple[Solution, np.ndarray]:
         return jax.device_get(_maximum(design, *of_terms, power, shape, noise, np.asarray(error)))
@@ -149,9 +150,29 @@ def _maximum(
         chi2=jnp.sum(jnp.where(dof > _FEW, score**2, 0.0)),
         power_error=jnp.asarray(error),
         converged=found.converged & jnp.isfinite(found.loss),
-        cost=2.0 * found.loss,
+        cost=-2.0 * jnp.sum(_log_densities(levels.level, mean, less.shape)),
     )
     return solution, mean
+
+
+def _log_densities(
+    level: Float[Array, " m"], mean: Float[Array, " m"], shape: Float[Array, " m"]
+) -> Float[Array, " m"]:
+    """Logarithm of each level's density, a Gamma law of this mean and shape; 0 of levels that only pad.
+
+    With its normalization, so that solutions with different errors of the model compare.
+    """
+    known, k = shape > 0.0, jnp.where(shape > 0.0, shape, 1.0)
+    level = jnp.where(known, jnp.maximum(level, 1e-300), 1.0)
+    ratio = level / jnp.where(known, mean, 1.0)
+    return jnp.where(known, k * (jnp.log(k * ratio) - ratio) - gammaln(k) - jnp.log(level), 0.0)
+
+
+def best_of(solutions: Sequence[Solution]) -> Solution:
+    """Most likely one of some solutions, if it converged or none that is as likely did."""
+    cost = [float(np.nan_to_num(s.cost, nan=np.inf)) for s in solutions]
+    close = [s for s, c in zip(solutions, cost, strict=True) if c <= min(cost) + _AS_LIKELY]
+    return next((s for s in close if s.converged), close[0])
 
 
 def levels_under(design: SpectralDesign, solution: Solution) -> Float[np.ndarray, " m"]:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.stats import chi2, gamma
 
 import allanjax as aj
 from allanjax.base.chi_squared import exact_cube_root_score
 from allanjax.estimate.spectral.design import SpectralDesign
-from allanjax.estimate.spectral.fit import levels_under, solve_levels
+from allanjax.estimate.spectral.fit import best_of, levels_under, solve_levels
 from allanjax.spectrum.cosine import Bins
 
 WHITE = aj.Model((aj.AngleRandomWalk(),))
@@ -58,3 +58,28 @@ def test_an_error_of_the_model_brings_chi_squared_to_its_degrees_of_freedom():
 
     # The error is found anew until it moves by less than two per cent.
     assert s == pytest.approx(brentq(excess, 0.0, 10.0), rel=0.02)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.5])
+def test_solutions_are_compared_by_the_density_of_their_levels(error):
+    """By scipy's Gamma law of as many degrees of freedom as a relative error of the model leaves."""
+    rng, bins = np.random.default_rng(3), Bins.of(5000, 4.0)
+    size, f = bins.size.astype(float), bins.frequency
+    level = np.exp(error * np.cos(2.0 * np.log(f))) * rng.chisquare(size) / size
+    design, found = white_levels(level, bins)
+    s = float(found.power_error)
+    assert (s > 0.0) == (error > 0.0)
+    per_octave = np.sum(abs(np.log2(f[:, None] / f)) <= 0.5, axis=1)
+    dof = 2.0 / (2.0 / size + s**2 * per_octave)
+    law = gamma(dof / 2.0, scale=2.0 * levels_under(design, found) / dof)
+    assert float(found.cost) == pytest.approx(-2.0 * np.sum(law.logpdf(level)), rel=1e-9)
+
+
+def test_the_most_likely_solution_is_taken():
+    """Of those that are as likely one that converged; a less likely one is none."""
+    _, one = white_levels(np.ones(len(Bins.of(500, 4.0).size)), Bins.of(500, 4.0))
+    cost = np.array([3.0, 1.0, 1.01, 2.0])
+    converged = np.array([True, False, True, True])
+    several = [one._replace(cost=c, converged=k) for c, k in zip(cost, converged, strict=True)]
+    assert float(best_of(several).cost) == 1.01
+    assert float(best_of([several[0], several[1]]).cost) == 1.0
