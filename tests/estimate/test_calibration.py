@@ -79,7 +79,9 @@ def test_the_posteriors_ranks_of_the_truth_are_uniform() -> None:
     values = white + walk(1.0, (N, count), rng) * truths["rate_random_walk"]
     axes = tuple(aj.Axis(f"gyro_{k}", "gyro", "rad/s") for k in range(count))
     fit = aj.fit(aj.Recording(values, RATE, axes), MODEL, "whittle", as_is=True, vibrating=True)
-    posterior = aj.sample(fit, priors=priors, progress=False)
+    # Thirty autocorrelation times of thirty-two walkers are some thousand draws, enough for a rank of 24.
+    length = {"min_length": 30.0, "max_change": 0.1, "max_r_hat": 1.02}
+    posterior = aj.sample(fit, priors=priors, progress=False, **length)
     for label, truth in truths.items():
         column = list(priors).index(label)
         ranks = [np.mean(p.draws[:, column] < truth[k]) for k, p in enumerate(posterior.values())]
