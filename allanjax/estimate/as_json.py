@@ -18,6 +18,7 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
+from allanjax.noise.parameter import Parametrized
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import DeadAxis
 
@@ -130,12 +131,7 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
 
 
 def _term(term: NoiseTerm) -> dict[str, Any]:
-    values = {p.name: getattr(term, p.name) for p in term.parameters()}
-    return {
-        "term": term.name(),
-        "parameters": {name: _start(x) for name, x in values.items()},
-        "held": sorted(term.held),
-    }
+    return {"term": term.name(), **_parameters(term)}
 
 
 def _response(model: Model) -> dict[str, Any]:
@@ -144,10 +140,14 @@ def _response(model: Model) -> dict[str, Any]:
     assert response is not None
     return {
         "response": response.name(),
-        "parameters": {p.name: _start(getattr(response, p.name)) for p in response.parameters()},
-        "held": sorted(response.held),
+        **_parameters(response),
         "inside": [label for label, inside in zip(model.term_labels, model.inside, strict=True) if inside],
     }
+
+
+def _parameters(of: Parametrized) -> dict[str, Any]:
+    values = {p.name: getattr(of, p.name) for p in of.parameters()}
+    return {"parameters": {name: _start(x) for name, x in values.items()}, "held": sorted(of.held)}
 
 
 def _start(x: float | None) -> float | str | None:

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +22,11 @@ from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import response_classes, term_classes
+from allanjax.noise.parameter import Parametrized
 from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.recording import Axis, DeadAxis
+
+_Made = TypeVar("_Made", bound=Parametrized)
 
 
 def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:
@@ -97,7 +100,7 @@ def _model(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) 
     plain = Model(tuple(_term(term, classes) for term in document["model"]))
     if not (of := document.get("response")):
         return plain
-    response = response_classes()[of["response"]](**of["parameters"]).hold(*of["held"])
+    response = _parametrized(response_classes()[of["response"]], of)
     inside = tuple(label in of["inside"] for label in plain.term_labels)
     return Model(plain.terms, response, inside)
 
@@ -108,10 +111,13 @@ def _term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> No
         raise AllanjaxError(
             f"its term {term['term']!r} is none of allanjax's: give its class, load(path, terms=[…])"
         )
-    values: dict[str, Any] = {
-        name: math.inf if x == INFINITY else x for name, x in term["parameters"].items()
-    }
-    return classes[term["term"]](**values).hold(*term["held"])
+    return _parametrized(classes[term["term"]], term)
+
+
+def _parametrized(made: type[_Made], of: Mapping[str, Any]) -> _Made:
+    """Term or response of this class, with its parameters."""
+    values: dict[str, Any] = {name: math.inf if x == INFINITY else x for name, x in of["parameters"].items()}
+    return made(**values).hold(*of["held"])
 
 
 def _curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:

@@ -14,7 +14,7 @@ from allanjax.estimate.candidates import Candidates, Row, sorted_terms
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import TermSubset, term_pairs, without_ramp
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
-from allanjax.estimate.spectral.fit import chi_squared, error_of_powers
+from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, basic_terms
@@ -147,17 +147,10 @@ def _with_error(
     for _ in range(_ROUNDS if incomplete else 0):
         for k in incomplete:
             error[k] = max(error[k], error_of(k))
-        again = _rows(candidates, plain, statistics, _share(size, per_octave, error))
+        again = _rows(candidates, plain, statistics, share_with_error(size, per_octave, error[:, None]))
         for k in incomplete:
             rows[k] = again[k]
-    return rows, _share(size, per_octave, error), error
-
-
-def _share(
-    size: Float[np.ndarray, " m"], per_octave: Float[np.ndarray, " m"], error: Float[np.ndarray, " axes"]
-) -> Float[np.ndarray, "axes m"]:
-    """Weight of each bin where a model has these relative errors, common to an octave."""
-    return 1.0 / (1.0 + 0.5 * size * per_octave * error[:, None] ** 2)
+    return rows, share_with_error(size, per_octave, error[:, None]), error
 
 
 def _pairs(candidates: Candidates, rows: Sequence[Sequence[Row]]) -> TermSubset:

@@ -62,16 +62,20 @@ def spectrum_of(
     x: Float[np.ndarray, " n"],
     rate: float,
     regressors: Mapping[str, Float[np.ndarray, " n"]],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
 ) -> AxisSpectrum:
-    """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed."""
+    """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed.
+
+    Bins are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those without one.
+    """
     n = len(x)
     lines, wanted = lines_of(template)
     known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
     c, found = take_out_lines(x - x.mean(), rate, wanted)
     around = [line.frequency for line in found]
     narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
-    peaks = iter(find_lines(x, rate) if any(p.start is None for p in narrow) else ())
-    around += [p.start if p.start is not None else float(next(peaks, rate / 8.0)) for p in narrow]
+    unknown = iter(peaks)
+    around += [p.start if p.start is not None else float(next(unknown, rate / 8.0)) for p in narrow]
     per_octave = PER_OCTAVE if template.response is None else _FINE
     bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
     columns: list[tuple[str | int, np.ndarray]] = []
@@ -96,7 +100,7 @@ def fit_axis(
     """
     searched = any(p.parameter.kind == "line" and p.start is None for p in template.parameters)
     peaks = find_lines(x, rate) if searched else ()
-    return fit_spectrum(template, axis, spectrum_of(template, x, rate, regressors), active, peaks)
+    return fit_spectrum(template, axis, spectrum_of(template, x, rate, regressors, peaks), active, peaks)
 
 
 def fit_spectrum(
@@ -163,7 +167,8 @@ def _fit_noise(
     """Fit the random terms, alternating with the projection of the deterministic parts in use."""
     bins = spectrum.bins
     solution: Solution | None = None
-    variance, free, smooth = _smoothed(spectrum), free_powers(noise), _smoothed(spectrum)
+    smooth, free = _smoothed(spectrum), free_powers(noise)
+    variance = smooth
     empty = SpectralDesign.of(noise, bins)
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)

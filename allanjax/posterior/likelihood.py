@@ -27,6 +27,7 @@ from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_colum
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.spectral.design import SpectralDesign
+from allanjax.estimate.spectral.fit import share_with_error
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.posterior.ranges import ranges_of, start_of
 
@@ -236,7 +237,8 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
     design = SpectralDesign.of(noise, spectrum.bins, tight=True)
     layout = _ParameterLayout.of(noise, parameters, result, design)
     labels = [p.label for p in parameters]
-    share = 1.0 / (1.0 + 2.0 * size * spectrum.bins.per_octave() * result.discrepancy**2)
+    # The error of powers is twice that of deviations.
+    share = share_with_error(size, spectrum.bins.per_octave(), 2.0 * result.discrepancy)
     columns = np.array([k not in spectrum.lines for k in spectrum.owners], bool)
     ramps = [owner for owner in spectrum.owners if isinstance(owner, int) and owner not in spectrum.lines]
     own = {p.term: [labels.index(q.label) for q in parameters if q.term == p.term] for p in parameters}

@@ -105,12 +105,10 @@ class SpectralDesign(Design):
         return padded(V, len(self.per_octave), 1.0)
 
     def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
-        more = len(self.component) - values.shape[-1]
-        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)])
+        return padded(values, len(self.component), 0)
 
     def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
-        more = len(self.moves) - values.shape[-1]
-        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)])
+        return padded(values, len(self.moves), 0)
 
     def parameters(self, shape: Float[Array, " shapes"]) -> Float[Array, " parameters"]:
         """Parameters of the joint spectral model with these shapes, and without powers."""

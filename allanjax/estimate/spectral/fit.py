@@ -72,12 +72,18 @@ def solve_levels(
     return found._replace(power=found.power[:terms], shape=found.shape[:shapes])
 
 
-def chi_squared(
-    ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], widened: ArrayLike = 1.0
-) -> float:
-    """χ² of levels, given their ratios to their expectations, each over a factor of its variance."""
+def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], share: ArrayLike = 1.0) -> float:
+    """χ² of levels, given their ratios to their expectations, each with a share of its weight."""
     square = np.asarray(exact_cube_root_score(ratio, dof)) ** 2
-    return float(np.sum((square / widened)[np.asarray(dof) > _FEW]))
+    return float(np.sum((square * share)[np.asarray(dof) > _FEW]))
+
+
+def share_with_error(dof: Any, per_octave: Any, error: Any) -> Any:
+    """Share of the weight that levels keep where their model has a relative error, common to an octave.
+
+    The relative variance 2/dof of each becomes 2/dof + per_octave·error². For arrays of NumPy or JAX.
+    """
+    return 1.0 / (1.0 + 0.5 * dof * per_octave * error**2)
 
 
 def error_of_powers(
@@ -96,10 +102,8 @@ def error_of_powers(
     """
     from scipy.optimize import brentq
 
-    each = 0.5 * np.asarray(dof) * per_octave
-
     def excess(error: float) -> float:
-        return chi_squared(ratio, dof, 1.0 + each * error**2) - degrees
+        return chi_squared(ratio, dof, share_with_error(np.asarray(dof), per_octave, error)) - degrees
 
     return float(brentq(excess, 0.0, 1e3)) if excess(0.0) > 0.0 else 0.0
 
@@ -119,7 +123,7 @@ def _maximum(
     at, component = slots.layout, jnp.asarray(design.component)
     dof = 2.0 * jnp.asarray(levels.shape)
     active, free, error = jnp.asarray(active), jnp.asarray(free), jnp.asarray(error)
-    less = levels._replace(shape=levels.shape / (1.0 + 0.5 * dof * design.per_octave * error**2))
+    less = levels._replace(shape=levels.shape * share_with_error(dof, design.per_octave, error))
     start = design.parameters(jnp.asarray(shape))
     used = jnp.where(active, power, 0.0) * design.unit_power(start)
     scale = power_scales(start, slots, levels, jnp.asarray(noise))

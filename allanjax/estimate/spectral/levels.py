@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from allanjax.spectrum.cosine import Bins
 
@@ -50,8 +50,8 @@ def capacity_of(count: int) -> int:
     return fitting[0] if fitting else -(-count // CAPACITIES[-1]) * CAPACITIES[-1]
 
 
-def padded(x: Float[np.ndarray, "... m"], capacity: int, fill: float) -> Float[np.ndarray, "... capacity"]:
-    """Values of m levels followed by `fill` for the levels that pad."""
+def padded(x: Shaped[np.ndarray, "... m"], capacity: int, fill: float) -> Shaped[np.ndarray, "... capacity"]:
+    """Values of m levels, terms or shapes followed by `fill` for those that pad."""
     return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])], constant_values=fill)
 
 
