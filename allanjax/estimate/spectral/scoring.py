@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.linalg import inverse, solve
 from allanjax.estimate.spectral.levels import Levels
@@ -23,7 +23,7 @@ from allanjax.estimate.spectral.model import Slots, expected, loss
 # Damping of the first step, relative to the information, and the longest step of a parameter.
 _DAMPING = 0.01
 _LONGEST = 2.0
-# The iteration ends where neither a parameter nor a residual moves by more.
+# Tolerance of a fit.
 _TOLERANCE = 1e-5
 # Most steps of a fit.
 _STEPS = 400
@@ -58,15 +58,20 @@ class _Problem(NamedTuple):
 
     slots: Slots
     levels: Levels
+    tolerance: Any
 
 
 @eqx.filter_jit
-def maximize(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Maximum:
+def maximize(
+    theta: Float[Array, " parameters"], slots: Slots, levels: Levels, tolerance: ArrayLike = _TOLERANCE
+) -> Maximum:
     """Maximum of the likelihood from a start, compiled once for all records and models.
 
+    The iteration ends where neither a parameter nor a residual moves by more than the tolerance.
     Differentiable in the levels, their columns and the prior, by the implicit function theorem.
     """
-    found, steps, converged = _peak(_Problem(slots, levels), jnp.clip(theta, slots.lower, slots.upper))
+    problem = _Problem(slots, levels, jnp.asarray(tolerance))
+    found, steps, converged = _peak(problem, jnp.clip(theta, slots.lower, slots.upper))
     interior = _interior(found, slots, levels)
     model = expected(found, slots, levels)
     slope = jnp.where(interior[:, None], model.slope, 0.0)
@@ -88,7 +93,7 @@ def _peak(problem: _Problem, start: Array) -> tuple[Array, Array, Array]:
     """Parameters at the maximum, number of steps, and whether the iteration converged."""
     found: optx.Solution = optx.least_squares(
         _residuals,
-        _Scoring(problem.slots.lower, problem.slots.upper),
+        _Scoring(problem.slots.lower, problem.slots.upper, problem.tolerance),
         start,
         args=problem,
         max_steps=_STEPS,
@@ -103,7 +108,7 @@ def _peak_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """The maximum moves by −H⁻¹ times the change of the gradient; H is the second derivative of the loss."""
     problem, start = primals
     theta, steps, converged = _peak(problem, start)
-    interior = _interior(theta, *problem)
+    interior = _interior(theta, problem.slots, problem.levels)
     differentiable, fixed = eqx.partition(
         problem, jax.tree.map(lambda t: t is not None, tangents[0], is_leaf=_none)
     )
@@ -111,10 +116,11 @@ def _peak_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     leaves, structure = jax.tree.flatten(differentiable)
 
     def gradient_of(leaves: list[Array]) -> Array:
-        return _gradient(theta, *eqx.combine(jax.tree.unflatten(structure, leaves), fixed))
+        of: _Problem = eqx.combine(jax.tree.unflatten(structure, leaves), fixed)
+        return _gradient(theta, of.slots, of.levels)
 
     _, change = jax.jvp(gradient_of, (leaves,), (moved,))
-    hessian = jax.jacfwd(lambda theta: _gradient(theta, *problem))(theta)
+    hessian = jax.jacfwd(lambda theta: _gradient(theta, problem.slots, problem.levels))(theta)
     both = interior[:, None] & interior
     system = jnp.where(both, hessian, 0.0) + jnp.diag(jnp.where(interior, 0.0, 1.0))
     return (theta, steps, converged), (-solve(system, jnp.where(interior, change, 0.0)), None, None)
@@ -156,7 +162,7 @@ def _residuals_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 def _residuals_and_slope(theta: Array, problem: _Problem) -> tuple[Array, Array]:
     """Residuals, and their derivatives by the parameters (parameters, rows)."""
-    slots, levels = problem
+    slots, levels, _ = problem
     model = expected(theta, slots, levels)
     excess = jnp.maximum(levels.level / model.mean, _LEAST_RATIO) - 1.0
     near = jnp.abs(excess) < _NEAR
@@ -210,14 +216,14 @@ class _Scoring(optx.AbstractGaussNewton):
     """Gauss–Newton iteration with scaled damping."""
 
     rtol: float
-    atol: float
+    atol: Any
     norm: Any
     descent: _ScaledDescent
     search: optx.ClassicalTrustRegion
     verbose: Any
 
-    def __init__(self, lower: Array, upper: Array):
-        self.rtol, self.atol, self.norm = 0.0, _TOLERANCE, optx.max_norm
+    def __init__(self, lower: Array, upper: Array, tolerance: Array):
+        self.rtol, self.atol, self.norm = 0.0, tolerance, optx.max_norm
         self.descent = _ScaledDescent(lower, upper)
         self.search = optx.ClassicalTrustRegion(0.5, 0.01, 6.0, 0.15)
         self.verbose = lambda **_: None

@@ -1,0 +1,1 @@
+"""Search for what a sensor's spectrum consists of: a response, resonances and noise terms, fitted jointly."""

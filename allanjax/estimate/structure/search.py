@@ -1,0 +1,302 @@
+"""Greedy search for the structure of a spectrum: every step is a joint fit of all that is there.
+
+A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
+spectrum; which of them it is taken for depends on the order in which they are tried. So no resonance may be
+wider than its frequency, a response is tried in every round until there is one, and no correlation time is
+shorter than eight samples.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.estimate.spectral.components import NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.structure.structure import (
+    FIXED,
+    LINE,
+    LOWEST,
+    OUTSIDE,
+    WHITE,
+    Fitted,
+    Spectrum,
+    Structure,
+)
+from allanjax.noise.terms import NoiseTerm
+from allanjax.spectrum.cosine import Bins
+
+# Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
+# the expected ones of its two parameters.
+_GAIN, _PREDICTS = 2.0, 3.0
+# Windows that are tried for a resonance in a round, and the least gain of one [nats].
+_WINDOWS, _WORTH = 3, 8.0
+# Narrowest window [coefficients].
+_NARROWEST = 8
+# Bandwidths that a response starts from [cycles per sample].
+_BANDWIDTHS = (0.03, 0.1, 0.2, 0.35)
+# Correlation times that a Markov process starts from, in powers of the number of samples.
+_TIMES = (0.35, 0.55, 0.75, 0.95)
+# Most rounds.
+_ROUNDS = 20
+# Bins in an octave.
+_PER_OCTAVE = 12
+# Quality factor from which on a resonance is narrow, gain [nats] of a window that is sure to be accepted, and
+# share of the bandwidth up to which a response is flat.
+_NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
+# Relative error of a power beyond which it is tried whether it is needed.
+_DOUBTFUL = 0.2
+# Deviations of a smoothed level from its expectation beyond which there is something to look for.
+_CLEAR = 2.5
+
+
+class Record(NamedTuple):
+    """One record's spectrum, to be binned as the resonances ask for.
+
+    Attributes:
+        squares: squared cosine coefficients [rate²], without lines and ramps.
+        rate: sample rate [Hz].
+        further: a term whose column is used besides the basic ones.
+    """
+
+    squares: Float[np.ndarray, " n-1"]
+    rate: float
+    further: NoiseTerm | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.squares) + 1
+
+    def binned(self, structure: Structure) -> Spectrum:
+        """Spectrum in bins that are finer around the resonances of a structure."""
+        around = [
+            (
+                structure.frequency(k) * self.rate / (2.0 * np.pi),
+                2.0 * structure.frequency(k) / structure.quality(k) * self.rate / (2.0 * np.pi),
+            )
+            for k in structure.oscillators
+        ]
+        return Spectrum.of(self.squares, Bins.of(self.n, self.rate, around, _PER_OCTAVE), self.further)
+
+
+def searched(record: Record, start: Structure, tell: Callable[[str], None] = lambda text: None) -> Fitted:
+    """Structure of a spectrum, from a start that has the terms without a free shape."""
+    spectrum = record.binned(start)
+    now = spectrum.fit(start)
+    spectrum = spectrum.weighing(now)
+    now = pruned(spectrum, spectrum.fit(now.structure))
+    for _ in range(_ROUNDS):
+        found = _grown(record, spectrum, now)
+        if found is None:
+            break
+        spectrum, now = found
+        now = _other_kind(spectrum, now)
+        tell(described(now.structure, record.rate))
+    now = pruned(spectrum, _slow(spectrum, _replaced(spectrum, now)))
+    structure = now.structure
+    for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
+        if k != WHITE:
+            structure = structure.without(int(k))
+    return spectrum.fit(structure, final=True)
+
+
+def described(structure: Structure, rate: float) -> str:
+    """Short text about what is in a structure besides terms without a free shape."""
+    hertz = rate / (2.0 * np.pi)
+    parts = []
+    if structure.kind != NONE:
+        w, q = structure.bandwidth
+        parts.append(f"{'one pole' if structure.kind == ONE_POLE else 'two poles'} {w * hertz:.4g} Hz Q {q:.2g}")
+    for k in structure.oscillators:
+        where = "in" if structure.inside[FULL.first_oscillator + k] else "after"
+        parts.append(f"{structure.frequency(k) * hertz:.4g} Hz Q {structure.quality(k):.3g} {where}")
+    parts += [f"T {structure.time(k) / rate:.3g} s" for k in structure.markovs]
+    return "; ".join(parts) or "nothing"
+
+
+def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
+    """The best of all additions, fitted in bins that are made for it; None if none gains enough."""
+    tried = [spectrum.fit(proposal) for proposal in _additions(record, spectrum, now)]
+    tried = [found for found in tried if found.structure.power[WHITE] > 0.0]
+    tried = sorted((f for f in tried if f.evidence > now.evidence - 1.0), key=lambda f: -f.evidence)
+    for best in tried[:2]:
+        finer = record.binned(best.structure)
+        again = finer.fit(best.structure)
+        finer = finer.weighing(again)
+        again, before = finer.fit(again.structure), finer.fit(now.structure)
+        if again.evidence - before.evidence > _GAIN:
+            new = set(again.structure.oscillators) - set(now.structure.oscillators)
+            return finer, _placed(finer, again, sorted(new))
+    return None
+
+
+def _placed(spectrum: Spectrum, now: Fitted, oscillators: Sequence[int]) -> Fitted:
+    """Fit with each of these resonances inside the response or after it, whichever is more likely."""
+    if now.structure.kind == NONE:
+        return now
+    for k in oscillators:
+        place, structure = FULL.first_oscillator + int(k), now.structure
+        w, Q = structure.bandwidth
+        # Where the response has fallen by nothing yet there is no difference.
+        if structure.frequency(k) < _FLAT * w and structure.quality(k) > _NARROW:
+            continue
+        other = spectrum.fit(structure.placed(place, not structure.inside[place]))
+        now = _better(now, other)
+    return now
+
+
+def _better(now: Fitted, other: Fitted) -> Fitted:
+    """The other fit if it is more likely and white noise is left in it."""
+    return other if other.evidence > now.evidence and other.structure.power[WHITE] > 0.0 else now
+
+
+def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Structure]:
+    """Structures with one component more, or with several narrow resonances."""
+    structure, n = now.structure, spectrum.n
+    if structure.kind == NONE:
+        if _smoothed_scores(spectrum, now) > _CLEAR:
+            yield from responses(structure)
+    elif not structure.active[OUTSIDE]:
+        yield structure.using(OUTSIDE, float(np.min(now.mean[: len(spectrum.bins.size)])))
+    mean = at_all(spectrum, now)
+    together, narrow = structure, 0
+    for middle, width, gain in windows(record.squares / mean, _WINDOWS):
+        w = np.pi * middle / n
+        quality = float(np.clip(middle / width, 2.0, max(middle / LINE / 2.0, 2.0)))
+        level = float(np.interp(middle, _middles(spectrum), now.mean[: len(spectrum.bins.size)]))
+        # The excess is about as large as the level, over the window.
+        power = level * width / n
+        if width > 0.5 * middle and 1.0 / w > 20.0:
+            slow = structure.with_markov(1.0 / w, power)
+            if slow is not None:
+                yield slow
+        inside = structure.kind != NONE
+        found = structure.with_oscillator(w, quality, power, inside)
+        if found is not None:
+            yield found
+        if quality > _NARROW and gain > _SURE:
+            more = together.with_oscillator(w, quality, power, inside)
+            together, narrow = (together, narrow) if more is None else (more, narrow + 1)
+    if narrow > 1:
+        yield together
+
+
+def responses(structure: Structure) -> Iterator[Structure]:
+    """Structures with a response, all resonances inside it or after it."""
+    count = len(structure.oscillators)
+    for kind in (ONE_POLE, TWO_POLES):
+        for bandwidth in _BANDWIDTHS:
+            found = structure.with_response(kind, 2.0 * np.pi * bandwidth)
+            for inside in (False, True) if count else (False,):
+                for k in structure.oscillators:
+                    found = found.placed(FULL.first_oscillator + int(k), inside)
+                yield found
+
+
+def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
+    """Fit with the other kind of response, if that gains."""
+    if now.structure.kind == NONE:
+        return now
+    other = TWO_POLES if now.structure.kind == ONE_POLE else ONE_POLE
+    found = spectrum.fit(now.structure.with_response(other, now.structure.bandwidth[0]))
+    return _better(now, found)
+
+
+def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
+    """Fit after all swaps that gain: another kind of response, resonances moved into it or out of it."""
+    for _ in range(3):
+        before = now
+        now = _other_kind(spectrum, _placed(spectrum, now, [int(k) for k in now.structure.oscillators]))
+        if now is before:
+            break
+    return now
+
+
+def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
+    """Fit without what gains nothing; white noise stays."""
+    while True:
+        structure = now.structure
+        idle = [int(k) for k in np.flatnonzero(structure.active & (structure.power <= 0.0)) if k >= OUTSIDE]
+        if idle:
+            for k in idle:
+                structure = structure.without(k)
+            now = spectrum.fit(structure)
+            continue
+        # Of ln p; what is known better than that is there.
+        std = np.sqrt(np.diag(now.covariance)[: FULL.components]) * now.by_power
+        shaped = np.arange(FULL.components) >= FULL.first_markov
+        doubtful = np.flatnonzero(structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE)))
+        doubtful = [int(k) for k in doubtful if std[k] > _DOUBTFUL * structure.power[k]]
+        tried = [spectrum.fit(structure.without(k)) for k in doubtful]
+        better = [found for found in tried if found.evidence > now.evidence]
+        if not better:
+            return now
+        now = max(better, key=lambda found: found.evidence)
+
+
+def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
+    """Fit with further Markov processes if these predict better (Akaike 1973).
+
+    Slow terms are hardly told from each other by the evidence, but differ in the drift that they predict.
+    """
+    for _ in range(2):
+        starts = (now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in _TIMES)
+        tried = [spectrum.fit(start) for start in starts if start is not None]
+        best = min(tried, key=lambda found: found.loss, default=now)
+        if best.loss > now.loss - _PREDICTS:
+            break
+        now = best
+    return now
+
+
+def _middles(spectrum: Spectrum) -> np.ndarray:
+    edges = spectrum.bins.edges
+    return 0.5 * (edges[:-1] + edges[1:] - 1)
+
+
+def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
+    """Expected squares of all coefficients, interpolated between the bins."""
+    middle = np.log(_middles(spectrum))
+    mean = np.log(fitted.mean[: len(middle)])
+    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, mean))
+
+
+def _smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
+    """Largest deviation of levels, averaged over a fifth of an octave or more, in standard deviations."""
+    k = np.asarray(spectrum.levels.shape)
+    ratio = np.asarray(spectrum.levels.level) / fitted.mean - 1.0
+    best = 0.0
+    for width in (6, 12, 24, 48):
+        window = np.ones(width)
+        total, weight = np.convolve(k * ratio, window, "valid"), np.convolve(k, window, "valid")
+        best = max(best, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
+    return best
+
+
+def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
+    """Windows with most excess: middle and width [coefficients] and gain [nats], no two of which overlap."""
+    total = np.concatenate([[0.0], np.cumsum(ratio)])
+    found: list[tuple[float, float, float]] = []
+    width = _NARROWEST
+    while width <= (len(ratio) - LOWEST) // 4:
+        step = max(width // 4, 1)
+        excess = (total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]) / width
+        for k in np.argsort(-excess)[: 4 * most]:
+            level = float(excess[k])
+            if level <= 1.0:
+                break
+            gain = 0.5 * width * (level - 1.0 - np.log(level)) - np.log(len(ratio) / width)
+            found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
+        width *= 2
+    chosen: list[tuple[float, float, float]] = []
+    for gain, middle, wide in sorted(found, reverse=True):
+        if gain < _WORTH - 4.0 or len(chosen) == most:
+            break
+        if all(abs(middle - other) > 0.5 * (wide + w) for other, w, _ in chosen):
+            chosen.append((middle, wide, gain))
+    return chosen

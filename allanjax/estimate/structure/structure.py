@@ -1,0 +1,322 @@
+"""What a spectrum consists of, and its fit: every component in a slot of the joint spectral model."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from allanjax.estimate.spectral.columns import columns_of
+from allanjax.estimate.spectral.components import NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.levels import Levels, levels_of, padded
+from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales
+from allanjax.estimate.spectral.scoring import Maximum, maximize
+from allanjax.noise.terms import AngleRandomWalk, NoiseTerm, basic_terms
+from allanjax.spectrum.cosine import Bins
+
+#: Terms without a free shape, in the first columns; the white noise that is added after a response.
+FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
+WHITE, OUTSIDE = FIXED.index("angle_random_walk"), len(FIXED)
+#: Column of a further term, whose shape is given.
+FURTHER = OUTSIDE + 1
+#: Least quality factor of a resonance: a wider one is an edge, as of a filter.
+LEAST_QUALITY = 1.5
+#: Coefficients below this one have drift in them; a resonance narrower than this many is a line.
+LOWEST, LINE = 16, 4.0
+# Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
+_SHORTEST = 8.0
+# Relative error that a model of any sensor has in each bin: a judgement, of filters that no model has.
+_ERROR = 0.005
+# Relative error that the part of the resonances has, whose frequency and damping drift: a judgement.
+_UNSTEADY = 0.1
+# Tolerances of a fit within a search, and of one whose numbers are told.
+_ROUGH, _FINE = 1e-2, 1e-5
+# Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
+_QUALITY = (np.log(10.0), 1.5)
+# Farthest that a frequency moves from its start, in ln.
+_REACH = 0.7
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Structure:
+    """Components in slots, with the values that they have or start from.
+
+    Attributes:
+        power: power of each component [rate²], zero of those that are not in use.
+        shape: the parameters of the joint spectral model that follow the powers, in ln.
+        active: components in use.
+        inside: components that pass through the response.
+        kind: kind of the response, see `spectral.components`.
+    """
+
+    power: Float[np.ndarray, " components"]
+    shape: Float[np.ndarray, " shapes"]
+    active: Bool[np.ndarray, " components"]
+    inside: Bool[np.ndarray, " components"]
+    kind: int = NONE
+
+    @classmethod
+    def plain(cls, columns: np.ndarray | list[int]) -> Structure:
+        """Structure of some columns only; all that is not resonant passes a response, once there is one."""
+        count = FULL.components
+        active, inside = np.zeros(count, bool), np.zeros(count, bool)
+        active[np.asarray(columns, int)] = True
+        inside[: FULL.first_oscillator] = True
+        # Rounding follows the filter.
+        inside[[FIXED.index("quantization"), OUTSIDE]] = False
+        slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), inside)
+        return cls(np.zeros(count), slots.usual()[count:], active, inside)
+
+    @property
+    def oscillators(self) -> np.ndarray:
+        """Indices of the resonances in use, among all oscillators."""
+        return np.flatnonzero(self.active[FULL.first_oscillator : FULL.first_other])
+
+    @property
+    def markovs(self) -> np.ndarray:
+        """Indices of the Markov processes in use."""
+        return np.flatnonzero(self.active[FULL.first_markov : FULL.first_oscillator])
+
+    def frequency(self, k: int) -> float:
+        """Frequency of an oscillator [radians per sample]."""
+        return float(np.exp(self.shape[FULL.frequencies - FULL.components + k]))
+
+    def quality(self, k: int) -> float:
+        """Quality factor of an oscillator."""
+        return 0.5 + float(np.exp(self.shape[FULL.qualities - FULL.components + k]))
+
+    def time(self, k: int) -> float:
+        """Correlation time of a Markov process [samples]."""
+        return float(np.exp(self.shape[k]))
+
+    @property
+    def bandwidth(self) -> tuple[float, float]:
+        """Bandwidth of the response [radians per sample], and its quality factor."""
+        w, q = self.shape[FULL.response - FULL.components :][:2]
+        return float(np.exp(w)), 0.5 + float(np.exp(q))
+
+    def with_oscillator(self, frequency: float, quality: float, power: float, inside: bool) -> Structure | None:
+        """Structure with one more resonance; None if there is no room for it."""
+        used = self.oscillators
+        if len(used) == FULL.oscillators:
+            return None
+        k = next(k for k in range(FULL.oscillators) if k not in used)
+        shape = self.shape.copy()
+        shape[FULL.frequencies - FULL.components + k] = np.log(frequency)
+        shape[FULL.qualities - FULL.components + k] = np.log(quality - 0.5)
+        return self._with(FULL.first_oscillator + k, power, inside, shape)
+
+    def with_markov(self, time: float, power: float) -> Structure | None:
+        """Structure with one more Markov process; None if there is no room for it."""
+        used = self.markovs
+        if len(used) == FULL.markovs:
+            return None
+        k = next(k for k in range(FULL.markovs) if k not in used)
+        shape = self.shape.copy()
+        shape[k] = np.log(time)
+        return self._with(FULL.first_markov + k, power, True, shape)
+
+    def with_response(self, kind: int, bandwidth: float, quality: float = np.sqrt(0.5)) -> Structure:
+        """Structure with this response [radians per sample]."""
+        shape = self.shape.copy()
+        shape[FULL.response - FULL.components :][:2] = np.log(bandwidth), np.log(quality - 0.5)
+        return dataclasses.replace(self, shape=shape, kind=kind)
+
+    def placed(self, component: int, inside: bool) -> Structure:
+        """Structure in which a component is inside the response or after it."""
+        places = self.inside.copy()
+        places[component] = inside
+        return dataclasses.replace(self, inside=places)
+
+    def using(self, component: int, power: float) -> Structure:
+        """Structure in which a component is in use."""
+        return self._with(component, power, bool(self.inside[component]), self.shape)
+
+    def without(self, component: int) -> Structure:
+        """Structure without one component."""
+        active, power = self.active.copy(), self.power.copy()
+        active[component], power[component] = False, 0.0
+        return dataclasses.replace(self, active=active, power=power)
+
+    def _with(self, component: int, power: float, inside: bool, shape: np.ndarray) -> Structure:
+        active, powers, places = self.active.copy(), self.power.copy(), self.inside.copy()
+        active[component], powers[component], places[component] = True, power, inside
+        return Structure(powers, shape, active, places, self.kind)
+
+
+class Fitted(NamedTuple):
+    """A structure fitted to the levels of a spectrum.
+
+    Attributes:
+        structure: with its most likely values.
+        loss: minus the log-likelihood [nats], prior included.
+        evidence: log evidence [nats], by Laplace's approximation; each component costs as much as odds of
+            twenty to one.
+        covariance: of the joint spectral model's parameters.
+        mean: expected levels [rate²].
+        resonant: share of the resonances in them.
+        by_power: derivatives of the powers by their parameters.
+    """
+
+    structure: Structure
+    loss: float
+    evidence: float
+    covariance: np.ndarray
+    mean: np.ndarray
+    resonant: np.ndarray
+    by_power: np.ndarray
+
+
+#: Log prior odds against a component [nats]: a judgement, twenty to one.
+PRICE = 3.0
+# Widths of the priors of powers, correlation times, frequencies, Q, bandwidth and Q of the response, in ln.
+_DECADES = np.log(10.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Levels of the cosine spectrum of one record that structures are fitted to.
+
+    Attributes:
+        bins: the bins.
+        levels: the levels, and the expectations of the columns.
+        rough: smooth levels, a first guess.
+        size: number of coefficients in each level.
+    """
+
+    bins: Bins
+    levels: Levels
+    rough: Float[np.ndarray, " capacity"]
+    size: Float[np.ndarray, " capacity"]
+
+    @classmethod
+    def of(
+        cls,
+        squares: Float[np.ndarray, " n-1"],
+        bins: Bins,
+        further: NoiseTerm | None = None,
+        weight: Float[np.ndarray, " n-1"] | None = None,
+    ) -> Spectrum:
+        """Spectrum of squared coefficients, of which each counts with a weight.
+
+        Args:
+            squares: squared cosine coefficients [rate²].
+            bins: the bins.
+            further: a term whose column is used besides the basic ones.
+            weight: weight of each coefficient, 0 or 1; 1 by default.
+        """
+        terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
+        terms += [] if further is None else [further]
+        levels = levels_of(bins, columns_of(terms, bins), FULL.columns)
+        count = bins.size.astype(float) if weight is None else bins.sums(weight)
+        total = bins.sums(squares if weight is None else squares * weight)
+        level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
+        dof = count / (1.0 + 0.5 * count * _ERROR**2)
+        window = np.ones(7)
+        smooth = np.convolve(total, window, "same") / np.maximum(np.convolve(count, window, "same"), 1e-9)
+        rough = np.pad(np.maximum(smooth, 1e-300), (0, len(levels.shape) - len(count)), constant_values=1.0)
+        return cls(bins, levels.with_data(level, dof), rough, padded(count, len(levels.shape), 0.0))
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.bins.n
+
+    def weighing(self, fitted: Fitted) -> Spectrum:
+        """Spectrum whose levels count less where they are those of the resonances in a fit.
+
+        Models must be compared with the same weights.
+        """
+        dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + (_UNSTEADY * fitted.resonant) ** 2))
+        return dataclasses.replace(self, levels=self.levels._replace(shape=dof / 2.0))
+
+    def fit(self, structure: Structure, final: bool = False) -> Fitted:
+        """Fit all components jointly."""
+        lower, upper = self._bounds(structure)
+        at = FULL
+        precision, centre = np.zeros(at.parameters), np.zeros(at.parameters)
+        precision[at.qualities : at.response] = _QUALITY[1] ** -2
+        centre[at.qualities : at.response] = _QUALITY[0]
+        slots = Slots.of(at, _free(structure), structure.inside, structure.kind)
+        slots = dataclasses.replace(slots, lower=lower, upper=upper, precision=precision, centre=centre)
+        data = structure.power, structure.shape, structure.active
+        tolerance = _FINE if final else _ROUGH
+        found, power, mean, resonant, by_power, covariance = jax.device_get(
+            _fitted(*data, slots, self.levels, self.rough, np.asarray(tolerance))
+        )
+        better = dataclasses.replace(
+            structure, power=np.where(structure.active, power, 0.0), shape=found.theta[at.components :]
+        )
+        evidence = self._evidence(found, structure)
+        return Fitted(better, float(found.loss), evidence, covariance, mean, resonant, by_power)
+
+    def _bounds(self, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the parameters."""
+        at, n = FULL, self.n
+        slots = Slots.of(at, np.zeros(at.parameters, bool), structure.inside)
+        lower, upper = np.array(slots.lower), np.array(slots.upper)
+        spacing = np.pi / n
+        lower[at.times : at.frequencies], upper[at.times : at.frequencies] = np.log(_SHORTEST), np.log(n)
+        started = structure.shape[at.frequencies - at.components : at.qualities - at.components]
+        lower[at.frequencies : at.qualities] = np.maximum(started - _REACH, np.log(LOWEST * spacing))
+        upper[at.frequencies : at.qualities] = np.minimum(started + _REACH, np.log(np.pi))
+        lower[at.qualities : at.response] = np.log(LEAST_QUALITY - 0.5)
+        widest = np.exp(started) / (LINE * spacing)
+        upper[at.qualities : at.response] = np.log(np.maximum(widest, 2.0) - 0.5)
+        lower[at.response], upper[at.response] = np.log(LOWEST * spacing), np.log(4.0)
+        lower[at.response + 1], upper[at.response + 1] = np.log(0.02), np.log(20.0)
+        return lower, np.maximum(upper, lower)
+
+    def _evidence(self, found: Maximum, structure: Structure) -> float:
+        """Laplace's approximation, in which a parameter that the data do not show costs nothing."""
+        at, n = FULL, self.n
+        widths = np.full(at.parameters, 8.0 * _DECADES)
+        widths[at.times : at.frequencies] = np.log(n)
+        widths[at.frequencies : at.qualities] = np.log(n / 32.0)
+        widths[at.qualities : at.response] = 4.0 * _DECADES
+        widths[at.response : at.other_shapes] = 2.0 * _DECADES, np.log(20.0)
+        free = np.asarray(found.interior)
+        D = widths[free] / np.sqrt(2.0 * np.pi)
+        F = np.asarray(found.information)[np.ix_(free, free)]
+        _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
+        more = len(structure.oscillators) + (structure.kind != NONE) + bool(structure.active[OUTSIDE])
+        more += len(structure.markovs)
+        return -float(found.loss) - 0.5 * float(logdet) - PRICE * more
+
+
+def _free(structure: Structure) -> Bool[np.ndarray, " parameters"]:
+    """Parameters that are estimated."""
+    at = FULL
+    free = np.zeros(at.parameters, bool)
+    free[: at.components] = structure.active
+    free[at.times : at.frequencies] = structure.active[at.first_markov : at.first_oscillator]
+    of_oscillators = structure.active[at.first_oscillator : at.first_other]
+    free[at.frequencies : at.qualities] = free[at.qualities : at.response] = of_oscillators
+    free[at.response] = structure.kind != NONE
+    free[at.response + 1] = structure.kind not in (NONE, ONE_POLE)
+    return free
+
+
+@eqx.filter_jit
+def _fitted(
+    power: Any, shape: Any, active: Any, slots: Slots, levels: Levels, rough: Any, tolerance: Any
+) -> tuple[Maximum, Array, Array, Array, Array, Array]:
+    """Maximum of the likelihood from a start, the powers, the levels, and derivatives of ln p."""
+    from allanjax.estimate.spectral.scoring import covariance
+
+    at = slots.layout
+    start = jnp.concatenate([jnp.zeros(at.components), shape])
+    scale = power_scales(start, slots, levels, rough)
+    start = start.at[: at.components].set(jnp.log1p(jnp.where(active, power, 0.0) / scale))
+    slots = dataclasses.replace(slots, scale=scale)
+    found = maximize(start, slots, levels, tolerance)
+    u = found.theta[: at.components]
+    model = expected(found.theta, slots, levels)
+    resonant = jnp.sum(model.components[at.first_oscillator : at.first_other], axis=0) / model.mean
+    powers = scale * jnp.expm1(u), jnp.exp(u) * scale
+    return found, powers[0], model.mean, resonant, powers[1], covariance(found)
