@@ -48,7 +48,7 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
 
     def predicted(view: View) -> Float[np.ndarray, "halves m"]:
         # The view after one finding is that before the next, at least in its samples and its factor.
-        key = id(view.samples), id(view.factor), tuple(view.allowed)
+        key = id(view.samples), id(view.structure), tuple(view.allowed)
         if key not in known:
             known[key] = _predicted(view)
         return known[key]

@@ -11,9 +11,11 @@ from jaxtyping import Float
 
 from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.parameters import Detail
+from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.refit import refitted
+from allanjax.critic.shape import Shape, finished
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, in_time
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, coefficient_folds, in_time
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -42,6 +44,7 @@ class Search:
         tests: `Cause.p_value` at the start, of those causes that have one.
         notes: notes for the user: causes as probable as noise, or that the search ended early.
         preprocessed: whether a finding says that the samples are not what the sensor gave.
+        noise_model: random terms of the extended model, if there is a filter or a resonance among them.
     """
 
     start: View
@@ -50,6 +53,7 @@ class Search:
     tests: Mapping[str, float]
     notes: tuple[str, ...] = ()
     preprocessed: bool = False
+    noise_model: Model | None = None
 
 
 class AcceptanceRule(NamedTuple):
@@ -130,11 +134,46 @@ def search(
         notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
     known = steps
     steps, view = refitted(known, view, others, last=True)
+    shape = finished(view, coefficient_folds(view.n))
+    if shape is not None:
+        steps = _told(steps, shape)
+        anew = True
+    elif any(s.candidate.cause == SpectralShape.name for s in steps):
+        steps = [s for s in steps if s.candidate.cause != SpectralShape.name]
+        view, anew = view.with_structure(None), True
     if anew or [s.candidate for s in steps] != [s.candidate for s in known]:
         steps = replay(start, steps)
+        view = steps[-1].candidate.after if steps else start
     return Search(
-        start.without_caches(), tuple(_grouped(steps)), view.without_caches(), tests, notes, preprocessed
+        start.without_caches(),
+        tuple(_grouped(steps)),
+        view.without_caches(),
+        tests,
+        notes,
+        preprocessed,
+        shape and shape.model,
     )
+
+
+def _told(steps: Sequence[Step], shape: Shape) -> list[Step]:
+    """Steps in which the filter and the resonances stand for the structure of the spectrum."""
+    (first,) = [s for s in steps if s.candidate.cause == SpectralShape.name][:1]
+    parts = []
+    for part in shape.parts:
+        candidate = Candidate(
+            part.cause,
+            part.estimates,
+            part.gain,
+            part.p_value,
+            first.before.with_structure(part.structure),
+            lambda: 0.0,
+            part.support,
+            "frequency",
+        )
+        parts.append(Step(candidate, part.held_out, (), first.before))
+    place = steps.index(first)
+    others = [s for s in steps if s.candidate.cause != SpectralShape.name]
+    return [*others[:place], *parts, *others[place:]]
 
 
 def _candidates(
@@ -326,7 +365,9 @@ def basic_model(view: View) -> Model:
 
 def extended(search: Search) -> Model:
     """Model of an axis with all findings in it."""
-    model = basic_model(search.end)
+    model = basic_model(search.end) if search.noise_model is None else search.noise_model
+    if search.noise_model is not None and search.end.noise.ramp:
+        model = model + DriftRamp(abs(search.end.slope))
     for step in search.steps:
         model = step.candidate.add_to_model(model)
     return model

@@ -43,17 +43,15 @@ class Step:
 class Change:
     """Change that a finding makes in a view.
 
+    What is in the structure of the spectrum is no part of it.
+
     Attributes:
         path: samples that are subtracted.
-        factor: factor of the spectrum.
-        filter_response: power response, if the factor is a filter's.
         added, removed: basic terms of the noise.
         imputed: samples that are imputed since.
     """
 
     path: Float[np.ndarray, " n"] | None
-    factor: Float[np.ndarray, " n-1"] | None
-    filter_response: Float[np.ndarray, " n-1"] | None
     added: Collection[str]
     removed: Collection[str]
     imputed: Bool[np.ndarray, " n"] | None
@@ -61,13 +59,8 @@ class Change:
     @classmethod
     def of(cls, before: View, after: View) -> Change:
         """Change from one view to another."""
-        factor = None
-        if after.factor is not None and after.factor is not before.factor:
-            factor = after.factor if before.factor is None else after.factor / before.factor
         return cls(
             None if after.samples is before.samples else before.samples - after.samples,
-            factor,
-            None if after.filter_response is before.filter_response else after.filter_response,
             [t for t in after.allowed if t not in before.allowed],
             [t for t in before.allowed if t not in after.allowed],
             None if after.imputed is before.imputed else after.imputed & ~before.imputed,
@@ -84,10 +77,6 @@ class Change:
     def _made(self, view: View, undone: bool = False) -> View:
         if self.path is not None:
             view = view.with_samples(view.samples + self.path if undone else view.samples - self.path)
-        if self.factor is not None:
-            view = view.with_factor(1.0 / self.factor if undone else self.factor)
-        if self.filter_response is not None:
-            view = dataclasses.replace(view, filter_response=None if undone else self.filter_response)
         more, less = (self.removed, self.added) if undone else (self.added, self.removed)
         if more or less:
             view = view.allowing([*(t for t in view.allowed if t not in less), *more])
@@ -98,10 +87,15 @@ class Change:
 
 
 def replay(start: View, steps: Iterable[Step]) -> list[Step]:
-    """Steps made again one after the other, each in the view that the one before has left."""
+    """Steps made again one after the other, each in the view that the one before has left.
+
+    The structure of the spectrum is that of the last step that has changed it.
+    """
     view, found = start, []
     for step in steps:
         after = step.change.apply(view).with_findings(*view.found, step.candidate.cause)
+        if step.candidate.domain == "frequency" and step.candidate.after.structure is not step.before.structure:
+            after = after.with_structure(step.candidate.after.structure).with_findings(*after.found)
         candidate = dataclasses.replace(step.candidate, after=after)
         found.append(Step.of(candidate, step.gain, step.rivals, view))
         view = after

@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
+from allanjax.critic.factor import spectrum_factor
 from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
 from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estimate
+from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -44,13 +46,13 @@ class View:
         rate: sample rate [Hz].
         raw: samples as recorded [SI].
         samples: samples from which earlier findings are subtracted [SI].
-        factor: ratio of the spectrum to that of the basic terms; None for 1.
+        base: ratio of the spectrum to that of the basic terms in the baseline; None for 1.
         auxiliary: other channels.
         allowed: basic terms that the noise may have.
         family: noise family for records of this length and rate.
         imputed: samples that were imputed, which carry no information.
         found: causes found so far.
-        filter_response: power response of a filter that was found before, which the factor includes.
+        structure: filter and resonances that were found, with the noise that they were fitted with.
         nuisances: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
     """
 
@@ -59,13 +61,13 @@ class View:
     rate: float
     raw: Float[np.ndarray, " n"]
     samples: Float[np.ndarray, " n"]
-    factor: Float[np.ndarray, " n-1"] | None
+    base: Float[np.ndarray, " n-1"] | None
     auxiliary: Mapping[str, Float[np.ndarray, " n"]]
     allowed: Collection[str]
     family: NoiseFamily
     imputed: Bool[np.ndarray, " n"]
     found: tuple[str, ...] = ()
-    filter_response: Float[np.ndarray, " n-1"] | None = None
+    structure: Structure | None = None
     nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()
 
     @property
@@ -77,6 +79,14 @@ class View:
     def duration(self) -> float:
         """Length of the record [s]."""
         return self.n / self.rate
+
+    @functools.cached_property
+    def factor(self) -> Float[np.ndarray, " n-1"] | None:
+        """Ratio of the spectrum to that of the basic terms; None for 1."""
+        if self.structure is None:
+            return self.base
+        found = spectrum_factor(self.structure, self.family)
+        return found if self.base is None else self.base * found
 
     @functools.cached_property
     def coefficients(self) -> Float[np.ndarray, " n-1"]:
@@ -238,7 +248,7 @@ class View:
         """View of other samples, of which these are `imputed` besides those that were."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
         view = dataclasses.replace(self, samples=samples, imputed=imputed)
-        vars(view)["_mask"] = self._mask
+        vars(view)["factor"], vars(view)["_mask"] = self.factor, self._mask
         return view
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
@@ -247,9 +257,9 @@ class View:
         c[: len(lowest)] -= lowest
         return self._mask.evidence(c).approximate_map(self.allowed, self.model_evidence)
 
-    def with_factor(self, factor: Float[np.ndarray, " n-1"]) -> View:
-        """View with a further factor of the spectrum."""
-        view = dataclasses.replace(self, factor=self.combined(factor))
+    def with_structure(self, structure: Structure | None) -> View:
+        """View whose spectrum has this structure."""
+        view = dataclasses.replace(self, structure=structure)
         # The coefficients are what they were: a transform saved.
         vars(view)["coefficients"] = self.coefficients
         return view
@@ -267,6 +277,8 @@ class View:
         """View without what can be computed anew, but for its noise."""
         view = dataclasses.replace(self)
         vars(view)["noise"] = dataclasses.replace(self.noise)
+        if "factor" in vars(self):
+            vars(view)["factor"] = self.factor
         return view
 
     def allowing(self, terms: Collection[str]) -> View:

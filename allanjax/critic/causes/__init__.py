@@ -3,14 +3,13 @@
 from allanjax.critic.causes.basic_term import BasicTerm
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.disturbance import Disturbance
-from allanjax.critic.causes.low_pass import LowPass
 from allanjax.critic.causes.outliers import Outliers
 from allanjax.critic.causes.power_law import PowerLaw
 from allanjax.critic.causes.repeated_samples import RepeatedSamples
-from allanjax.critic.causes.resonance import Resonance
 from allanjax.critic.causes.rounding import Rounding
 from allanjax.critic.causes.saturation import Saturation
 from allanjax.critic.causes.sinusoid import Sinusoid
+from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.causes.telegraph import Telegraph
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange
@@ -22,14 +21,13 @@ CAUSES: tuple[Cause, ...] = (
     *(BasicTerm(term) for term in EVERYTHING),
     BiasStep(),
     Disturbance(),
-    LowPass(),
     Outliers(),
     PowerLaw(),
     RepeatedSamples(),
-    Resonance(),
     Rounding(),
     Saturation(),
     Sinusoid(),
+    SpectralShape(),
     Telegraph(),
     Temperature(),
     VarianceChange(),

@@ -84,12 +84,13 @@ class Record(NamedTuple):
         return Spectrum.of(self.squares, Bins.of(self.n, self.rate, around, _PER_OCTAVE), self.further)
 
 
-def searched(record: Record, start: Structure, tell: Callable[[str], None] = lambda text: None) -> Fitted:
-    """Structure of a spectrum, from a start that has the terms without a free shape."""
+def searched(
+    record: Record, start: Structure, tell: Callable[[str], None] = lambda text: None
+) -> tuple[Spectrum, Fitted]:
+    """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
     spectrum = record.binned(start)
-    now = spectrum.fit(start)
-    spectrum = spectrum.weighing(now)
-    now = pruned(spectrum, spectrum.fit(now.structure))
+    spectrum = spectrum.weighing(spectrum.fit(start))
+    now = pruned(spectrum, spectrum.fit(start))
     for _ in range(_ROUNDS):
         found = _grown(record, spectrum, now)
         if found is None:
@@ -97,7 +98,12 @@ def searched(record: Record, start: Structure, tell: Callable[[str], None] = lam
         spectrum, now = found
         now = _other_kind(spectrum, now)
         tell(described(now.structure, record.rate))
-    now = pruned(spectrum, _slow(spectrum, _replaced(spectrum, now)))
+    return spectrum, pruned(spectrum, _replaced(spectrum, now))
+
+
+def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
+    """Final fit, with the slow processes that predict best and without what is idle."""
+    now = pruned(spectrum, _slow(spectrum, now)) if slow else now
     structure = now.structure
     for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
         if k != WHITE:
@@ -129,7 +135,7 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         again = finer.fit(best.structure)
         finer = finer.weighing(again)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
-        if again.evidence - before.evidence > _GAIN:
+        if again.evidence - before.evidence > _GAIN and again.structure.power[WHITE] > 0.0:
             new = set(again.structure.oscillators) - set(now.structure.oscillators)
             return finer, _placed(finer, again, sorted(new))
     return None

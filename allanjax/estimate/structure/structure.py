@@ -127,6 +127,24 @@ class Structure:
         shape[FULL.response - FULL.components :][:2] = np.log(bandwidth), np.log(quality - 0.5)
         return dataclasses.replace(self, shape=shape, kind=kind)
 
+    def with_shape_of(self, other: Structure) -> Structure:
+        """Structure with another one's response, resonances and white noise after the response."""
+        mine = np.arange(len(self.active)) >= FULL.first_oscillator
+        mine[OUTSIDE] = True
+        shape = np.append(self.shape[: FULL.markovs], other.shape[FULL.markovs :])
+        return Structure(
+            np.where(mine, other.power, self.power),
+            shape,
+            np.where(mine, other.active, self.active),
+            np.where(mine, other.inside, self.inside),
+            other.kind,
+        )
+
+    def has_shape_of(self, other: Structure) -> bool:
+        """Whether it has the same kind of response and the same resonances in use."""
+        mine, its = self.active[FULL.first_oscillator :], other.active[FULL.first_oscillator :]
+        return self.kind == other.kind and bool(np.all(mine == its))
+
     def placed(self, component: int, inside: bool) -> Structure:
         """Structure in which a component is inside the response or after it."""
         places = self.inside.copy()
@@ -234,6 +252,20 @@ class Spectrum:
         """
         dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + (_UNSTEADY * fitted.resonant) ** 2))
         return dataclasses.replace(self, levels=self.levels._replace(shape=dof / 2.0))
+
+    def weighed_like(self, other: Spectrum) -> Spectrum:
+        """Spectrum whose levels have the relative errors that another one's have, of the same bins."""
+        full = 0.5 * other.size
+        share = np.where(full > 0.0, other.levels.shape / np.maximum(full, 1e-300), 1.0)
+        # share = 1/(1 + full·error²), for fewer coefficients nearer to 1.
+        square = (1.0 / np.maximum(share, 1e-300) - 1.0) / np.maximum(full, 1e-300)
+        half = 0.5 * self.size
+        return dataclasses.replace(self, levels=self.levels._replace(shape=half / (1.0 + half * square)))
+
+    def loss_of(self, fitted: Fitted) -> float:
+        """Minus the log-likelihood of these levels under a fit to others [nats]."""
+        k = np.asarray(self.levels.shape)
+        return float(np.sum(k * (np.log(fitted.mean) + self.levels.level / fitted.mean)))
 
     def fit(self, structure: Structure, final: bool = False) -> Fitted:
         """Fit all components jointly."""
