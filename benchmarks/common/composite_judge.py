@@ -1,0 +1,245 @@
+"""How a critique of a composite sensor is judged: by the API's public part alone."""
+
+from __future__ import annotations
+
+import resource
+import time
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common.composite_scene import AxisTruth, Effect
+from common.composite_sensors import Composite, composite
+
+import allanjax as aj
+
+#: Clusters from which on an Allan deviation is compared.
+CLUSTERS = 1000
+#: Names of causes that are right for each kind of effect.
+NAMED: dict[str, set[str]] = {
+    "filter": {"low_pass"},
+    "resonance": {"resonance"},
+    "line": {"sinusoid"},
+    "wandering line": {"sinusoid", "resonance"},
+    "knock": {"disturbance"},
+    "event": {"disturbance", "variance_change"},
+    "rounding": {"rounding"},
+    "rounding behind a matrix": {"rounding", "quantization"},
+    "variance": {"variance_change"},
+    "periodic outliers": {"outliers"},
+    "random outliers": {"outliers"},
+    "repeats": {"repeated_samples"},
+    "temperature": {"temperature"},
+    "step": {"bias_step"},
+}
+#: Of those that several axes have in common, a finding of a waveform that they share is right, too.
+SHARED, SHARING = {"knock", "event", "resonance"}, "common_mode"
+#: Labels of the coefficients that the truth has.
+LABELS = {"N": "angle_random_walk", "K": "rate_random_walk", "T_c": "markov_correlation_time"}
+
+
+@dataclass
+class Outcome:
+    """What a recording brought; one that failed has an `error` and nothing else.
+
+    Attributes:
+        off: largest relative error of the Allan deviation, by axis.
+        covered: symbol and whether its interval holds the truth.
+        named: kind, axes asked for, those of them on which it was named.
+        cut: effects in parts of the record that the fit left out.
+    """
+
+    seed: int
+    samples: int
+    axes: int
+    effects: int
+    told: int = 0
+    seconds: float = 0.0
+    megabytes: float = 0.0
+    error: str = ""
+    off: dict[str, float] = field(default_factory=dict)
+    covered: list[tuple[str, bool]] = field(default_factory=list)
+    named: list[tuple[str, int, int]] = field(default_factory=list)
+    asked: int = 0
+    cut: int = 0
+    causes: list[str] = field(default_factory=list)
+
+
+# --- What the critic's API gives ---------------------------------------------------------------------------
+
+
+def told(critique: Any) -> list[Any]:
+    """The findings of the recording as a whole: one that several axes share is one."""
+    if hasattr(critique, "findings"):
+        return list(critique.findings)
+    own = [finding for axis in critique.values() for finding in axis.findings]
+    return [*own, *critique.shared_findings]
+
+
+def explained(critique: Any, axis: str, record: np.ndarray) -> tuple[np.ndarray, Any]:
+    """Samples [SI] without what was found in them, and the model of the noise that is left.
+
+    The record as it came and the whole model, lines and steps included, where the critique has no such
+    samples.
+    """
+    model = critique.models[axis].sampled(critique.rate)
+    stages = getattr(critique[axis], "stages", ())
+    if not stages:
+        return record, model
+    labels = [name for name, term in zip(model.term_labels, model, strict=True) if term.deterministic]
+    return np.asarray(stages[-1].x), model.without(labels)
+
+
+def stated(critique: Any, axis: str) -> dict[str, Any]:
+    """The coefficients with intervals: those of the critique if it has any, else of the fit it began with."""
+    own = getattr(critique[axis], "coefficients", None)
+    if own is not None:
+        return dict(own)
+    try:
+        return dict(critique.fit[axis].coefficients)
+    except aj.AllanjaxError:
+        return {}
+
+
+# --- Judgement ---------------------------------------------------------------------------------------------
+
+
+def overlapping(x: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Overlapping Allan deviations of samples."""
+    phase = np.concatenate([[0.0], np.cumsum(x - x.mean())])
+    second = (phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m] for m in sizes)
+    return np.array([np.sqrt(0.5 * np.mean(d**2)) / m for d, m in zip(second, sizes, strict=True)])
+
+
+def cluster_sizes(most: int) -> np.ndarray:
+    """Each up to 8 samples, then steps of a sixth."""
+    grown = np.round(8.0 * 1.17 ** np.arange(1, 100)).astype(int)
+    sizes = np.concatenate([np.arange(1, 9), grown])
+    return np.unique(sizes[sizes <= max(most, 1)])
+
+
+def deviation(model: Any, times: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.asarray(model.allan_variance(times)))
+
+
+def off_by(critique: Any, axis: str, record: np.ndarray) -> float:
+    """Largest relative error of the model's Allan deviation where 1,000 clusters or more were averaged."""
+    x, model = explained(critique, axis, record)
+    sizes = cluster_sizes(len(x) // CLUSTERS)
+    return float(np.max(np.abs(deviation(model, sizes / critique.rate) / overlapping(x, sizes) - 1.0)))
+
+
+def coverage(coefficients: dict[str, Any], truth: AxisTruth) -> list[tuple[str, bool]]:
+    """Whether the 95 % intervals that are stated hold N, K and T_c.
+
+    N where the axis has one level, K wherever it is detected or there, T_c where the sensor has one.
+    """
+    found = []
+    for symbol, label in LABELS.items():
+        true = getattr(truth, symbol)
+        if (estimate := coefficients.get(label)) is None or (symbol == "N" and not truth.one_level):
+            continue
+        if not (true or (symbol == "K" and estimate.detected)):
+            continue
+        estimate = estimate.in_unit(estimate.si_unit)
+        low, high = estimate.interval
+        if estimate.measured and not estimate.held and np.isfinite([low, high]).all():
+            found.append((symbol, bool(low <= true <= high)))
+    return found
+
+
+def there(finding: Any, effect: Effect) -> bool:
+    """Whether a finding lies where the effect does."""
+    if "frequency" in effect.parameters and effect.kind != "knock":
+        if "frequency" not in finding.parameters:
+            return finding.cause == SHARING
+        f, f0 = finding.parameters["frequency"].value, float(effect.parameters["frequency"])
+        if effect.kind == "resonance":
+            return abs(f / f0 - 1.0) < 0.1 + 0.5 / float(effect.parameters["quality"])
+        orders = np.arange(1, 2 + int(effect.parameters["harmonics"]))
+        width = 0.002 * f0 + 5.0 * float(effect.parameters.get("spread", 0.0))
+        return bool(np.any(np.abs(f - orders * f0) < orders * width))
+    if effect.span is None or finding.domain != "time":
+        return True
+    slack = max(1.0, 0.25 * (effect.span[1] - effect.span[0]))
+    if effect.kind == "step":
+        slack = 60.0
+    return finding.span[0] < effect.span[1] + slack and finding.span[1] > effect.span[0] - slack
+
+
+def named_axes(findings: list[Any], effect: Effect) -> set[str]:
+    names = NAMED[effect.kind] | ({SHARING} if effect.kind in SHARED else set())
+    right = [f for f in findings if f.cause in names and there(f, effect)]
+    return {axis for f in right for axis in f.axes}
+
+
+def left_out(critique: Any, effect: Effect) -> bool:
+    """Whether it lies in a part of the record that the first look did not give to the fit."""
+    stretch = getattr(critique.fit, "stretch", None)
+    if stretch is None or effect.span is None:
+        return False
+    return effect.span[1] <= stretch[0] or effect.span[0] >= stretch[1]
+
+
+def judged(seed: int, clean: bool, samples: int | None) -> Outcome:
+    """One recording, made, criticized and judged."""
+    aj.enable_compilation_cache()
+    made = composite(seed, clean, samples)
+    outcome = Outcome(seed, len(made.values), len(made.names), len(made.effects))
+    outcome.asked = sum(1 for effect in made.effects if effect.asked)
+    recording = aj.Recording.from_array(
+        made.values,
+        made.rate,
+        names=list(made.names),
+        gyro_unit=made.gyro_unit,
+        accel_unit=made.accel_unit,
+        auxiliary=made.auxiliary,
+        name=f"composite {seed}",
+    )
+    forget_peak()
+    begun = time.perf_counter()
+    try:
+        critique = aj.critique(recording)
+        outcome.seconds, outcome.megabytes = time.perf_counter() - begun, peak()
+        judge(outcome, critique, recording, made)
+    except Exception as error:
+        outcome.seconds = outcome.seconds or time.perf_counter() - begun
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        outcome.error = f"{type(error).__name__} in {Path(where.filename).name}:{where.lineno}: {error}"
+        outcome.off = dict.fromkeys(made.names, np.inf)
+        outcome.named = [(e.kind, len(e.asked), 0) for e in made.effects if e.asked]
+        return outcome
+    outcome.told, outcome.causes = len(told(critique)), [f.cause for f in told(critique)]
+    return outcome
+
+
+def judge(outcome: Outcome, critique: Any, recording: aj.Recording, made: Composite) -> None:
+    findings = told(critique)
+    for k, axis in enumerate(recording.names):
+        outcome.off[axis] = off_by(critique, axis, recording.values[:, k])
+        outcome.covered += coverage(stated(critique, axis), made.axes[axis])
+    for effect in made.effects:
+        if left_out(critique, effect):
+            outcome.cut += 1
+        elif effect.asked:
+            hits = named_axes(findings, effect) & set(effect.asked)
+            outcome.named.append((effect.kind, len(effect.asked), len(hits)))
+
+
+def forget_peak() -> None:
+    """Have the system count this process's peak memory anew, where it can."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return
+
+
+def peak() -> float:
+    """Peak memory of this process [MB], the interpreter and the recording included."""
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(float(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
