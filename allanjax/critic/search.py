@@ -169,6 +169,7 @@ def _told(steps: Sequence[Step], shape: Shape) -> list[Step]:
             lambda: 0.0,
             part.support,
             "frequency",
+            details=part.details,
         )
         parts.append(Step(candidate, part.held_out, (), first.before))
     place = steps.index(first)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.critic.noise import MARKOV, POWER_LAW
+from allanjax.critic.parameters import Detail
 from allanjax.critic.view import View
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import NONE, ONE_POLE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, response_of
-from allanjax.estimate.structure.search import Record, completed, searched
+from allanjax.estimate.structure.search import Record, completed, refitted, searched
 from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Fitted, Spectrum, Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -24,10 +25,14 @@ from allanjax.noise.terms import PowerLaw
 
 #: Names of the findings.
 LOW_PASS, RESONANCE = "low_pass", "resonance"
-# Resonances closer than the mean of their widths times this are one that moves: a judgement.
-_CLOSE = 1.5
-# Points at which the response is looked at for its half-power frequency, and the step of derivatives.
-_POINTS, _STEP = 4096, 1e-3
+# Quality factor from which on resonances may be lines of one source, and how far from multiples of its
+# frequency, as a share of that, its lines may be: judgements.
+_LINES, _BESIDE = 50.0, 0.25
+# p-value of what is left of the spectrum from which on it is searched again: a judgement.
+_LEFT = 1e-4
+# Points at which the response is looked at for its half-power frequency, the share of half the sample rate
+# up to which this is looked for, and the step of derivatives.
+_POINTS, _REACHED, _STEP = 4096, 0.8, 1e-3
 
 
 def _record(view: View, further: PowerLaw | None) -> Record:
@@ -60,15 +65,29 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
     return start
 
 
-def candidate_structure(view: View) -> tuple[Structure, float] | None:
-    """Structure of a view's spectrum if it has more than was found, and the log odds that it gains [nats]."""
+def candidate_structure(view: View) -> tuple[View, float] | None:
+    """View with the structure that its spectrum has beyond what was found, and its log odds [nats].
+
+    They are odds against the basic terms, also those that the model lacks: a Markov process may explain much
+    of what a filter does.
+    """
+    if view.structure is not None and not _left(view):
+        return None
     further = _further(view)
     start = _start(view, further)
     spectrum, found = searched(_record(view, further), start)
     if found.structure.has_shape_of(start):
         return None
-    gain = found.evidence - spectrum.fit(start).evidence
-    return (found.structure, gain) if gain > 0.0 else None
+    before, after = spectrum.fit(start), view.with_structure(found.structure)
+    gain = found.evidence - before.evidence
+    occam = before.loss - found.loss - gain
+    gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
+    return (after, gain) if gain > 0.0 else None
+
+
+def _left(view: View) -> bool:
+    """Whether the spectrum has something left that its structure does not explain."""
+    return conspicuous(view.squared_whitened).p_value < _LEFT
 
 
 class Part(NamedTuple):
@@ -82,6 +101,7 @@ class Part(NamedTuple):
         p_value: p-value of its statistic.
         support: lowest and highest frequency [Hz].
         structure: structure with this part and all that gain more.
+        details: further frequencies, if there are some.
     """
 
     cause: str
@@ -91,6 +111,7 @@ class Part(NamedTuple):
     p_value: float
     support: tuple[float, float]
     structure: Structure
+    details: Mapping[str, Detail]
 
 
 class Shape(NamedTuple):
@@ -106,8 +127,11 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
     if view.structure is None:
         return None
     further = _further(view)
-    record = _record(view, further)
-    spectrum, found = searched(record, _start(view, further))
+    record, start = _record(view, further), _start(view, further)
+    if _left(view):
+        spectrum, found = searched(record, start)
+    else:
+        spectrum, found = refitted(record, start)
     found = completed(spectrum, found, MARKOV in view.allowed and further is None)
     structure = found.structure
     groups = _groups(structure)
@@ -130,28 +154,32 @@ _RESPONSE = -1
 
 
 def _groups(structure: Structure) -> list[list[int]]:
-    """The response, and resonances that are near each other, as lists of components."""
-    groups = [[_RESPONSE]] if structure.kind != NONE else []
-    members: list[int] = []
+    """The response, and resonances that belong together, as lists of components, the strongest first."""
+    groups: list[list[int]] = []
     for k in sorted(structure.oscillators, key=structure.frequency):
-        if members and _near(structure, members, int(k)):
-            groups[-1].append(FULL.first_oscillator + int(k))
+        if groups and any(structure.are_close(i, int(k)) for i in groups[-1]):
+            groups[-1].append(int(k))
         else:
-            groups.append([FULL.first_oscillator + int(k)])
-            members = []
-        members.append(int(k))
-    return groups
+            groups.append([int(k)])
+    narrow = [g for g in groups if all(structure.quality(k) > _LINES for k in g)]
+    if narrow:
+        first = max(narrow, key=lambda g: max(_power(structure, k) for k in g))
+        family = [g for g in narrow if g is first or _related(structure, first[0], g[0])]
+        groups = [g for g in groups if g not in family] + [[k for g in family for k in g]]
+    places = [
+        sorted((FULL.first_oscillator + k for k in g), key=lambda c: -structure.power[c]) for g in groups
+    ]
+    return ([[_RESPONSE]] if structure.kind != NONE else []) + places
 
 
-def _near(structure: Structure, members: Sequence[int], k: int) -> bool:
-    """Whether a resonance is about as near to one of others as they are wide."""
+def _power(structure: Structure, k: int) -> float:
+    return float(structure.power[FULL.first_oscillator + k])
 
-    def width(i: int) -> float:
-        return structure.frequency(i) / structure.quality(i)
 
-    return any(
-        structure.frequency(k) - structure.frequency(i) < _CLOSE * 0.5 * (width(i) + width(k)) for i in members
-    )
+def _related(structure: Structure, first: int, k: int) -> bool:
+    """Whether a narrow resonance is at a multiple of another one's frequency, or beside such a multiple."""
+    ratio = structure.frequency(k) / structure.frequency(first)
+    return ratio > 0.5 and abs(ratio - np.rint(ratio)) < _BESIDE
 
 
 def _without(structure: Structure, group: Sequence[int]) -> Structure:
@@ -187,13 +215,21 @@ def _part(
     structure = found.structure
     if group == [_RESPONSE]:
         estimates, low = _of_response(view, found)
-        return Part(
-            LOW_PASS, estimates, gain, held_out, float(np.exp(-max(gain, 0.0))), (low, view.rate / 2.0), partial
-        )
-    estimates, support = _of_resonances(view, found, [k - FULL.first_oscillator for k in group])
+        p_value, support = float(np.exp(-max(gain, 0.0))), (low, view.rate / 2.0)
+        return Part(LOW_PASS, estimates, gain, held_out, p_value, support, partial, {})
+    oscillators = [k - FULL.first_oscillator for k in group]
+    # The strongest one and those close to it; the others are further lines of the same source.
+    near = [k for k in oscillators if structure.are_close(k, oscillators[0])]
+    others = sorted((k for k in oscillators if k not in near), key=structure.frequency)
+    estimates, support = _of_resonances(view, found, near)
+    details: dict[str, Detail] = {}
+    if others:
+        each = [_of_resonances(view, found, [k])[0] for k in others]
+        details["further_frequencies"] = tuple(e[0] for e in each)
+        details["further_amplitudes"] = tuple(e[2] for e in each)
     hidden = view.with_structure(_without(structure, group))
     p_value = conspicuous(hidden.squared_whitened).p_value
-    return Part(RESONANCE, estimates, gain, held_out, p_value, support, partial)
+    return Part(RESONANCE, estimates, gain, held_out, p_value, support, partial, details)
 
 
 def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
@@ -217,17 +253,24 @@ def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
 
 
 def _half_power(structure: Structure, rate: float) -> float:
-    """Frequency at which the response has fallen by half [Hz]; the poles' own where it does not fall so far."""
+    """Frequency at which the response has fallen by half [Hz].
+
+    Where aliases keep it from falling so far it is that of the poles as an analog filter.
+    """
     response = response_of(structure, rate)
     assert response is not None
-    f = np.linspace(0.0, rate / 2.0, _POINTS)[1:]
+    f = np.linspace(0.0, _REACHED * rate / 2.0, _POINTS)[1:]
     log = np.log(np.asarray(response.power(f, rate)))
     below = np.flatnonzero(log < np.log(0.5))
-    if len(below) == 0 or below[0] == 0:
-        return structure.bandwidth[0] * rate / (2.0 * np.pi)
-    k = int(below[0])
-    share = (log[k - 1] - np.log(0.5)) / (log[k - 1] - log[k])
-    return float(f[k - 1] + share * (f[k] - f[k - 1]))
+    if len(below) and below[0] > 0:
+        k = int(below[0])
+        share = (log[k - 1] - np.log(0.5)) / (log[k - 1] - log[k])
+        return float(f[k - 1] + share * (f[k] - f[k - 1]))
+    w, Q = structure.bandwidth
+    # Of two poles 1/|1 − x² + ix/Q|² = ½.
+    lower = 1.0 - 0.5 / Q**2
+    x = 1.0 if structure.kind == ONE_POLE else np.sqrt(lower + np.hypot(lower, 1.0))
+    return float(x * w * rate / (2.0 * np.pi))
 
 
 def _of_resonances(

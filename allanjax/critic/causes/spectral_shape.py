@@ -27,9 +27,9 @@ class SpectralShape(Cause):
         found = candidate_structure(view)
         if found is None:
             return None
-        structure, gain = found
-        # What no resonance shows has no statistic but its odds.
-        p_value = min(self.p_value(view), float(np.exp(-gain))) if structure.kind == NONE else np.exp(-gain)
-        return Candidate(
-            self.name, (), gain, float(p_value), view.with_structure(structure), lambda: gain, domain="frequency"
-        )
+        after, gain = found
+        p_value = float(np.exp(-gain))
+        if after.structure is not None and after.structure.kind == NONE:
+            # Of a filter there is no statistic but its odds.
+            p_value = min(self.p_value(view), p_value)
+        return Candidate(self.name, (), gain, p_value, after, lambda: gain, domain="frequency")

@@ -23,8 +23,9 @@ class Levels(NamedTuple):
         shape: half the degrees of freedom of each.
         angle: frequencies in radians per sample interval at two nodes of each level, whose mean and variance
             are those of its coefficients (2, m).
-        interval: number of samples that each value was averaged from before the transform, 1 of a record.
-        length: number of values in the transform that it comes from.
+        interval: number of samples that each value was averaged from before the transform, 1 of a record;
+            one number for a record, one for each level of a stream.
+        length: number of values in the transform that it comes from, likewise.
         parity: (−1)^j of a single coefficient j, else 0.
         columns: expectations [rate²] of the terms without a free shape at the nodes, for unit power
             (columns, 2, m).
@@ -73,15 +74,15 @@ def levels_of(
         interval.append(np.full(len(size), np.rint(bins.rate / part.rate)))
         length.append(np.full(len(size), float(part.n)))
         parity.append(np.where(size == 1, 1.0 - 2.0 * (first % 2), 0.0))
-    m = len(bins.size)
+    m, parts, whole = len(bins.size), len(bins.parts), float(bins.parts[0].n)
     capacity = capacity_of(m) if capacity is None else capacity
     room = [(0, slots - len(columns)), (0, 0), (0, 0)]
     return Levels(
         level=padded(np.ones(m), capacity, 1.0),
         shape=np.zeros(capacity),
         angle=padded(np.concatenate(angle, axis=1), capacity, np.pi / 2.0),
-        interval=padded(np.concatenate(interval), capacity, 1.0),
-        length=padded(np.concatenate(length), capacity, float(bins.parts[0].n)),
+        interval=padded(np.concatenate(interval), capacity, 1.0) if parts > 1 else np.asarray(1.0),
+        length=padded(np.concatenate(length), capacity, whole) if parts > 1 else np.asarray(whole),
         parity=padded(np.concatenate(parity), capacity, 0.0),
         columns=padded(np.pad(columns, room), capacity, 0.0),
     )

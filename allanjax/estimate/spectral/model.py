@@ -9,6 +9,7 @@ below its scale, where the data hardly show it, logarithmic above, and zero at u
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -227,6 +228,7 @@ class Expected(NamedTuple):
     slope: Float[Array, "parameters m"]
 
 
+@eqx.filter_jit
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
     """Expected levels and their derivatives, each slot's along its own parameters only."""
     at, others = slots.layout, slots.others
@@ -234,10 +236,12 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
     power, by_u = slots.scale * jnp.expm1(u), slots.scale * jnp.exp(u)
     unit = _units(theta, slots, levels)
     R = response(levels, _of_response(theta, at), slots.kind)
-    by_response = jax.jacfwd(lambda shape: response(levels, shape, slots.kind))(_of_response(theta, at))
+    by_response = jnp.stack(
+        _derivatives(lambda shape: response(levels, shape, slots.kind), _of_response(theta, at))
+    )
     by_shape = []
     for function, shapes in _free_slots(theta, slots, levels):
-        by_shape += list(jnp.moveaxis(jax.vmap(jax.jacfwd(function))(shapes), -1, 0))
+        by_shape += jax.vmap(functools.partial(_derivatives, function))(shapes)
     owner = [
         np.arange(at.first_markov, at.first_oscillator),
         *[np.arange(at.first_oscillator, at.first_other)] * (2 if at.oscillators else 0),
@@ -254,10 +258,15 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
     inside = jnp.tensordot(jnp.where(slots.inside, power, 0.0), unit, 1)
     of = np.concatenate(owner)
     along = power[of, None] * jnp.mean(jnp.concatenate(by_shape) * passed[of], axis=1)
-    along_response = jnp.mean(inside * jnp.moveaxis(by_response, -1, 0), axis=1)
+    along_response = jnp.mean(inside * by_response, axis=1)
     of_slots = at.response - at.times
     slope = [by_u[:, None] * seen, along[:of_slots], along_response, along[of_slots:]]
     return Expected(mean, components, jnp.concatenate(slope) / mean)
+
+
+def _derivatives(function: Callable[[Array], Array], shape: Float[Array, " shapes"]) -> list[Array]:
+    """Derivatives by each shape, in arrays of their own: faster than one with the shapes last."""
+    return [jax.jvp(function, (shape,), (tangent,))[1] for tangent in jnp.eye(len(shape))]
 
 
 def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Float[Array, "components m"]:

@@ -48,6 +48,8 @@ _PER_OCTAVE = 12
 # Quality factor from which on a resonance is narrow, gain [nats] of a window that is sure to be accepted, and
 # share of the bandwidth up to which a response is flat.
 _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
+# Number of oscillators that stand for one that moves.
+_MOVING = 3
 # Relative error of a power beyond which it is tried whether it is needed.
 _DOUBTFUL = 0.2
 # Deviations of a smoothed level from its expectation beyond which there is something to look for.
@@ -88,9 +90,7 @@ def searched(
     record: Record, start: Structure, tell: Callable[[str], None] = lambda text: None
 ) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
-    spectrum = record.binned(start)
-    spectrum = spectrum.weighing(spectrum.fit(start))
-    now = pruned(spectrum, spectrum.fit(start))
+    spectrum, now = refitted(record, start)
     for _ in range(_ROUNDS):
         found = _grown(record, spectrum, now)
         if found is None:
@@ -99,6 +99,13 @@ def searched(
         now = _other_kind(spectrum, now)
         tell(described(now.structure, record.rate))
     return spectrum, pruned(spectrum, _replaced(spectrum, now))
+
+
+def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
+    """A structure fitted anew, without what is not needed any more, and the spectrum that it was fitted to."""
+    spectrum = record.binned(start)
+    spectrum = spectrum.weighing(spectrum.fit(start))
+    return spectrum, pruned(spectrum, spectrum.fit(start))
 
 
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
@@ -169,9 +176,14 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
             yield from responses(structure)
     elif not structure.active[OUTSIDE]:
         yield structure.using(OUTSIDE, float(np.min(now.mean[: len(spectrum.bins.size)])))
-    mean = at_all(spectrum, now)
+    ratio = record.squares / at_all(spectrum, now)
+    for k in structure.oscillators:
+        if structure.companions(int(k)) >= _MOVING:
+            # What is left there is what a resonance that moves has.
+            low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
+            ratio[max(int(low * n / np.pi), 0) : int(high * n / np.pi) + 1] = 1.0
     together, narrow = structure, 0
-    for middle, width, gain in windows(record.squares / mean, _WINDOWS):
+    for middle, width, gain in windows(ratio, _WINDOWS):
         w = np.pi * middle / n
         quality = float(np.clip(middle / width, 2.0, max(middle / LINE / 2.0, 2.0)))
         level = float(np.interp(middle, _middles(spectrum), now.mean[: len(spectrum.bins.size)]))
@@ -239,10 +251,12 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
         doubtful = np.flatnonzero(structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE)))
         doubtful = [int(k) for k in doubtful if std[k] > _DOUBTFUL * structure.power[k]]
         tried = [spectrum.fit(structure.without(k)) for k in doubtful]
-        better = [found for found in tried if found.evidence > now.evidence]
-        if not better:
+        best = now
+        for found in tried:
+            best = _better(best, found)
+        if best is now:
             return now
-        now = max(better, key=lambda found: found.evidence)
+        now = best
 
 
 def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
@@ -253,6 +267,7 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     for _ in range(2):
         starts = (now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in _TIMES)
         tried = [spectrum.fit(start) for start in starts if start is not None]
+        tried = [found for found in tried if found.structure.power[WHITE] > 0.0]
         best = min(tried, key=lambda found: found.loss, default=now)
         if best.loss > now.loss - _PREDICTS:
             break

@@ -34,6 +34,10 @@ _SHORTEST = 8.0
 _ERROR = 0.005
 # Relative error that the part of the resonances has, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
+# Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
+_CLOSE = 1.5
+# Numbers of levels that arrays have room for, in a search.
+_CAPACITIES = (384, 1024)
 # Tolerances of a fit within a search, and of one whose numbers are told.
 _ROUGH, _FINE = 1e-2, 1e-5
 # Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
@@ -89,6 +93,19 @@ class Structure:
     def quality(self, k: int) -> float:
         """Quality factor of an oscillator."""
         return 0.5 + float(np.exp(self.shape[FULL.qualities - FULL.components + k]))
+
+    def width(self, k: int) -> float:
+        """Width of an oscillator's peak [radians per sample]."""
+        return self.frequency(k) / self.quality(k)
+
+    def are_close(self, i: int, k: int) -> bool:
+        """Whether two oscillators are so near to each other that they may be one that moves."""
+        return abs(self.frequency(i) - self.frequency(k)) < _CLOSE * 0.5 * (self.width(i) + self.width(k))
+
+    def companions(self, k: int) -> int:
+        """Number of oscillators in use that are close to one of them, itself included; 0 if it is not in use."""
+        used = self.oscillators
+        return sum(self.are_close(int(i), k) for i in used) if k in used else 0
 
     def time(self, k: int) -> float:
         """Correlation time of a Markov process [samples]."""
@@ -177,7 +194,7 @@ class Fitted(NamedTuple):
             twenty to one.
         covariance: of the joint spectral model's parameters.
         mean: expected levels [rate²].
-        resonant: share of the resonances in them.
+        resonant: share of each resonance in them.
         by_power: derivatives of the powers by their parameters.
     """
 
@@ -230,7 +247,8 @@ class Spectrum:
         """
         terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
         terms += [] if further is None else [further]
-        levels = levels_of(bins, columns_of(terms, bins), FULL.columns)
+        capacity = next((c for c in _CAPACITIES if c >= len(bins.size)), None)
+        levels = levels_of(bins, columns_of(terms, bins), FULL.columns, capacity)
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
@@ -248,9 +266,11 @@ class Spectrum:
     def weighing(self, fitted: Fitted) -> Spectrum:
         """Spectrum whose levels count less where they are those of the resonances in a fit.
 
-        Models must be compared with the same weights.
+        The more so where several stand for one that moves. Models must be compared with the same weights.
         """
-        dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + (_UNSTEADY * fitted.resonant) ** 2))
+        near = np.array([fitted.structure.companions(k) for k in range(FULL.oscillators)])
+        unsteady = _UNSTEADY * near @ fitted.resonant
+        dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + unsteady**2))
         return dataclasses.replace(self, levels=self.levels._replace(shape=dof / 2.0))
 
     def weighed_like(self, other: Spectrum) -> Spectrum:
@@ -349,6 +369,6 @@ def _fitted(
     found = maximize(start, slots, levels, tolerance)
     u = found.theta[: at.components]
     model = expected(found.theta, slots, levels)
-    resonant = jnp.sum(model.components[at.first_oscillator : at.first_other], axis=0) / model.mean
+    resonant = model.components[at.first_oscillator : at.first_other] / model.mean
     powers = scale * jnp.expm1(u), jnp.exp(u) * scale
     return found, powers[0], model.mean, resonant, powers[1], covariance(found)
