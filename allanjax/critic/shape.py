@@ -13,9 +13,9 @@ from allanjax.critic.noise import MARKOV, POWER_LAW
 from allanjax.critic.parameters import Detail
 from allanjax.critic.view import View
 from allanjax.critic.windows import conspicuous
-from allanjax.estimate.spectral.components import NONE, ONE_POLE
+from allanjax.estimate.spectral.components import NONE, TWO_POLES
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.as_model import model_of, response_of
+from allanjax.estimate.structure.as_model import model_of, order_of, response_of
 from allanjax.estimate.structure.search import Record, completed, refitted, searched
 from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Fitted, Spectrum, Structure
 from allanjax.noise.estimate import Estimate
@@ -247,7 +247,7 @@ def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
     std = float(np.sqrt(slope @ covariance @ slope))
     estimates = [
         view.log_estimate("bandwidth", float(np.log(value)), std, "", "Hz"),
-        view.estimate("order", 1 if structure.kind == ONE_POLE else 2, 0.0, "1"),
+        view.estimate("order", order_of(structure), 0.0, "1"),
     ]
     return estimates, value
 
@@ -269,7 +269,7 @@ def _half_power(structure: Structure, rate: float) -> float:
     w, Q = structure.bandwidth
     # Of two poles 1/|1 − x² + ix/Q|² = ½.
     lower = 1.0 - 0.5 / Q**2
-    x = 1.0 if structure.kind == ONE_POLE else np.sqrt(lower + np.hypot(lower, 1.0))
+    x = np.sqrt(lower + np.hypot(lower, 1.0)) if structure.kind == TWO_POLES else 1.0
     return float(x * w * rate / (2.0 * np.pi))
 
 

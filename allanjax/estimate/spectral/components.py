@@ -14,6 +14,7 @@ filter are of one form, and no lag is ever summed.
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Num
 
 from allanjax.estimate.spectral.levels import Levels
@@ -91,8 +92,13 @@ def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -
     return jnp.where(band_limited, density, read)
 
 
-#: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited.
+#: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited; and
+#: digital Butterworth filters of order 1 to 4.
 NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range(5)
+BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(5, 9)
+
+#: Largest bandwidth of a Butterworth filter [radians per sample interval]: at π it would let all pass.
+BUTTERWORTH_LIMIT = 0.995 * np.pi
 
 
 def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
@@ -120,4 +126,21 @@ def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Ar
     two = two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
     u = (a / wc) ** 2
     limited = [1.0 / (1.0 + u), 1.0 / ((1.0 - u) ** 2 + u / Q**2)]
-    return jnp.select([kind == k for k in range(4)], [jnp.ones_like(a), one, two, limited[0]], limited[1])
+    found = [jnp.ones_like(a), one, two, *limited]
+    which = [kind == k for k in range(len(found))]
+    return jnp.select(which, found, _butterworth(a, wc, kind))
+
+
+def _butterworth(angle: Float[Array, "nodes m"], wc: Array, kind: Array) -> Float[Array, "nodes m"]:
+    """Power response 1/(1 + [tan(a/2)/tan(ω_c/2)]^{2m}) of the digital Butterworth filter of order m.
+
+    Powers of sines and cosines, neither of which is infinite at half the sample rate.
+    """
+    half = jnp.minimum(wc, BUTTERWORTH_LIMIT) / 2.0
+    passed = (jnp.cos(angle / 2.0) * jnp.sin(half)) ** 2
+    stopped = (jnp.sin(angle / 2.0) * jnp.cos(half)) ** 2
+    high, low = passed, stopped
+    for order in (BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4):
+        high = high * jnp.where(kind >= order, passed, 1.0)
+        low = low * jnp.where(kind >= order, stopped, 1.0)
+    return high / (high + low)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.estimate.spectral.components import NONE, ONE_POLE
+from allanjax.estimate.spectral.components import BUTTERWORTH_1, NONE, ONE_POLE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Structure
+from allanjax.noise.butterworth import Butterworth
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.response import LowPass1, LowPass2, Response
 from allanjax.noise.terms import AngleRandomWalk, Markov, Resonance, basic_terms
@@ -37,7 +38,16 @@ def response_of(structure: Structure, rate: float) -> Response | None:
         return None
     w, quality = structure.bandwidth
     bandwidth = w * rate / (2.0 * np.pi)
+    if structure.kind >= BUTTERWORTH_1:
+        return Butterworth(bandwidth, order_of(structure))
     return LowPass1(bandwidth) if structure.kind == ONE_POLE else LowPass2(bandwidth, quality)
+
+
+def order_of(structure: Structure) -> int:
+    """Order of the response: its number of poles."""
+    if structure.kind >= BUTTERWORTH_1:
+        return structure.kind - BUTTERWORTH_1 + 1
+    return 1 if structure.kind == ONE_POLE else 2
 
 
 def resonance_of(structure: Structure, k: int, rate: float) -> Resonance:

@@ -15,13 +15,22 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.estimate.spectral.components import NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.components import (
+    BUTTERWORTH_1,
+    BUTTERWORTH_2,
+    BUTTERWORTH_3,
+    BUTTERWORTH_4,
+    NONE,
+    ONE_POLE,
+    TWO_POLES,
+)
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.structure import (
     FIXED,
     LINE,
     LOWEST,
     OUTSIDE,
+    QUANTIZATION,
     WHITE,
     Fitted,
     Spectrum,
@@ -39,6 +48,9 @@ _WINDOWS, _WORTH = 3, 8.0
 _NARROWEST = 8
 # Bandwidths that a response starts from [cycles per sample].
 _BANDWIDTHS = (0.03, 0.1, 0.2, 0.35)
+# Kinds of responses, and the largest bandwidth that one of another kind starts from [radians per sample].
+_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4)
+_HIGHEST = 2.8
 # Correlation times that a Markov process starts from, in powers of the number of samples.
 _TIMES = (0.35, 0.55, 0.75, 0.95)
 # Most rounds.
@@ -96,7 +108,6 @@ def searched(
         if found is None:
             break
         spectrum, now = found
-        now = _other_kind(spectrum, now)
         tell(described(now.structure, record.rate))
     return spectrum, pruned(spectrum, _replaced(spectrum, now))
 
@@ -124,7 +135,7 @@ def described(structure: Structure, rate: float) -> str:
     parts = []
     if structure.kind != NONE:
         w, q = structure.bandwidth
-        parts.append(f"{'one pole' if structure.kind == ONE_POLE else 'two poles'} {w * hertz:.4g} Hz Q {q:.2g}")
+        parts.append(f"response {structure.kind} {w * hertz:.4g} Hz Q {q:.2g}")
     for k in structure.oscillators:
         where = "in" if structure.inside[FULL.first_oscillator + k] else "after"
         parts.append(f"{structure.frequency(k) * hertz:.4g} Hz Q {structure.quality(k):.3g} {where}")
@@ -143,23 +154,33 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         finer = finer.weighing(again)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
         if again.evidence - before.evidence > _GAIN and again.structure.power[WHITE] > 0.0:
-            new = set(again.structure.oscillators) - set(now.structure.oscillators)
-            return finer, _placed(finer, again, sorted(new))
+            return finer, _settled(finer, now.structure, again)
     return None
 
 
-def _placed(spectrum: Spectrum, now: Fitted, oscillators: Sequence[int]) -> Fitted:
-    """Fit with each of these resonances inside the response or after it, whichever is more likely."""
+def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
+    """Fit with the kind of a response that is new, and with what is new inside it or after it."""
+    new = [FULL.first_oscillator + int(k) for k in set(now.structure.oscillators) - set(before.oscillators)]
+    if now.structure.kind != before.kind:
+        now = _other_kind(spectrum, now)
+        new += [QUANTIZATION] if now.structure.active[QUANTIZATION] else []
+    return _placed(spectrum, now, new)
+
+
+def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitted:
+    """Fit with each of these components inside the response or after it, whichever is more likely."""
     if now.structure.kind == NONE:
         return now
-    for k in oscillators:
-        place, structure = FULL.first_oscillator + int(k), now.structure
-        w, Q = structure.bandwidth
+    for component in components:
+        structure, k = now.structure, component - FULL.first_oscillator
         # Where the response has fallen by nothing yet there is no difference.
-        if structure.frequency(k) < _FLAT * w and structure.quality(k) > _NARROW:
+        if (
+            k >= 0
+            and structure.frequency(k) < _FLAT * structure.bandwidth[0]
+            and structure.quality(k) > _NARROW
+        ):
             continue
-        other = spectrum.fit(structure.placed(place, not structure.inside[place]))
-        now = _better(now, other)
+        now = _better(now, spectrum.fit(structure.placed(component, not structure.inside[component])))
     return now
 
 
@@ -217,19 +238,23 @@ def responses(structure: Structure) -> Iterator[Structure]:
 
 
 def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit with the other kind of response, if that gains."""
+    """Fit with another kind of response, if one is more likely."""
     if now.structure.kind == NONE:
         return now
-    other = TWO_POLES if now.structure.kind == ONE_POLE else ONE_POLE
-    found = spectrum.fit(now.structure.with_response(other, now.structure.bandwidth[0]))
-    return _better(now, found)
+    start = now.structure
+    for kind in _KINDS:
+        if kind != start.kind:
+            now = _better(now, spectrum.fit(start.with_response(kind, min(start.bandwidth[0], _HIGHEST))))
+    return now
 
 
 def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit after all swaps that gain: another kind of response, resonances moved into it or out of it."""
+    """Fit after all swaps that gain: another kind of response, components moved into it or out of it."""
     for _ in range(3):
         before = now
-        now = _other_kind(spectrum, _placed(spectrum, now, [int(k) for k in now.structure.oscillators]))
+        components = [FULL.first_oscillator + int(k) for k in now.structure.oscillators]
+        components += [QUANTIZATION] if now.structure.active[QUANTIZATION] else []
+        now = _other_kind(spectrum, _placed(spectrum, now, components))
         if now is before:
             break
     return now

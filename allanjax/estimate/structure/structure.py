@@ -21,7 +21,7 @@ from allanjax.spectrum.cosine import Bins
 
 #: Terms without a free shape, in the first columns; the white noise that is added after a response.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
-WHITE, OUTSIDE = FIXED.index("angle_random_walk"), len(FIXED)
+QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
 #: Column of a further term, whose shape is given.
 FURTHER = OUTSIDE + 1
 #: Least quality factor of a resonance: a wider one is an edge, as of a filter.
@@ -71,8 +71,7 @@ class Structure:
         active, inside = np.zeros(count, bool), np.zeros(count, bool)
         active[np.asarray(columns, int)] = True
         inside[: FULL.first_oscillator] = True
-        # Rounding follows the filter.
-        inside[[FIXED.index("quantization"), OUTSIDE]] = False
+        inside[OUTSIDE] = False
         slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), inside)
         return cls(np.zeros(count), slots.usual()[count:], active, inside)
 
@@ -350,7 +349,7 @@ def _free(structure: Structure) -> Bool[np.ndarray, " parameters"]:
     of_oscillators = structure.active[at.first_oscillator : at.first_other]
     free[at.frequencies : at.qualities] = free[at.qualities : at.response] = of_oscillators
     free[at.response] = structure.kind != NONE
-    free[at.response + 1] = structure.kind not in (NONE, ONE_POLE)
+    free[at.response + 1] = structure.kind == TWO_POLES
     return free
 
 

@@ -1,10 +1,11 @@
 """Expected squares of cosine coefficients, against sums over all pairs of samples, and against Allan's G."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.signal import freqz
+from scipy.signal import butter, freqz, freqz_sos
 
 import allanjax as aj
 from allanjax.estimate.spectral import components
@@ -121,6 +122,59 @@ def test_responses_read_at_the_instants_are_sums_over_aliases(kind, limited):
     found = np.asarray(components.response(levels, shape, jnp.asarray(kind)))[0, :m][:: m // 20]
     # One pole's aliases fall off with the square: 3·10⁻⁶ of them lie beyond those that are summed.
     np.testing.assert_allclose(found, folded[1:] / folded[0], rtol=2e-5)
+
+
+BUTTERWORTH = [components.BUTTERWORTH_1 + k for k in range(4)]
+
+
+@pytest.mark.parametrize("kind", BUTTERWORTH)
+@pytest.mark.parametrize("bandwidth", [1e-5, 0.02, 0.15, 0.4, 0.49])
+def test_butterworth_is_the_filter_that_scipy_designs(kind, bandwidth):
+    """Also near half the sample rate, where the power of the fourth order is 10⁻⁴⁰ of what it was."""
+    levels, m = single_coefficients(N)
+    a = np.asarray(levels.angle)[0, :m]
+    _, H = freqz_sos(butter(kind - 4, bandwidth, fs=1.0, output="sos"), a)
+    shape = jnp.array([np.log(2.0 * np.pi * bandwidth), 0.0])
+    found = np.asarray(components.response(levels, shape, jnp.asarray(kind)))[0, :m]
+    np.testing.assert_allclose(found, abs(H) ** 2, rtol=1e-7, atol=1e-24)
+    t = np.tan(a / 2.0) / np.tan(np.pi * bandwidth)
+    np.testing.assert_allclose(found, 1.0 / (1.0 + t ** (2 * kind - 8)), rtol=1e-10)
+
+
+@pytest.mark.parametrize("kind", BUTTERWORTH)
+@pytest.mark.parametrize("log_wc", [-20.0, -3.0, 0.5, np.log(np.pi), 5.0])
+def test_the_derivatives_of_a_butterworth_response_are_finite(kind, log_wc):
+    """At the ends of the bounds, too, where levels only pad the arrays, and at half the sample rate."""
+    levels, m = single_coefficients(N)
+    angle = np.asarray(levels.angle).copy()
+    angle[:, m - 1] = np.pi
+    levels = levels._replace(angle=angle)
+
+    def of(shape):
+        return components.response(levels, shape, jnp.asarray(kind))
+
+    shape = jnp.array([log_wc, 0.0])
+    slope = np.asarray(jax.jacfwd(of)(shape))
+    assert np.all(np.isfinite(slope))
+    assert not np.any(slope[..., 1])
+    assert np.all(np.asarray(of(shape))[:, m - 1] < 1e-20)
+    step = jnp.array([1e-5, 0.0])
+    by_difference = (np.asarray(of(shape + step)) - np.asarray(of(shape - step))) / 2e-5
+    np.testing.assert_allclose(slope[..., 0], by_difference, rtol=1e-6, atol=1e-9)
+
+
+def test_one_program_serves_all_kinds_of_response():
+    levels, _ = single_coefficients(N)
+    traced = []
+
+    @jax.jit
+    def of(kind):
+        traced.append(kind)
+        return components.response(levels, jnp.array([-1.0, 0.0]), kind)
+
+    for kind in range(9):
+        of(jnp.asarray(kind))
+    assert len(traced) == 1
 
 
 def test_nothing_depends_on_an_absent_response():
