@@ -13,7 +13,7 @@ from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.parameters import Detail
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.refit import refitted
-from allanjax.critic.shape import Shape, finished
+from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
 from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, coefficient_folds, in_time
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
@@ -165,7 +165,7 @@ def _told(steps: Sequence[Step], shape: Shape) -> list[Step]:
             part.estimates,
             part.gain,
             part.p_value,
-            first.before.with_structure(part.structure),
+            (first.candidate.after if part.cause == LOW_PASS else first.before).with_structure(part.structure),
             lambda: 0.0,
             part.support,
             "frequency",

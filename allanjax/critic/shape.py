@@ -82,7 +82,7 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     gain = found.evidence - before.evidence
     occam = before.loss - found.loss - gain
     gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
-    return (after, gain) if gain > 0.0 else None
+    return (after.without_ends(), gain) if gain > 0.0 else None
 
 
 def _left(view: View) -> bool:

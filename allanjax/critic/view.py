@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
-from allanjax.critic.factor import spectrum_factor
+from allanjax.critic.factor import spectrum_factor, stop_band
 from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
 from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estimate
@@ -33,6 +33,8 @@ MARGIN = 3.0
 #: Probability of a false finding in a record of one axis that `Cause.min_log_odds` and `Cause.max_p` are made
 #: for.
 FALSE_ALARMS = 0.01
+# Share of the record at each end that is drawn anew behind a steep filter.
+_ENDS = 0.02
 #: Names of all basic terms.
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
@@ -85,7 +87,8 @@ class View:
         """Ratio of the spectrum to that of the basic terms; None for 1."""
         if self.structure is None:
             return self.base
-        found = spectrum_factor(self.structure, self.family)
+        squares = self.coefficients**2 if self.base is None else self.coefficients**2 / self.base
+        found = spectrum_factor(self.structure, self.family, squares)
         return found if self.base is None else self.base * found
 
     @functools.cached_property
@@ -263,6 +266,24 @@ class View:
         # The coefficients are what they were: a transform saved.
         vars(view)["coefficients"] = self.coefficients
         return view
+
+    def without_ends(self) -> View:
+        """View whose ends are drawn anew in the stop band of its response; they count as imputed.
+
+        Whitening amplifies the stop band, and with it the kinks of the mirrored record.
+        """
+        band = None if self.structure is None else stop_band(self.structure, self.family, self.factor)
+        if band is None:
+            return self
+        deep, share = band
+        k = np.arange(self.n)
+        # Gradually: an edge would be a sample that stands out.
+        near = np.clip(1.0 - np.minimum(k, self.n - 1 - k) / (_ENDS * self.n), 0.0, 1.0)
+        root = np.sqrt(self.variance())
+        drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(self.n - 1)
+        change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - self.residual / root, 0.0))
+        more = in_time(np.where(deep, root * dct(change, norm="ortho", workers=-1)[1:], 0.0))
+        return dataclasses.replace(self, samples=self.samples + more, imputed=self.imputed | (near > 0.0))
 
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View, with all that has been computed of it, for which these causes have been found.

@@ -30,6 +30,8 @@ LEAST_QUALITY = 1.5
 LOWEST, LINE = 16, 4.0
 # Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
 _SHORTEST = 8.0
+# Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
+_LOWEST_BANDWIDTH = 0.005
 # Relative error that a model of any sensor has in each bin: a judgement, of filters that no model has.
 _ERROR = 0.005
 # Relative error that the part of the resonances has, whose frequency and damping drift: a judgement.
@@ -319,7 +321,8 @@ class Spectrum:
         lower[at.qualities : at.response] = np.log(LEAST_QUALITY - 0.5)
         widest = np.exp(started) / (LINE * spacing)
         upper[at.qualities : at.response] = np.log(np.maximum(widest, 2.0) - 0.5)
-        lower[at.response], upper[at.response] = np.log(LOWEST * spacing), np.log(4.0)
+        lower[at.response] = np.log(max(LOWEST * spacing, 2.0 * np.pi * _LOWEST_BANDWIDTH))
+        upper[at.response] = np.log(4.0)
         lower[at.response + 1], upper[at.response + 1] = np.log(0.02), np.log(20.0)
         return lower, np.maximum(upper, lower)
 
