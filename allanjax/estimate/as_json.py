@@ -147,7 +147,10 @@ def _response(model: Model) -> dict[str, Any]:
 
 def _parameters(of: Parametrized) -> dict[str, Any]:
     values = {p.name: getattr(of, p.name) for p in of.parameters()}
-    return {"parameters": {name: _start(x) for name, x in values.items()}, "held": sorted(of.held)}
+    found: dict[str, Any] = {"parameters": {name: _start(x) for name, x in values.items()}}
+    if of.options:
+        found["options"] = of.options
+    return {**found, "held": sorted(of.held)}
 
 
 def _start(x: float | None) -> float | str | None:

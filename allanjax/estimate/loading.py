@@ -117,7 +117,7 @@ def _term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> No
 def _parametrized(made: type[_Made], of: Mapping[str, Any]) -> _Made:
     """Term or response of this class, with its parameters."""
     values: dict[str, Any] = {name: math.inf if x == INFINITY else x for name, x in of["parameters"].items()}
-    return made(**values).hold(*of["held"])
+    return made(**values, **of.get("options", {})).hold(*of["held"])
 
 
 def _curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:

@@ -254,7 +254,9 @@ class Model(eqx.Module):
     def sampled(self, rate: float) -> Model:
         """The model as seen by a sensor that samples at `rate` [Hz]."""
         terms = tuple(term.sampled(rate) for term in self.terms)
-        return dataclasses.replace(self, terms=terms, rate=0.0 if self.response is None else rate)
+        if self.response is None:
+            return dataclasses.replace(self, terms=terms, rate=0.0)
+        return dataclasses.replace(self, terms=terms, response=self.response.sampled(rate), rate=rate)
 
     def check_complete(self) -> None:
         """Raise AllanjaxError if a parameter has no value."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.noise import terms as all_terms
+from allanjax.noise.butterworth import Butterworth
 from allanjax.noise.model import Model
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.response import LowPass1, LowPass2, Response
@@ -37,7 +38,7 @@ _Kind = TypeVar("_Kind", bound=Parametrized)
 
 def response_classes() -> dict[str, type[Response]]:
     """Classes of responses by name, e.g. `low_pass1`."""
-    return {c.name(): c for c in (LowPass1, LowPass2)}
+    return {c.name(): c for c in (LowPass1, LowPass2, Butterworth)}
 
 
 @functools.cache
@@ -81,6 +82,7 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
     `angle_random_walk`), alone, with the amplitude (`N=0.1 deg/√h`), or with parameters in brackets
     (`markov(amplitude=3 deg/h/√h, correlation_time=100 s)`). `held` after a value keeps it fixed in a fit.
     Terms that pass a filter stand in brackets after it: `low_pass1(bandwidth=28 Hz) * (N + K) + resonance`.
+    Options are whole numbers, `butterworth(order=4) * N`.
 
     Args:
         text: e.g. `"N + B + K"` or `"quantization, angle_random_walk, markov"`.
@@ -138,8 +140,12 @@ def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None)
         if pair is None:
             raise AllanjaxError(f"cannot read {argument!r} in {text!r}; write e.g. correlation_time=100 s")
         arguments.append((pair["name"], pair["value"]))
-    values, held = {}, []
+    values: dict[str, float] = {}
+    held: list[str] = []
     for name, value in arguments:
+        if name in cls.option_names():
+            values[name] = _integer(value, name)
+            continue
         p = _parameter(cls, name)
         values[p.name], is_held = _value(value, p, sensor)
         held += [p.name] if is_held else []
@@ -162,9 +168,15 @@ def _parameter(cls: type[Parametrized], name: str) -> Parameter:
     for p in cls.parameters():
         if name in (p.name, p.symbol):
             return p
-    raise AllanjaxError(
-        f"{cls.name()} has no parameter {name!r}; it has {', '.join(p.name for p in cls.parameters())}"
-    )
+    names = [p.name for p in cls.parameters()] + list(cls.option_names())
+    raise AllanjaxError(f"{cls.name()} has no parameter {name!r}; it has {', '.join(names)}")
+
+
+def _integer(text: str, name: str) -> int:
+    """Value of an option."""
+    if re.fullmatch(r"[-+]?\d+", text.strip()) is None:
+        raise AllanjaxError(f"{name} is a whole number, not {text!r}")
+    return int(text)
 
 
 def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]:

@@ -66,6 +66,11 @@ def parameter(
     return eqx.field(default=default, metadata={"parameter": declared})
 
 
+def option(default: int) -> Any:
+    """Declare a whole number that the user chooses, e.g. a filter's order (a dataclass field)."""
+    return eqx.field(default=default, static=True, metadata={"option": True})
+
+
 class Parametrized(eqx.Module):
     """What has parameters that are declared as fields: a noise term, or a response."""
 
@@ -79,6 +84,16 @@ class Parametrized(eqx.Module):
             for field in dataclasses.fields(cls)
             if "parameter" in field.metadata
         )
+
+    @classmethod
+    def option_names(cls) -> tuple[str, ...]:
+        """Names of the declared options, in order."""
+        return tuple(field.name for field in dataclasses.fields(cls) if "option" in field.metadata)
+
+    @property
+    def options(self) -> dict[str, int]:
+        """Values of the options by name."""
+        return {name: getattr(self, name) for name in self.option_names()}
 
     @classmethod
     def name(cls) -> str:
@@ -114,6 +129,7 @@ class Parametrized(eqx.Module):
         shown = {p.name: _shown(getattr(self, p.name)) for p in self.parameters()}
         names = [name for name, text in shown.items() if text != _shown(usual[name])]
         values = [f"{name}={shown[name]}" for name in names]
+        values += [f"{name}={x}" for name, x in self.options.items() if x != usual[name]]
         arguments = ", ".join(values).removeprefix("coefficient=")
         held = ", ".join(f'"{name}"' for name in names if name in self.held)
         return f"{type(self).__name__}({arguments})" + (f".hold({held})" if held else "")

@@ -8,14 +8,15 @@ D(w) = (1 − w)² + 4ws; so is the density of noise with exponential covariance
 
     α = c(1 − w²)Q/[(Q − w)(1 − Qw)],    β = −c(1 − Q²)w/[(Q − w)(1 − Qw)],
 
-each of which has its phase covariance in closed form.
+each of which has its phase covariance in closed form. A filter with zeros at half the sample rate has a
+constant part, too: its numerator is of the same degree in s as its denominator.
 """
 
 from __future__ import annotations
 
 import abc
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -83,25 +84,36 @@ class Response(Parametrized):
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         """Samples after the filter, which starts at rest."""
 
+    def constant(self, rate: float) -> Float[ArrayLike, ""]:
+        """What the power response is beside its poles; 0 unless a filter says otherwise."""
+        return 0.0
+
+    def sampled(self, rate: float) -> Self:
+        """The filter for samples at `rate` [Hz]; AllanjaxError if there is none."""
+        return self
+
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
         xp = namespace(self, frequency, rate)
         s = xp.sin(math.pi * xp.asarray(frequency, float) / rate)[..., None] ** 2
         w, c = self.poles(rate)
-        return xp.real(xp.sum(c * (1.0 - w**2) / ((1.0 - w) ** 2 + 4.0 * w * s), axis=-1))
+        of_poles = xp.sum(c * (1.0 - w**2) / ((1.0 - w) ** 2 + 4.0 * w * s), axis=-1)
+        return xp.real(of_poles) + self.constant(rate)
 
     def change(self, parts: Parts, rate: float) -> Parts:
         """What the filter adds to a density: the density after it less that before."""
         xp = namespace(self, parts, rate)
         w, c = self.poles(rate)
+        constant = self.constant(rate)
         Q, W = (x[:, None] for x in parts.poles)
         apart = (Q - w) * (1.0 - Q * w)
-        inside = W[:, 0] * (xp.sum(c * (1.0 - w**2) * Q / apart, axis=1) - 1.0)
+        inside = W[:, 0] * (xp.sum(c * (1.0 - w**2) * Q / apart, axis=1) + constant - 1.0)
         own = c * (parts.white - parts.difference * (1.0 - w) ** 2 / w - parts.walk * w / (1.0 - w) ** 2)
         own = own - xp.sum(W * (1.0 - Q**2) * c * w / apart, axis=0)
         return Parts(
-            white=xp.real(xp.sum(parts.difference * c * (1.0 - w**2) / w)) - parts.white,
-            difference=-parts.difference,
+            white=xp.real(xp.sum(parts.difference * c * (1.0 - w**2) / w)) + (constant - 1.0) * parts.white,
+            difference=(constant - 1.0) * parts.difference,
+            # The response is 1 at frequency zero, poles and constant together.
             walk=0.0,
             poles=Poles(xp.concatenate([Q[:, 0], w]), xp.concatenate([inside, own])),
         )

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.estimate.spectral.columns import columns_of
-from allanjax.estimate.spectral.components import NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.components import BUTTERWORTH_1, NONE, ONE_POLE, TWO_POLES
 from allanjax.estimate.spectral.levels import Levels, levels_of
 from allanjax.estimate.spectral.model import FULL, PLAIN, Layout, Others, Slots
+from allanjax.noise.butterworth import Butterworth
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.response import LowPass1
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
@@ -127,4 +128,6 @@ def _response(model: Model) -> int:
     """Kind of response of a model."""
     if model.response is None:
         return NONE
+    if isinstance(model.response, Butterworth):
+        return BUTTERWORTH_1 + model.response.order - 1
     return ONE_POLE if isinstance(model.response, LowPass1) else TWO_POLES

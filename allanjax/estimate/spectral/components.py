@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from allanjax.estimate.spectral.levels import Levels
+from allanjax.noise.butterworth import LARGEST_BANDWIDTH
 from allanjax.noise.exponential import averaged_lags, mean_lags
 
 
@@ -98,7 +99,7 @@ NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range
 BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(5, 9)
 
 #: Largest bandwidth of a Butterworth filter [radians per sample interval]: at π it would let all pass.
-BUTTERWORTH_LIMIT = 0.995 * np.pi
+BUTTERWORTH_LIMIT = LARGEST_BANDWIDTH * np.pi
 
 
 def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:

@@ -14,7 +14,8 @@ from allanjax.estimate.design import Design, free_shapes
 from allanjax.estimate.spectral.arrangement import Arrangement
 from allanjax.estimate.spectral.levels import Levels, padded
 from allanjax.estimate.spectral.model import Slots, units
-from allanjax.noise.model import Model
+from allanjax.noise.butterworth import LARGEST_BANDWIDTH, Butterworth
+from allanjax.noise.model import Model, ModelParameter
 from allanjax.spectrum.cosine import Bins
 
 # Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
@@ -66,7 +67,7 @@ class SpectralDesign(Design):
         more = max(-(-len(shapes) // _SHAPES), 1) * _SHAPES - len(shapes)
         # The response is that of the first term that passes it.
         owner = [p.term if p.term < len(model) else model.inside.index(True) for p in shapes]
-        top = [np.log(p.parameter.upper - p.parameter.lower) - _INSIDE for p in shapes]
+        top = [np.log(_upper(model, p, bins.rate) - p.parameter.lower) - _INSIDE for p in shapes]
 
         def with_room(values: Any, fill: float) -> Shaped[np.ndarray, " shapes"]:
             return np.append(values, np.full(more, fill)).astype(type(fill))
@@ -166,3 +167,10 @@ class SpectralDesign(Design):
     @property
     def weight(self) -> Float[Array, " m"]:
         return 2.0 * jnp.asarray(self.levels.shape)
+
+
+def _upper(model: Model, p: ModelParameter, rate: float) -> float:
+    """Upper bound of a shape for samples at `rate` [Hz]."""
+    if p.term == len(model) and isinstance(model.response, Butterworth):
+        return LARGEST_BANDWIDTH * rate / 2.0
+    return p.parameter.upper

@@ -20,7 +20,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from allanjax.estimate.spectral.columns import Place
-from allanjax.estimate.spectral.components import NONE, markov, oscillator, response
+from allanjax.estimate.spectral.components import (
+    BUTTERWORTH_1,
+    BUTTERWORTH_LIMIT,
+    NONE,
+    markov,
+    oscillator,
+    response,
+)
 from allanjax.estimate.spectral.levels import Levels, padded
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
@@ -188,7 +195,9 @@ class Slots(eqx.Module):
             1,
             layout.shapes,
         )
-        lower, upper = np.repeat(np.array(bounds), counts, axis=0).T
+        lower, upper = np.repeat(np.array(bounds), counts, axis=0).T.copy()
+        if kind >= BUTTERWORTH_1:
+            upper[layout.response] = np.log(BUTTERWORTH_LIMIT)
         scale, nothing = np.ones(layout.components), np.zeros(layout.parameters)
         kind_of, limited = np.asarray(kind), np.asarray(band_limited)
         return cls(layout, scale, inside, limited, kind_of, free, lower, upper, nothing, nothing, others)

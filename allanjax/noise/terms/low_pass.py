@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,7 @@ from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
-from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.parameter import Value, option, parameter
 from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.terms.resonance import Resonance
 
@@ -30,7 +29,7 @@ class LowPass(NoiseTerm):
 
     coefficient: Value = parameter("N_f", time_exponent=0.5)
     bandwidth: Value = parameter("f_c", "frequency")
-    order: int = eqx.field(static=True, default=1)
+    order: int = option(default=1)
     #: Sample interval [s]; 0 for the continuous rate.
     sample_interval: float = 0.0
 
