@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.parameters import Detail
-from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
@@ -165,7 +165,9 @@ def _told(steps: Sequence[Step], shape: Shape) -> list[Step]:
             part.estimates,
             part.gain,
             part.p_value,
-            (first.candidate.after if part.cause == LOW_PASS else first.before).with_structure(part.structure),
+            (first.candidate.after if part.cause == LOW_PASS else first.before).with_structure(
+                part.structure
+            ),
             lambda: 0.0,
             part.support,
             "frequency",

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from allanjax.critic.noise import MARKOV, POWER_LAW
 from allanjax.critic.parameters import Detail
@@ -17,11 +17,10 @@ from allanjax.estimate.spectral.components import NONE, TWO_POLES
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, order_of, response_of
 from allanjax.estimate.structure.search import Record, completed, refitted, searched
-from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Fitted, Spectrum, Structure
+from allanjax.estimate.structure.structure import FIXED, FURTHER, Fitted, Spectrum, Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
-
 
 #: Names of the findings.
 LOW_PASS, RESONANCE = "low_pass", "resonance"
@@ -30,6 +29,8 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 _LINES, _BESIDE = 50.0, 0.25
 # p-value of what is left of the spectrum from which on it is searched again: a judgement.
 _LEFT = 1e-4
+# Correlation time [samples] below which a Markov process without white noise is filtered white noise.
+_SHORT = 20.0
 # Points at which the response is looked at for its half-power frequency, the share of half the sample rate
 # up to which this is looked for, and the step of derivatives.
 _POINTS, _REACHED, _STEP = 4096, 0.8, 1e-3
@@ -53,12 +54,17 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
     columns += [] if further is None else [FURTHER]
     start = Structure.plain(columns)
     noise = view.noise
+    # The same spectrum by another name: as white noise that is filtered it says where it ends.
+    filtered = "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT
     for name, power in noise.power.items():
         if name in FIXED:
             start = start.using(FIXED.index(name), power)
         elif name == POWER_LAW:
             start = start.using(FURTHER, power)
-        elif (slow := start.with_markov(noise.shape * view.rate, 0.5 * power * noise.shape)) is not None:
+        elif (
+            not filtered
+            and (slow := start.with_markov(noise.shape * view.rate, 0.5 * power * noise.shape)) is not None
+        ):
             start = slow
     if view.structure is not None:
         start = start.with_shape_of(view.structure)
@@ -200,7 +206,9 @@ def _held_out(
     gains = np.zeros(len(groups))
     for fold in folds:
         mine, other = (
-            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).weighed_like(spectrum)
+            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).weighed_like(
+                spectrum
+            )
             for half in (fold, ~fold)
         )
         best = other.loss_of(mine.fit(structure))
@@ -291,7 +299,11 @@ def _of_resonances(
     f0 = float(share @ frequency)
     moved = float(np.sqrt(share @ (frequency - f0) ** 2))
     std = np.sqrt(np.diag(found.covariance))
-    f_std = float(np.sqrt(share**2 @ std[[at.frequencies + k for k in group]] ** 2)) if moved == 0.0 else moved / f0
+    f_std = (
+        float(np.sqrt(share**2 @ std[[at.frequencies + k for k in group]] ** 2))
+        if moved == 0.0
+        else moved / f0
+    )
     relative = 0.5 * std[places] * found.by_power[places] / structure.power[places]
     amplitude = float(np.sqrt(power.sum()))
     a_std = amplitude * float(np.sqrt(share**2 @ relative**2))
@@ -305,5 +317,8 @@ def _of_resonances(
         view.amplitude_estimate("amplitude", amplitude, a_std),
     ]
     half = 0.5 * frequency / quality
-    support = max(float(min(frequency - 4.0 * half)), 0.0), min(float(max(frequency + 4.0 * half)), view.rate / 2.0)
+    support = (
+        max(float(min(frequency - 4.0 * half)), 0.0),
+        min(float(max(frequency + 4.0 * half)), view.rate / 2.0),
+    )
     return estimates, support

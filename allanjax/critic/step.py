@@ -94,7 +94,10 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
     view, found = start, []
     for step in steps:
         after = step.change.apply(view).with_findings(*view.found, step.candidate.cause)
-        if step.candidate.domain == "frequency" and step.candidate.after.structure is not step.before.structure:
+        if (
+            step.candidate.domain == "frequency"
+            and step.candidate.after.structure is not step.before.structure
+        ):
             after = after.with_structure(step.candidate.after.structure).with_findings(*after.found)
         candidate = dataclasses.replace(step.candidate, after=after)
         found.append(Step.of(candidate, step.gain, step.rivals, view))

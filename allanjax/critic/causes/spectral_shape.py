@@ -14,7 +14,6 @@ from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import NONE
 
 
-
 class SpectralShape(Cause):
     """A low-pass filter and resonances."""
 

@@ -8,7 +8,6 @@ shorter than eight samples.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -26,7 +25,6 @@ from allanjax.estimate.spectral.components import (
 )
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.structure import (
-    FIXED,
     LINE,
     LOWEST,
     OUTSIDE,
@@ -47,9 +45,10 @@ _WINDOWS, _WORTH = 3, 8.0
 # Narrowest window [coefficients].
 _NARROWEST = 8
 # Bandwidths that a response starts from [cycles per sample].
-_BANDWIDTHS = (0.03, 0.1, 0.2, 0.35)
-# Kinds of responses, and the largest bandwidth that one of another kind starts from [radians per sample].
+_BANDWIDTHS = (0.06, 0.25)
+# Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts from [radians per sample].
 _KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4)
+_FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
 # Correlation times that a Markov process starts from, in powers of the number of samples.
 _TIMES = (0.35, 0.55, 0.75, 0.95)
@@ -228,7 +227,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
 def responses(structure: Structure) -> Iterator[Structure]:
     """Structures with a response, all resonances inside it or after it."""
     count = len(structure.oscillators)
-    for kind in (ONE_POLE, TWO_POLES):
+    for kind in _FIRST_KINDS:
         for bandwidth in _BANDWIDTHS:
             found = structure.with_response(kind, 2.0 * np.pi * bandwidth)
             for inside in (False, True) if count else (False,):
@@ -290,7 +289,9 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     Slow terms are hardly told from each other by the evidence, but differ in the drift that they predict.
     """
     for _ in range(2):
-        starts = (now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in _TIMES)
+        starts = (
+            now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in _TIMES
+        )
         tried = [spectrum.fit(start) for start in starts if start is not None]
         tried = [found for found in tried if found.structure.power[WHITE] > 0.0]
         best = min(tried, key=lambda found: found.loss, default=now)

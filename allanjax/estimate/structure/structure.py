@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from allanjax.estimate.spectral.columns import columns_of
-from allanjax.estimate.spectral.components import NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.components import NONE, TWO_POLES
 from allanjax.estimate.spectral.levels import Levels, levels_of, padded
 from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales
 from allanjax.estimate.spectral.scoring import Maximum, maximize
@@ -118,7 +118,9 @@ class Structure:
         w, q = self.shape[FULL.response - FULL.components :][:2]
         return float(np.exp(w)), 0.5 + float(np.exp(q))
 
-    def with_oscillator(self, frequency: float, quality: float, power: float, inside: bool) -> Structure | None:
+    def with_oscillator(
+        self, frequency: float, quality: float, power: float, inside: bool
+    ) -> Structure | None:
         """Structure with one more resonance; None if there is no room for it."""
         used = self.oscillators
         if len(used) == FULL.oscillators:
