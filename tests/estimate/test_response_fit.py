@@ -1,11 +1,12 @@
 """Fits of models with a response: white noise and a walk through a filter, with a resonance after it."""
 
 import json
+from importlib.resources import files
 
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter, sosfilt
 
 import allanjax as aj
 from allanjax.allan.covariance import AllanCovariance
@@ -20,6 +21,7 @@ TRUTH = {
     "resonance_quality_factor": 15.0,
     "low_pass1_bandwidth": BANDWIDTH,
 }
+SCHEMA = json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text(encoding="utf-8"))
 MODEL = "low_pass1 * (N + K) + resonance"
 
 
@@ -107,6 +109,75 @@ def test_two_poles_are_found(recording):
     assert abs(result["low_pass2_quality_factor"].value - 0.7) < 4.0 * result["low_pass2_quality_factor"].std
 
 
+def texts_of(figure):
+    """Texts in the panels and the keys of a figure."""
+    keys = [axes.get_legend() for axes in figure.axes if axes.get_legend()]
+    return [t.get_text() for axes in figure.axes for t in axes.texts] + [
+        t.get_text() for key in keys for t in key.get_texts()
+    ]
+
+
+@pytest.fixture(scope="module")
+def butterworth():
+    """White noise and a walk through SciPy's Butterworth filter of order 3, white noise after it."""
+    rng, n = np.random.default_rng(12), N + 1000
+    walk = 2e-4 / np.sqrt(RATE) * np.cumsum(rng.standard_normal(n))
+    x = sosfilt(butter(3, 30.0, fs=RATE, output="sos"), 1e-2 * rng.standard_normal(n) + walk)[1000:]
+    x = x + 5e-4 * rng.standard_normal(N)
+    record = aj.Recording.from_array(x[:, None], RATE, gyro_unit="rad/s", names=["gyro_x"])
+    model = "butterworth(order=3) * (N + K) + N"
+    return aj.fit(record, model, objective="whittle", as_is=True)
+
+
+def test_a_butterworth_filter_is_found(butterworth):
+    """Within four standard deviations each, with white noise after it that is 400 times weaker."""
+    (result,) = butterworth.results
+    truth = {
+        "angle_random_walk_1": 1e-3,
+        "rate_random_walk": 2e-4,
+        "angle_random_walk_2": 5e-5,
+        "butterworth_bandwidth": 30.0,
+    }
+    for label, value in truth.items():
+        assert abs(result[label].value - value) < 4.0 * result[label].std, label
+    assert result["butterworth_bandwidth"].std < 1.0
+    assert result["butterworth_bandwidth"].unit == "Hz"
+    assert result.misfit is None
+    assert result.model.response.order == 3
+
+
+def test_a_butterworth_filter_is_written_loaded_sampled_and_drawn(butterworth, tmp_path):
+    from jsonschema import validate
+
+    from allanjax.report.files import write_json
+
+    path = tmp_path / "fit.json"
+    write_json(butterworth, path)
+    document = json.loads(path.read_text())
+    validate(document, SCHEMA)
+    assert document["response"]["options"] == {"order": 3}
+    assert "options" not in document["model"][0]
+    again = aj.load(path)
+    assert repr(again["gyro_x"].model) == repr(butterworth["gyro_x"].model)
+    assert "order=3" in repr(again.template)
+    c = aj.sample(butterworth, seed=1)["gyro_x"]["butterworth_bandwidth"]
+    assert c.sampled
+    assert c.std == pytest.approx(butterworth["gyro_x"]["butterworth_bandwidth"].std, rel=0.2)
+    figure = butterworth.plot(path=tmp_path / "fit.png")
+    assert any("butterworth" in text for text in texts_of(figure))
+
+
+def test_a_butterworth_filter_stays_below_half_the_sample_rate():
+    """White noise alone: there is no filter, and none beyond what there can be."""
+    x = np.random.default_rng(2).standard_normal((4000, 1))
+    record = aj.Recording.from_array(x, RATE, gyro_unit="rad/s", names=["gyro_x"])
+    model = aj.Butterworth(45.0) * (aj.AngleRandomWalk() + aj.RateRandomWalk())
+    (result,) = aj.fit(record, model, "whittle", as_is=True).results
+    assert 40.0 < result["butterworth_bandwidth"].value < RATE / 2.0
+    with pytest.raises(aj.AllanjaxError, match="below half the sample rate"):
+        aj.fit(record, aj.Butterworth(51.0) * aj.AngleRandomWalk(), "whittle", as_is=True)
+
+
 def test_it_is_written_and_loaded(fitted, tmp_path):
     from allanjax.report.files import write_json
 
@@ -132,10 +203,7 @@ def test_its_posterior_and_its_picture_have_the_bandwidth(fitted, tmp_path):
     # Of what the data know well, posterior and interval are as wide.
     assert c.std == pytest.approx(fitted["gyro_x"]["low_pass1_bandwidth"].std, rel=0.2)
     figure = fitted.plot(path=tmp_path / "fit.png")
-    texts = [t.get_text() for axes in figure.axes for t in axes.texts] + [
-        t.get_text() for axes in figure.axes if axes.get_legend() for t in axes.get_legend().get_texts()
-    ]
-    assert any("low pass1" in text for text in texts)
+    assert any("low pass1" in text for text in texts_of(figure))
 
 
 def test_what_cannot_be_done_is_said(recording, fitted):

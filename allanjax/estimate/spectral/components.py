@@ -145,3 +145,66 @@ def _butterworth(angle: Float[Array, "nodes m"], wc: Array, kind: Array) -> Floa
         high = high * jnp.where(kind >= order, passed, 1.0)
         low = low * jnp.where(kind >= order, stopped, 1.0)
     return high / (high + low)
+
+
+def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
+    """What the two ends of a record add to expected squares of white noise of unit power after a filter.
+
+    The filter has settled when the record begins. Its output has r_d = Σ e·w^{d−1} over its poles w, d ≥ 1,
+    so that it is the second part of the braces of this module's formula, of means of samples, too. It is
+    about 1/n of the noise in the pass band, and most of what is left deep in the stop band. The response is
+    that of `response`, of which it is no part; band-limited ones are taken to have no ends.
+
+    Args:
+        levels: the levels.
+        shape: ln ω_c [radians per sample interval], and ln(Q − ½) of two poles.
+        kind: the kind of response.
+    """
+    poles, weights = _poles_of_response(shape, kind)
+    M, n = jnp.asarray(levels.interval), jnp.asarray(levels.length)
+    s = jnp.sin(levels.angle * M / 2.0) ** 2
+    total = jnp.zeros_like(s)
+    for w, e in zip(poles, weights, strict=True):
+        last_of_mean = _power(w, M)
+        y = 1.0 - last_of_mean
+        # Means of M samples: the first lag, over that of samples, is the square of (1 − w^M)/(M(1 − w)).
+        e = e * (y / (M * (1.0 - w))) ** 2 * y**2 / n
+        beyond = e * _power(w, M * n)
+        even = jnp.real(e) - levels.parity * jnp.real(beyond)
+        odd = jnp.imag(e) - levels.parity * jnp.imag(beyond)
+        u = jnp.real(y**2) + 4.0 * jnp.real(last_of_mean) * s
+        v = jnp.imag(y**2) + 4.0 * jnp.imag(last_of_mean) * s
+        total = total + (even * (u**2 - v**2) + 2.0 * odd * u * v) / (u**2 + v**2) ** 2
+    return -4.0 * (1.0 - s) * total
+
+
+# Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one of each pair, and
+# how many each stands for: see `noise.butterworth`.
+_ANGLES = np.pi * np.array([[0.0, 0.0], [1.0 / 4.0, 0.0], [0.0, 1.0 / 3.0], [1.0 / 8.0, 3.0 / 8.0]])
+_COUNTS = np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 2.0], [2.0, 2.0]])
+_ORDERS = np.arange(1.0, 5.0)[:, None]
+
+
+def _poles_of_response(shape: Float[Array, " 2"], kind: Array) -> tuple[Num[Array, " 2"], Num[Array, " 2"]]:
+    """Poles w of a filter, and the e of the autocovariance Re Σ e·w^{d−1}, d ≥ 1, of white noise after it."""
+    wc, Q = jnp.exp(shape[0]), 0.5 + jnp.exp(shape[1])
+    decay = wc / (2.0 * Q)
+    wd = jnp.sqrt(wc**2 - decay**2)
+    one, two = jnp.exp(-wc), jnp.exp(-decay + 1j * wd)
+    c = 1.0 - 1j * decay / wd
+    c = c / jnp.real(c * (1.0 + two) / (1.0 - two))
+    q = jnp.tan(jnp.minimum(wc, BUTTERWORTH_LIMIT) / 2.0) * np.exp(1j * _ANGLES)
+    # By kind; a pole of weight 0 is idle.
+    idle = jnp.full((5, 2), 0.5 + 0j)
+    poles = idle.at[ONE_POLE, 0].set(one).at[TWO_POLES, 0].set(two)
+    weights = (0.0 * idle).at[ONE_POLE, 0].set(one * (1.0 - one) / (1.0 + one)).at[TWO_POLES, 0].set(two * c)
+    poles = jnp.concatenate([poles, (1.0 - q) / (1.0 + q)])
+    weights = jnp.concatenate([weights, _COUNTS / _ORDERS * q / (1.0 + q) ** 2])
+    return poles[kind], weights[kind]
+
+
+def _power(w: Num[Array, ""], exponent: Float[Array, "*m"]) -> Num[Array, "*m"]:
+    """Power of a complex number inside the unit circle, of 0, too."""
+    log_size = 0.5 * jnp.log(jnp.maximum(jnp.real(w) ** 2 + jnp.imag(w) ** 2, 1e-300))
+    turn = exponent * jnp.arctan2(jnp.imag(w), jnp.real(w))
+    return jnp.exp(exponent * log_size) * (jnp.cos(turn) + 1j * jnp.sin(turn))

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.signal import butter, freqz, freqz_sos
+from scipy.linalg import toeplitz
+from scipy.signal import butter, freqz, freqz_sos, lfilter, sosfilt
 
 import allanjax as aj
 from allanjax.estimate.spectral import components
@@ -175,6 +176,68 @@ def test_one_program_serves_all_kinds_of_response():
     for kind in range(9):
         of(jnp.asarray(kind))
     assert len(traced) == 1
+
+
+def pulse_of(kind, bandwidth, Q, n):
+    """Response of a filter to a pulse, by SciPy and by the recursion of an oscillator read at instants."""
+    pulse = np.zeros(n)
+    pulse[0] = 1.0
+    if kind >= components.BUTTERWORTH_1:
+        return sosfilt(butter(kind - 4, bandwidth, fs=1.0, output="sos"), pulse)
+    wc = 2.0 * np.pi * bandwidth
+    if kind == components.ONE_POLE:
+        return lfilter([1.0 - np.exp(-wc)], [1.0, -np.exp(-wc)], pulse)
+    return np.asarray(aj.LowPass2(bandwidth, Q).filtered(jnp.asarray(pulse), 1.0))
+
+
+@pytest.mark.parametrize("kind", [components.ONE_POLE, components.TWO_POLES, *BUTTERWORTH])
+@pytest.mark.parametrize("bandwidth", [0.01, 0.1, 0.25, 0.4])
+@pytest.mark.parametrize("M", [1, 3])
+def test_ends_of_filtered_white_noise_are_what_is_beside_the_response(kind, bandwidth, M):
+    """E c² by the dense covariance of 200 values, means of M samples; the filter settled before the first."""
+    n, Q = 200, 1.3
+    pulse = pulse_of(kind, bandwidth, Q, 2000)
+    echo = np.correlate(pulse, pulse, "full")[len(pulse) - 1 :]
+    means = np.kron(np.eye(n), np.full((1, M), 1.0 / M))
+    expected = by_all_pairs(means @ toeplitz(echo[: M * n]) @ means.T)
+    levels, m = single_coefficients(n)
+    levels = levels._replace(angle=levels.angle / M, interval=np.asarray(float(M)))
+    shape = jnp.array([np.log(2.0 * np.pi * bandwidth), np.log(Q - 0.5)])
+    ends = np.asarray(components.response_ends(levels, shape, jnp.asarray(kind)))[0, :m]
+    if M == 1:
+        within = np.asarray(components.response(levels, shape, jnp.asarray(kind)))[0, :m]
+        np.testing.assert_allclose(within + ends, expected, rtol=1e-6, atol=1e-15)
+        # Deep in the stop band hardly anything is left beside them.
+        if kind == components.BUTTERWORTH_4 and bandwidth == 0.1:
+            assert np.all(within[-50:] < 0.02 * ends[-50:])
+    # Without the ends it is what more and more values have, of the same autocovariance.
+    a = np.pi * np.arange(1, n) / n
+    lag = np.arange(1, 1500 // M)
+    near = np.arange(1 - M, M)
+    triangle = (M - abs(near)) / M**2
+    at_zero, of_means = triangle @ echo[abs(near)], echo[M * lag[:, None] + near] @ triangle
+    density = at_zero + 2.0 * np.cos(a[:, None] * lag) @ of_means
+    np.testing.assert_allclose(density + ends, expected, rtol=1e-6, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", range(9))
+def test_ends_are_differentiable_and_add_nothing_without_a_response(kind):
+    levels, _ = single_coefficients(N)
+
+    def of(shape):
+        return components.response_ends(levels, shape, jnp.asarray(kind))
+
+    shape = jnp.array([-0.7, 0.1])
+    found, slope = np.asarray(of(shape)), np.asarray(jax.jacfwd(of)(shape))
+    none = (components.NONE, components.ONE_POLE_BAND_LIMITED, components.TWO_POLES_BAND_LIMITED)
+    assert np.any(found) == (kind not in none)
+    for k, step in enumerate(1e-5 * np.eye(2)):
+        by_difference = (np.asarray(of(shape + step)) - np.asarray(of(shape - step))) / 2e-5
+        np.testing.assert_allclose(slope[..., k], by_difference, rtol=1e-6, atol=1e-10)
+    for log_wc in (-20.0, np.log(np.pi / 2.0), 5.0):
+        at = jnp.array([log_wc, 0.1])
+        assert np.all(np.isfinite(np.asarray(of(at))))
+        assert np.all(np.isfinite(np.asarray(jax.jacfwd(of)(at))))
 
 
 def test_nothing_depends_on_an_absent_response():
