@@ -122,8 +122,8 @@ def search(
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]
-        # A waveform may have hidden anything; an effect in the spectrum hardly hides a waveform.
-        if len(steps) < len(known) or step.candidate.domain == "time":
+        # A waveform may have hidden anything; other effects hardly hide one. In the end all are asked again.
+        if len(steps) < len(known) or step.candidate.has_waveform:
             offered = {}
         else:
             found = dict(candidates)
