@@ -41,6 +41,14 @@ def whittle(small_recording):
     return aj.fit(recording, model, "whittle", regressors=["temperature"])
 
 
+def test_the_order_of_a_filter_is_kept(small_recording, tmp_path):
+    model = aj.AngleRandomWalk() + aj.LowPass(bandwidth=2.0, order=2)
+    fit = aj.fit(small_recording["gyro_x"], model, "whittle", as_is=True)
+    again = reloaded(fit, tmp_path)
+    assert again.template == fit.template
+    assert again["gyro_x"].model["low_pass"].order == 2
+
+
 def off(fit, sustained):
     """The fit, had its second axis's curve been off by so much, and a third axis been dead."""
     first, second, *others = fit.results
