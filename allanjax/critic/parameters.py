@@ -13,6 +13,8 @@ from allanjax.record.recording import Axis
 ONE_SIDED = 1.645
 # Standard deviations to the ends of a 95 % interval of the normal law.
 _TWO_SIDED = 1.959963984540054
+# Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
+_AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
 #: Side of its 95 % limit that a parameter is on; "" if more than a limit is known of it.
 Limit: TypeAlias = Literal["", "above", "below"]
 #: What a finding says besides its parameters: a word, several words, or a list of numbers.
@@ -54,6 +56,15 @@ def parameter_estimate(
         upper_limit=value if limit == "below" else None,
         lower_limit=value if limit == "above" else None,
     )
+
+
+def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, float, Limit]:
+    """Estimate and its standard deviation, or a 95 % limit where it is at a bound."""
+    if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
+        return min(u, bounds[1]) - ONE_SIDED * std, float("nan"), "above"
+    if u < bounds[0] + max(_AT_BOUND, _NEAR_BOUND * std):
+        return max(u, bounds[0]) + ONE_SIDED * std, float("nan"), "below"
+    return u, std, ""
 
 
 def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], float, str]:

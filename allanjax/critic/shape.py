@@ -10,14 +10,24 @@ import numpy as np
 from jaxtyping import Bool
 
 from allanjax.critic.noise import MARKOV, POWER_LAW
-from allanjax.critic.parameters import Detail
+from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.view import View
 from allanjax.critic.windows import conspicuous
-from allanjax.estimate.spectral.components import NONE, TWO_POLES
+from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE, TWO_POLES
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, order_of, response_of
 from allanjax.estimate.structure.search import Record, completed, refitted, searched
-from allanjax.estimate.structure.structure import FIXED, FURTHER, Fitted, Spectrum, Structure
+from allanjax.estimate.structure.structure import (
+    FIXED,
+    FURTHER,
+    LEAST_QUALITY,
+    LINE,
+    LOWEST,
+    LOWEST_BANDWIDTH,
+    Fitted,
+    Spectrum,
+    Structure,
+)
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
@@ -129,7 +139,7 @@ class Shape(NamedTuple):
 
 
 def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | None:
-    """Final fit of a view's structure and what is told of it; None if there is nothing besides the basic terms."""
+    """Final fit of a view's structure and what is told of it; None if there are only basic terms."""
     if view.structure is None:
         return None
     further = _further(view)
@@ -202,7 +212,7 @@ def _held_out(
     groups: Sequence[Sequence[int]],
     folds: Sequence[Bool[np.ndarray, " n-1"]],
 ) -> list[float]:
-    """Gain by each group in the likelihood of half of the coefficients, all being fitted to the other half."""
+    """Gain in log-likelihood by each group on half of the coefficients, by fits to the other half [nats]."""
     gains = np.zeros(len(groups))
     for fold in folds:
         mine, other = (
@@ -253,9 +263,12 @@ def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
         there = _half_power(dataclasses.replace(structure, shape=moved), view.rate)
         slope[i] = np.log(there / value) / _STEP
     std = float(np.sqrt(slope @ covariance @ slope))
+    bounds = np.log([LOWEST_BANDWIDTH * view.rate, view.rate])
+    # Steeper filters than the steepest one that is looked for look like it.
+    steepest: Limit = "above" if structure.kind == BUTTERWORTH_4 else ""
     estimates = [
-        view.log_estimate("bandwidth", float(np.log(value)), std, "", "Hz"),
-        view.estimate("order", order_of(structure), 0.0, "1"),
+        view.log_estimate("bandwidth", *limited(float(np.log(value)), std, bounds), "Hz"),
+        view.estimate("order", order_of(structure), 0.0, "1", steepest),
     ]
     return estimates, value
 
@@ -311,9 +324,12 @@ def _of_resonances(
     # The full width at half of the maximum of a normal law is 2.355 standard deviations.
     Q = f0 / np.hypot(width, 2.355 * moved)
     q_std = float(np.sqrt(share**2 @ (std[[at.qualities + k for k in group]] * (1.0 - 0.5 / quality)) ** 2))
+    # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.
+    spacing = view.rate / (2.0 * view.n)
+    band, shapes = np.log([LOWEST * spacing, view.rate / 2.0]), np.log([LEAST_QUALITY, f0 / (LINE * spacing)])
     estimates = [
-        view.log_estimate("frequency", float(np.log(f0)), f_std, "", "Hz"),
-        view.log_estimate("quality_factor", float(np.log(Q)), q_std, "", "1"),
+        view.log_estimate("frequency", *limited(float(np.log(f0)), f_std, band), "Hz"),
+        view.log_estimate("quality_factor", *limited(float(np.log(Q)), q_std, shapes), "1"),
         view.amplitude_estimate("amplitude", amplitude, a_std),
     ]
     half = 0.5 * frequency / quality

@@ -13,20 +13,19 @@ from allanjax.critic.causes.basic_term import BasicTerm
 from allanjax.critic.causes.bias_step import _parameters as step_parameters
 from allanjax.critic.causes.common_mode import common_mode
 from allanjax.critic.causes.disturbance import Disturbance
-from allanjax.critic.causes.low_pass import _FILTERS, LowPass
 from allanjax.critic.causes.outliers import _log_scale
 from allanjax.critic.causes.power_law import PowerLaw
-from allanjax.critic.causes.resonance import Resonance
 from allanjax.critic.causes.saturation import Saturation
 from allanjax.critic.causes.sinusoid import Sinusoid
-from allanjax.critic.causes.spectral import limited
+from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.causes.telegraph import two_levels
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange, _ratio
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.noise import MARKOV
-from allanjax.critic.parameters import parameter_estimate
+from allanjax.critic.parameters import limited, parameter_estimate
 from allanjax.critic.result import Finding
+from allanjax.critic.search import search
 from allanjax.critic.view import EVERYTHING
 from allanjax.record.recording import Axis
 from allanjax.report.critique_json import _parameter
@@ -162,18 +161,27 @@ def test_a_temperature_without_lag_has_one_below_a_limit():
     check(Temperature().detect(view).parameters["lag"], "below", 0.0)
 
 
+def found_in(x, cause):
+    """Parameters of the one filter or resonance that is found."""
+    found = search(view_of(x), [SpectralShape()], 2e-3, lambda text: None)
+    (parameters,) = (s.candidate.parameters for s in found.steps if s.candidate.cause == cause)
+    return parameters
+
+
 def test_a_filter_steeper_than_all_is_of_at_least_the_steepest_ones_order():
+    """The steepest one that is looked for is of order 4."""
     x = sosfilt(butter(8, 0.5, output="sos"), white(6)) + 1e-3 * white(66)
-    found = LowPass().detect(view_of(x)).parameters
-    assert max(order for order, _ in _FILTERS) == 4
+    found = found_in(x, "low_pass")
     check(found["order"], "above", 8.0)
     assert told(found["order"]) == ["order at least 4"]
 
 
-def test_a_bandwidth_below_all_that_are_looked_for():
-    """The grid begins at 0.25 Hz."""
-    found = LowPass().detect(view_of(lfilter(*butter(1, 0.002), white(7)))).parameters
-    check(found["bandwidth"], "below", 0.05)
+def test_a_bandwidth_below_all_that_are_looked_for_is_that_of_a_markov_process():
+    """White noise behind a pole at 0.05 Hz; the least bandwidth is 0.25 Hz."""
+    found = search(view_of(lfilter(*butter(1, 0.002), white(7))), [SpectralShape()], 2e-3, lambda text: None)
+    assert found.steps == ()
+    assert "markov" in found.end.noise.terms
+    assert np.log(2.0 * np.pi * 0.05 * found.end.noise.shape) == pytest.approx(0.0, abs=0.5)
 
 
 def resonance(frequency, quality, seed):
@@ -184,10 +192,10 @@ def resonance(frequency, quality, seed):
     return y / y.std()
 
 
-@pytest.mark.parametrize(("quality", "limit"), [(2000.0, "above"), (20.0, "")])
+@pytest.mark.parametrize(("quality", "limit"), [(8000.0, "above"), (20.0, "")])
 def test_a_resonance_narrower_than_a_line_may_be(quality, limit):
     """At 5 Hz in 600 s a quality factor above 1500 is narrower than two lines are apart."""
-    found = Resonance().detect(view_of(white(8) + resonance(5.0, quality, 9))).parameters["quality_factor"]
+    found = found_in(white(8) + resonance(5.0, quality, 9), "resonance")["quality_factor"]
     if limit:
         check(found, limit, quality)
     else:

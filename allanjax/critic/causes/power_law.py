@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critic.causes.spectral import FineLevels, limited, relative_errors
+from allanjax.critic.causes.spectral import FineLevels, relative_errors
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
+from allanjax.critic.parameters import limited
 from allanjax.critic.view import MARGIN, Candidate, Cause, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 

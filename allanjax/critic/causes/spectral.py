@@ -9,12 +9,9 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar, nnls
 
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, density
-from allanjax.critic.parameters import ONE_SIDED, Limit
 from allanjax.critic.view import View
 from allanjax.noise.terms import Markov, PowerLaw
 
-# Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
-_AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
 #: Name of the free shape in the result of `relative_errors`.
 SHAPE = "shape"
 
@@ -146,15 +143,6 @@ class FineLevels:
         sides = [likelihood(u + _STEP), likelihood(u - _STEP)]
         curvature = (-2.0 * found.fun - sum(sides)) / _STEP**2
         return u, float(1.0 / np.sqrt(max(curvature, 1e-2))), -float(found.fun)
-
-
-def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, float, Limit]:
-    """Estimate and its standard deviation, or a 95 % limit where it is at a bound."""
-    if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
-        return min(u, bounds[1]) - ONE_SIDED * std, float("nan"), "above"
-    if u < bounds[0] + max(_AT_BOUND, _NEAR_BOUND * std):
-        return max(u, bounds[0]) + ONE_SIDED * std, float("nan"), "below"
-    return u, std, ""
 
 
 def relative_errors(view: View, noise: Noise) -> dict[str, float]:

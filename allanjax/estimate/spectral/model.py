@@ -27,6 +27,7 @@ from allanjax.estimate.spectral.components import (
     markov,
     oscillator,
     response,
+    response_ends,
 )
 from allanjax.estimate.spectral.levels import Levels, padded
 from allanjax.noise.terms import NoiseTerm
@@ -244,9 +245,9 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
     u = theta[: at.components]
     power, by_u = slots.scale * jnp.expm1(u), slots.scale * jnp.exp(u)
     unit = _units(theta, slots, levels)
-    R = response(levels, _of_response(theta, at), slots.kind)
+    R = _passed(_of_response(theta, at), slots, levels)
     by_response = jnp.stack(
-        _derivatives(lambda shape: response(levels, shape, slots.kind), _of_response(theta, at))
+        _derivatives(lambda shape: _passed(shape, slots, levels), _of_response(theta, at))
     )
     by_shape = []
     for function, shapes in _free_slots(theta, slots, levels):
@@ -280,8 +281,13 @@ def _derivatives(function: Callable[[Array], Array], shape: Float[Array, " shape
 
 def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Float[Array, "components m"]:
     """Expected levels [rate²] of each component of unit power, after the response if it passes that."""
-    R = response(levels, _of_response(theta, slots.layout), slots.kind)
+    R = _passed(_of_response(theta, slots.layout), slots, levels)
     return jnp.mean(_units(theta, slots, levels) * jnp.where(slots.inside[:, None, None], R, 1.0), axis=1)
+
+
+def _passed(shape: Float[Array, " 2"], slots: Slots, levels: Levels) -> Float[Array, "2 m"]:
+    """Response of white noise in a record, whose two ends add to it."""
+    return response(levels, shape, slots.kind) + response_ends(levels, shape, slots.kind)
 
 
 def _of_response(theta: Array, at: Layout) -> Array:

@@ -46,7 +46,8 @@ _WINDOWS, _WORTH = 3, 8.0
 _NARROWEST = 8
 # Bandwidths that a response starts from [cycles per sample].
 _BANDWIDTHS = (0.06, 0.25)
-# Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts from [radians per sample].
+# Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts
+# from [radians per sample].
 _KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4)
 _FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
@@ -112,7 +113,7 @@ def searched(
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """A structure fitted anew, without what is not needed any more, and the spectrum that it was fitted to."""
+    """Structure fitted anew, without what is not needed any more, and the spectrum that it was fitted to."""
     spectrum = record.binned(start)
     spectrum = spectrum.weighing(spectrum.fit(start))
     return spectrum, pruned(spectrum, spectrum.fit(start))
@@ -193,9 +194,9 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
     structure, n = now.structure, spectrum.n
     if structure.kind == NONE:
         if _smoothed_scores(spectrum, now) > _CLEAR:
-            yield from responses(structure)
+            yield from responses(structure, float(np.min(spectrum.rough[: len(spectrum.bins.size)])))
     elif not structure.active[OUTSIDE]:
-        yield structure.using(OUTSIDE, float(np.min(now.mean[: len(spectrum.bins.size)])))
+        yield structure.using(OUTSIDE, float(np.min(spectrum.rough[: len(spectrum.bins.size)])))
     ratio = record.squares / at_all(spectrum, now)
     for k in structure.oscillators:
         if structure.companions(int(k)) >= _MOVING:
@@ -224,8 +225,13 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
         yield together
 
 
-def responses(structure: Structure) -> Iterator[Structure]:
-    """Structures with a response, all resonances inside it or after it."""
+def responses(structure: Structure, floor: float) -> Iterator[Structure]:
+    """Structures with a response, and white noise after it, all resonances inside it or after it.
+
+    Without that noise, of a level of `floor` or less, the depth of the stop band would decide what the
+    response is.
+    """
+    structure = structure.using(OUTSIDE, floor)
     count = len(structure.oscillators)
     for kind in _FIRST_KINDS:
         for bandwidth in _BANDWIDTHS:

@@ -30,8 +30,8 @@ LEAST_QUALITY = 1.5
 LOWEST, LINE = 16, 4.0
 # Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
 _SHORTEST = 8.0
-# Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
-_LOWEST_BANDWIDTH = 0.005
+#: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
+LOWEST_BANDWIDTH = 0.005
 # Relative error that a model of any sensor has in each bin: a judgement, of filters that no model has.
 _ERROR = 0.005
 # Relative error that the part of the resonances has, whose frequency and damping drift: a judgement.
@@ -43,7 +43,7 @@ _CAPACITIES = (384, 1024)
 # Tolerances of a fit within a search, and of one whose numbers are told.
 _ROUGH, _FINE = 1e-2, 1e-5
 # Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
-_QUALITY = (np.log(10.0), 1.5)
+_QUALITY = (np.log(10.0), 3.0)
 # Farthest that a frequency moves from its start, in ln.
 _REACH = 0.7
 
@@ -104,7 +104,7 @@ class Structure:
         return abs(self.frequency(i) - self.frequency(k)) < _CLOSE * 0.5 * (self.width(i) + self.width(k))
 
     def companions(self, k: int) -> int:
-        """Number of oscillators in use that are close to one of them, itself included; 0 if it is not in use."""
+        """Number of oscillators in use that are close to one of them, itself included; 0 if that is idle."""
         used = self.oscillators
         return sum(self.are_close(int(i), k) for i in used) if k in used else 0
 
@@ -323,7 +323,7 @@ class Spectrum:
         lower[at.qualities : at.response] = np.log(LEAST_QUALITY - 0.5)
         widest = np.exp(started) / (LINE * spacing)
         upper[at.qualities : at.response] = np.log(np.maximum(widest, 2.0) - 0.5)
-        lower[at.response] = np.log(max(LOWEST * spacing, 2.0 * np.pi * _LOWEST_BANDWIDTH))
+        lower[at.response] = np.log(max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH))
         upper[at.response] = np.log(4.0)
         lower[at.response + 1], upper[at.response + 1] = np.log(0.02), np.log(20.0)
         return lower, np.maximum(upper, lower)
@@ -340,8 +340,8 @@ class Spectrum:
         D = widths[free] / np.sqrt(2.0 * np.pi)
         F = np.asarray(found.information)[np.ix_(free, free)]
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
-        more = len(structure.oscillators) + (structure.kind != NONE) + bool(structure.active[OUTSIDE])
-        more += len(structure.markovs)
+        used = structure.active & (np.asarray(found.theta)[: at.components] > 0.0)
+        more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :])) + int(structure.kind != NONE)
         return -float(found.loss) - 0.5 * float(logdet) - PRICE * more
 
 
