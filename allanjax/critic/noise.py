@@ -209,3 +209,12 @@ def family_of(n: int, rate: float) -> NoiseFamily:
 def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
     """Cosine coefficients c_1 … c_{n−1} of a record without its mean."""
     return cosine_transform(x - x.mean())
+
+
+def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Every other pair of coefficients, and the rest: independent halves that both cover the whole spectrum.
+
+    They are pairs since a shape that is odd about the record's middle has odd coefficients only.
+    """
+    some = np.arange(n - 1) // 2 % 2 == 0
+    return some, ~some

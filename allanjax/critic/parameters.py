@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
@@ -58,7 +60,9 @@ def parameter_estimate(
     )
 
 
-def limited(u: float, std: float, bounds: tuple[float, float]) -> tuple[float, float, Limit]:
+def limited(
+    u: float, std: float, bounds: Sequence[float] | Float[np.ndarray, " 2"]
+) -> tuple[float, float, Limit]:
     """Estimate and its standard deviation, or a 95 % limit where it is at a bound."""
     if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
         return min(u, bounds[1]) - ONE_SIDED * std, float("nan"), "above"

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.causes.spectral_shape import SpectralShape
-from allanjax.critic.noise import RAMP, family_of
+from allanjax.critic.noise import RAMP, coefficient_folds, family_of
 from allanjax.critic.parameters import Detail
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, coefficient_folds, in_time
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, in_time
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model

@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
+from scipy.fft import dct
 
+from allanjax.critic.factor import stop_band
 from allanjax.critic.noise import MARKOV, POWER_LAW
 from allanjax.critic.parameters import Detail, Limit, limited
-from allanjax.critic.view import View
+from allanjax.critic.view import View, in_time
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE, TWO_POLES
 from allanjax.estimate.spectral.model import FULL
@@ -37,6 +39,8 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 # Quality factor from which on resonances may be lines of one source, and how far from multiples of its
 # frequency, as a share of that, its lines may be: judgements.
 _LINES, _BESIDE = 50.0, 0.25
+# Share of the record at each end that is drawn anew behind a steep filter.
+_ENDS = 0.02
 # p-value of what is left of the spectrum from which on it is searched again: a judgement.
 _LEFT = 1e-4
 # Correlation time [samples] below which a Markov process without white noise is filtered white noise.
@@ -98,7 +102,28 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     gain = found.evidence - before.evidence
     occam = before.loss - found.loss - gain
     gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
-    return (after.without_ends(), gain) if gain > 0.0 else None
+    return (_without_ends(after), gain) if gain > 0.0 else None
+
+
+def _without_ends(view: View) -> View:
+    """View whose ends are drawn anew in the stop band of its response; they count as imputed.
+
+    Whitening amplifies the stop band, and with it the kinks of the mirrored record.
+    """
+    if view.structure is None or view.factor is None:
+        return view
+    band = stop_band(view.structure, view.family, view.factor)
+    if band is None:
+        return view
+    deep, share = band
+    k = np.arange(view.n)
+    # Gradually: an edge would be a sample that stands out.
+    near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
+    root = np.sqrt(view.variance())
+    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
+    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
+    more = in_time(np.where(deep, root * dct(change, norm="ortho", workers=-1)[1:], 0.0))
+    return dataclasses.replace(view, samples=view.samples + more, imputed=view.imputed | (near > 0.0))
 
 
 def _left(view: View) -> bool:

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
-from allanjax.critic.factor import spectrum_factor, stop_band
+from allanjax.critic.factor import spectrum_factor
 from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
-from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred
+from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred, coefficient_folds
 from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estimate
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.estimate import Estimate
@@ -33,8 +33,6 @@ MARGIN = 3.0
 #: Probability of a false finding in a record of one axis that `Cause.min_log_odds` and `Cause.max_p` are made
 #: for.
 FALSE_ALARMS = 0.01
-# Share of the record at each end that is drawn anew behind a steep filter.
-_ENDS = 0.02
 #: Names of all basic terms.
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
@@ -126,11 +124,6 @@ class View:
     def noise(self) -> Noise:
         """Most probable subset of the allowed basic terms."""
         return self.model_evidence.best(self.allowed)
-
-    @functools.cached_property
-    def squares(self) -> Float[np.ndarray, " n-1"]:
-        """Squared coefficients divided by the factor, as of a record without earlier findings."""
-        return self.coefficients**2 if self.factor is None else self.coefficients**2 / self.factor
 
     @property
     def slope(self) -> float:
@@ -267,24 +260,6 @@ class View:
         vars(view)["coefficients"] = self.coefficients
         return view
 
-    def without_ends(self) -> View:
-        """View whose ends are drawn anew in the stop band of its response; they count as imputed.
-
-        Whitening amplifies the stop band, and with it the kinks of the mirrored record.
-        """
-        band = None if self.structure is None else stop_band(self.structure, self.family, self.factor)
-        if band is None:
-            return self
-        deep, share = band
-        k = np.arange(self.n)
-        # Gradually: an edge would be a sample that stands out.
-        near = np.clip(1.0 - np.minimum(k, self.n - 1 - k) / (_ENDS * self.n), 0.0, 1.0)
-        root = np.sqrt(self.variance())
-        drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(self.n - 1)
-        change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - self.residual / root, 0.0))
-        more = in_time(np.where(deep, root * dct(change, norm="ortho", workers=-1)[1:], 0.0))
-        return dataclasses.replace(self, samples=self.samples + more, imputed=self.imputed | (near > 0.0))
-
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View, with all that has been computed of it, for which these causes have been found.
 
@@ -337,15 +312,6 @@ class View:
     ) -> Estimate:
         """Amplitude in the recording's own unit, by that in SI."""
         return self.estimate(label, value / self.scale, std / self.scale, self.axis.unit + per, limit)
-
-
-def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Every other pair of coefficients, and the rest: independent halves that both cover the whole spectrum.
-
-    They are pairs since a shape that is odd about the record's middle has odd coefficients only.
-    """
-    some = np.arange(n - 1) // 2 % 2 == 0
-    return some, ~some
 
 
 def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:

@@ -77,7 +77,8 @@ class FineLevels:
         size = sums(self._used, self._first)
         self._real = size > 0
         self.size = size[self._real]
-        self.squares = self.size * self.mean(view.squares)
+        squares = view.coefficients**2
+        self.squares = self.size * self.mean(squares if view.factor is None else squares / view.factor)
         self.frequency = self.mean(view.family.frequency)
         last = np.append(self._first[1:], view.n - 1)
         middle, half = 0.5 * (self._first + last + 1), 0.5 * (last - self._first)

@@ -278,9 +278,9 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
         # Of ln p; what is known better than that is there.
         std = np.sqrt(np.diag(now.covariance)[: FULL.components]) * now.by_power
         shaped = np.arange(FULL.components) >= FULL.first_markov
-        doubtful = np.flatnonzero(structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE)))
-        doubtful = [int(k) for k in doubtful if std[k] > _DOUBTFUL * structure.power[k]]
-        tried = [spectrum.fit(structure.without(k)) for k in doubtful]
+        doubtful = structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE))
+        doubtful &= std > _DOUBTFUL * structure.power
+        tried = [spectrum.fit(structure.without(int(k))) for k in np.flatnonzero(doubtful)]
         best = now
         for found in tried:
             best = _better(best, found)
