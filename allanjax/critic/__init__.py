@@ -9,7 +9,8 @@ parameters goes into a `Bank` of such shapes, `centred`, and `additive` finds th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding, Rival
+from allanjax.critic.finding import Discrepancy, Finding, Rival
+from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.view import Candidate, Cause, View
 
 if TYPE_CHECKING:

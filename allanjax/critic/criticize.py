@@ -9,21 +9,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.wording import finite_or_none
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.common_mode import common_mode
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
+from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
-from allanjax.critic.result import (
-    AxisCritique,
-    Critique,
-    Discrepancy,
-    DriftChange,
-    Finding,
-    Rival,
-    Snapshot,
-)
+from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import AcceptanceRule, Search, basic_model, extended, search, view_of
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, View
@@ -197,8 +191,8 @@ def _finding(
         axes=(view.axis.name,),
         parameters=candidate.parameters,
         p_value=candidate.p_value,
-        evidence=float(candidate.gain),
-        gain=float(step.gain),
+        evidence=finite_or_none(candidate.gain),
+        gain=finite_or_none(step.gain),
         rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
         span=(float(start), float(end if np.isfinite(end) else view.duration)),
         domain=candidate.domain,

@@ -13,9 +13,9 @@ from allanjax.allan.clusters import cluster_sizes
 from allanjax.critic import profiles
 from allanjax.critic.causes.rounding import HARMLESS, lattice
 from allanjax.critic.comparison import StageResiduals, allan_laws
+from allanjax.critic.finding import Discrepancy
 from allanjax.critic.noise import centred
 from allanjax.critic.profiles import TINY
-from allanjax.critic.result import Discrepancy
 
 
 def discrepancies(

@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.critic.finding import CoefficientChange, DriftChange
 from allanjax.critic.model_evidence import SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
-from allanjax.critic.result import CoefficientChange, DriftChange
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
 from allanjax.noise.terms import Markov, basic_terms

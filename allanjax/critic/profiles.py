@@ -26,7 +26,7 @@ from allanjax.critic.comparison import (
     degrees_of_freedom,
     octave_bins,
 )
-from allanjax.critic.result import Discrepancy
+from allanjax.critic.finding import Discrepancy
 from allanjax.record.units import unit_scale
 
 #: Smallest p-value that is reported: smaller ones are beyond floating point.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import html
 import os
 from collections.abc import Collection, Mapping, Sequence
@@ -14,124 +15,17 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import presented
-from allanjax.critic.parameters import Detail, values_of
+from allanjax.critic.finding import Discrepancy, Finding
+from allanjax.critic.merging import merged
+from allanjax.critic.parameters import values_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import Fit
-from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis, DeadAxis
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Discrepancy(ByValue):
-    """Comparison of the measurement with its simulations in one statistic.
-
-    Attributes:
-        statistic: name of the statistic, e.g. "allan_deviation".
-        where: place of the largest difference, e.g. 0.7.
-        where_unit: its unit, "s" or "Hz", or "" where there is no place.
-        measured, simulated: the statistic there, in `unit`; simulated is the ensemble's median.
-        unit: of these two.
-        p_value: probability of a difference as large anywhere, under the model.
-        channel: the other axis or channel, of a correlation.
-    """
-
-    statistic: str
-    where: float
-    where_unit: str
-    measured: float
-    simulated: float
-    unit: str
-    p_value: float
-    channel: str = ""
-
-    @property
-    def size(self) -> float:
-        """Relative error of the simulation, simulated/measured − 1; nan where measured is zero."""
-        return self.simulated / self.measured - 1.0 if self.measured else float("nan")
-
-
-@dataclasses.dataclass(frozen=True)
-class Rival:
-    """Another cause that explains nearly as much.
-
-    Attributes:
-        cause: name of the cause.
-        odds: odds of the finding's cause against it.
-    """
-
-    cause: str
-    odds: float
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class CoefficientChange(ByValue):
-    """Basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
-
-    label: str
-    before: float
-    after: float
-    unit: str
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class DriftChange(ByValue):
-    """Drift over a time: root mean square on held-out stretches, and predicted before and after a finding.
-
-    The drift is the integrated rate less that of the mean rate of the stretch before, of equal length.
-    """
-
-    horizon: float
-    measured: float
-    before: float
-    after: float
-    unit: str
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Finding(ByValue):
-    """A cause that was found, and the gain of taking it into the model.
-
-    Attributes:
-        cause: name of the cause, see `causes`.
-        axes: axes that it concerns.
-        parameters: estimates by label, in the recording's own units, times from its start [s].
-        p_value: p-value of its statistic, corrected for the search.
-        evidence: log Bayes factor for it, trials and Occam factors included [nats].
-        gain: gain in log-likelihood on data that were used neither to find nor to fit it [nats].
-        rivals: causes against which its odds are shorter than 1000.
-        span, domain: start and end, in s ("time") or Hz ("frequency").
-        coefficients: changes of the basic coefficients.
-        drift: change of the predicted drift.
-        discrepancies: pairs of a statistic before and after this finding, at the place that it improved most.
-        details: words and lists of numbers by name: a channel, the times of outliers, harmonics.
-    """
-
-    cause: str
-    axes: tuple[str, ...]
-    parameters: Mapping[str, Estimate]
-    p_value: float
-    evidence: float
-    gain: float
-    rivals: tuple[Rival, ...]
-    span: tuple[float, float]
-    domain: str
-    coefficients: tuple[CoefficientChange, ...] = ()
-    drift: DriftChange | None = None
-    discrepancies: tuple[tuple[Discrepancy, Discrepancy], ...] = ()
-    details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
-
-    @presented
-    def __str__(self) -> str:
-        raise NotImplementedError
-
-    @presented
-    def __repr__(self) -> str:
-        raise NotImplementedError
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -219,10 +113,19 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     dead: tuple[DeadAxis, ...] = ()
     warnings: tuple[str, ...] = ()
 
-    @property
+    @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """All findings: of each axis, then those that several share."""
-        return (*(f for axis in self.results for f in axis.findings), *self.shared_findings)
+        """What was found in the recording, each cause once, what changes most first; see `Finding.members`.
+
+        The findings of an axis as they were made are those of its `AxisCritique`.
+        """
+        own = [f for axis in self.results for f in axis.findings]
+        return merged(own, self.shared_findings, self.duration)
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return len(self.results[0].stages[0].x) / self.rate if self.results else 0.0
 
     @property
     def models(self) -> dict[str, Model]:
@@ -231,8 +134,9 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @property
     def gain(self) -> float:
-        """Held-out log-likelihood gained by all findings [nats]."""
-        return float(sum(f.gain for f in self.findings))
+        """Held-out log-likelihood gained by all findings that can be held out [nats]."""
+        own = [f for axis in self.results for f in axis.findings]
+        return float(sum(f.gain for f in (*own, *self.shared_findings) if f.gain is not None))
 
     @presented
     def to_dict(self) -> dict[str, Any]:

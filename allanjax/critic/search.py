@@ -75,7 +75,7 @@ class AcceptanceRule(NamedTuple):
     def accepts(self, candidate: Candidate, cause: Cause) -> bool:
         """Whether a candidate is significant; both thresholds scale with the accepted false alarms."""
         level = self.share if cause.max_p is None else cause.max_p * self.ratio
-        return bool(candidate.gain >= cause.min_log_odds - np.log(self.ratio) and candidate.p_value < level)
+        return bool(candidate.gain >= cause.min_log_odds - np.log(self.ratio) and candidate.chance < level)
 
 
 def search(
@@ -88,8 +88,9 @@ def search(
         candidate = cause.detect(view)
         if (
             candidate is not None
-            and candidate.p_value < accepted.share
-            and (gain := candidate.held_out()) > 0.0
+            and candidate.chance < accepted.share
+            # What cannot be held out is nan.
+            and not (gain := candidate.held_out()) <= 0.0
         ):
             steps.append(Step.of(candidate, gain, (), view))
             view = candidate.after
@@ -198,7 +199,7 @@ def _candidates(
 def _undecided(candidate: Candidate, view: View) -> str:
     """Note on a candidate that is about as probable as basic terms, if it is unlikely by chance."""
     instead = [t.replace("_", " ") for t in view.noise.terms if t not in candidate.after.noise.terms]
-    if candidate.p_value > _CERTAIN or not instead:
+    if candidate.chance > _CERTAIN or not instead:
         return ""
     name, odds = candidate.cause.replace("_", " "), np.exp(candidate.gain)
     return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
@@ -270,11 +271,17 @@ def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
 
 def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
     """Outliers that were found one after the other as one finding."""
-    found = [t for s in (step, *others) for t in s.candidate.details["times"] if isinstance(t, Estimate)]
-    times = sorted(found, key=lambda time: time.value)
+    each = [s.candidate.details for s in (step, *others)]
+    found = [
+        (time, size)
+        for own in each
+        for time, size in zip(own["times"], own["sizes"], strict=True)
+        if isinstance(time, Estimate) and isinstance(size, Estimate)
+    ]
+    times, sizes = zip(*sorted(found, key=lambda pair: pair[0].value), strict=True)
     count, *rest = step.candidate.estimates
     count = step.before.estimate("count", len(times), count.std, "1")
-    return _together(step, others, [count, *rest], {"times": tuple(times)})
+    return _together(step, others, [count, *rest], {"times": times, "sizes": sizes})
 
 
 def _together(

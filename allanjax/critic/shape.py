@@ -139,7 +139,7 @@ class Part(NamedTuple):
         estimates: parameters in the recording's units.
         gain: log odds for it, all else being fitted anew [nats].
         held_out: gain in log-likelihood on every other half of the coefficients [nats].
-        p_value: p-value of its statistic.
+        p_value: p-value of its statistic, None where there is none.
         support: lowest and highest frequency [Hz].
         structure: structure with this part and all that gain more.
         details: further frequencies, if there are some.
@@ -149,7 +149,7 @@ class Part(NamedTuple):
     estimates: Sequence[Estimate]
     gain: float
     held_out: float
-    p_value: float
+    p_value: float | None
     support: tuple[float, float]
     structure: Structure
     details: Mapping[str, Detail]
@@ -258,8 +258,8 @@ def _part(
     structure = found.structure
     if group == [_RESPONSE]:
         estimates, low = _of_response(view, found)
-        p_value, support = float(np.exp(-max(gain, 0.0))), (low, view.rate / 2.0)
-        return Part(LOW_PASS, estimates, gain, held_out, p_value, support, partial, {})
+        # Of a filter there is no statistic but its odds.
+        return Part(LOW_PASS, estimates, gain, held_out, None, (low, view.rate / 2.0), partial, {})
     oscillators = [k - FULL.first_oscillator for k in group]
     # The strongest one and those close to it; the others are further lines of the same source.
     near = [k for k in oscillators if structure.are_close(k, oscillators[0])]

@@ -326,22 +326,25 @@ class Candidate:
     Attributes:
         cause: name of the cause.
         estimates: its parameters, in the recording's units.
-        gain: log Bayes factor for it [nats], trials and Occam factors included.
-        p_value: p-value of its statistic, corrected for the search.
+        gain: log Bayes factor for it [nats], trials and Occam factors included; nan for what is seen in the
+            samples themselves, which no model foretells.
+        p_value: p-value of its statistic, corrected for the search; None where there is no such statistic.
         after: view without the effect.
-        held_out: computes the gain in log-likelihood on data that it was not estimated from [nats].
+        held_out: computes the gain in log-likelihood on data that it was not estimated from [nats]; nan where
+            it cannot be held out.
         support: start and end in time [s], by default of the record, or low and high frequency [Hz].
         domain: "time" or "frequency".
         add_to_model: adds it to a model of noise terms.
         has_waveform: whether it subtracts a known waveform from the lowest coefficients.
         parts: the single effects, in order, where only several together explain anything.
         details: words and lists of numbers by name.
+        bound: upper bound of the probability of such odds by chance, e.g. e^−gain.
     """
 
     cause: str
     estimates: Sequence[Estimate]
     gain: float
-    p_value: float
+    p_value: float | None
     after: View
     held_out: Callable[[], float]
     support: tuple[float, float] = (0.0, np.inf)
@@ -350,6 +353,12 @@ class Candidate:
     has_waveform: bool = False
     parts: tuple[Candidate, ...] = ()
     details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
+    bound: float = 1.0
+
+    @property
+    def chance(self) -> float:
+        """Probability by which it is accepted: the p-value, or the bound where that is less."""
+        return self.bound if self.p_value is None else min(self.p_value, self.bound)
 
     @property
     def parameters(self) -> dict[str, Estimate]:

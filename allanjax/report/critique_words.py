@@ -9,8 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from allanjax.base.wording import format_with_error, plain
+from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.parameters import Detail, Limit, values_of
-from allanjax.critic.result import Discrepancy, Finding
 from allanjax.noise.estimate import Estimate
 
 # Statistics whose two values compare as a ratio: their name, and what stands before a place.

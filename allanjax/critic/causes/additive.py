@@ -90,10 +90,10 @@ def additive(
             searched, place = (noise, float(scan.snr[k])), (k, float(scan.amplitude[k]))
     if best is None or not best.gain > 0.0:
         return None
-    # Noise alone has an evidence of e^gain against it with no more than this probability.
-    p_value = min(bank.p_value(view, *searched), float(np.exp(-best.gain)))
     found = parameters(*place, *marginal(view, best.after, bank, *place))
-    return dataclasses.replace(best, p_value=p_value, estimates=found)
+    p_value = bank.p_value(view, *searched)
+    # Noise alone has an evidence of e^gain against it with no more than this probability.
+    return dataclasses.replace(best, p_value=p_value, bound=float(np.exp(-best.gain)), estimates=found)
 
 
 def marginal(

@@ -55,7 +55,9 @@ class BiasStep(Cause):
             finer = Bank(step_coefficients(fine, view.n, J))
             refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))))
             if refined is not None and refined.gain > found.gain:
-                return dataclasses.replace(refined, p_value=found.p_value, held_out=found.held_out)
+                return dataclasses.replace(
+                    refined, p_value=found.p_value, bound=found.bound, held_out=found.held_out
+                )
         return found
 
     def p_value(self, view: View) -> float:
@@ -103,11 +105,12 @@ class BiasStep(Cause):
             self.name,
             first.estimates,
             gain,
-            min(max(first.p_value, second.p_value), float(np.exp(-gain))),
+            max(first.chance, second.chance),
             after,
             lambda: min(first.held_out(), second.held_out()),
             (min(first.support[0], second.support[0]), view.duration),
             parts=(first, second),
+            bound=float(np.exp(-gain)),
         )
 
     def _given_other(

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 from scipy.special import betainc
 
 from allanjax.critic.bank import any_of, folds
+from allanjax.critic.finding import Finding
 from allanjax.critic.noise import NEARLY_ALL
 from allanjax.critic.parameters import Limit, parameter_estimate
-from allanjax.critic.result import Finding
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"

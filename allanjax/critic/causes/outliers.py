@@ -81,17 +81,20 @@ class Outliers(Cause):
             view.log_estimate("scale", log_scale + np.log(bulk / view.scale), spread, limit, view.axis.unit),
         ]
         p_value = _p_value(float(np.max(abs(z))), view.n)
+        sizes = view.samples[times] - after.samples[times]
         return Candidate(
             self.name,
             estimates,
             float(gain),
-            float(min(p_value, np.exp(-max(gain, 0.0)))),
+            p_value,
             after,
             lambda: _held_out(z),
             (times[0] / view.rate, times[-1] / view.rate),
             details={
-                "times": tuple(view.estimate("time", k / view.rate, 1.0 / view.rate, "s") for k in times)
+                "times": tuple(view.estimate("time", k / view.rate, 1.0 / view.rate, "s") for k in times),
+                "sizes": tuple(view.amplitude_estimate("size", size, bulk) for size in sizes),
             },
+            bound=float(np.exp(-max(gain, 0.0))),
         )
 
     def again(self, view: View, found: Candidate) -> Candidate:

@@ -53,11 +53,12 @@ class PowerLaw(Cause):
             self.name,
             parameters,
             gain,
-            float(np.exp(-gain)),
+            None,
             after,
             held_out,
             (low, view.rate / 2.0),
             "frequency",
+            bound=float(np.exp(-gain)),
         )
 
 

@@ -37,7 +37,8 @@ class RepeatedSamples(Cause):
         share = count / view.n
         if chance > 0.0 and (z < _DOUBTLESS or share < chance + _PREDICTED):
             return None
-        gain = _gain(count, view.n, share, chance)
+        # In a continuous output no sample repeats another: how improbable it is then is not a number.
+        known = chance > 0.0
         longest = int(np.max(np.diff(np.flatnonzero(np.diff(np.concatenate([[0], same, [0]]))))[::2]))
         return Candidate(
             self.name,
@@ -45,10 +46,11 @@ class RepeatedSamples(Cause):
                 view.estimate("fraction", share, np.sqrt(share * (1.0 - share) / view.n), "1"),
                 view.estimate("longest", longest, 0.0, "samples"),
             ],
-            gain,
-            float(norm.sf(z)) if chance > 0.0 else 0.0,
+            _gain(count, view.n, share, chance) if known else float("nan"),
+            float(norm.sf(z)) if known else None,
             impute_gaussian(view, same),
-            lambda: _held_out(same, chance),
+            lambda: _held_out(same, chance) if known else float("nan"),
+            bound=1.0 if known else 0.0,
         )
 
 

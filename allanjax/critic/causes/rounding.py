@@ -34,15 +34,15 @@ class Rounding(Cause):
         x, sigma = draw_between(view.samples, view.samples - q / 2.0, view.samples + q / 2.0, view.n)
         if q < HARMLESS * sigma:
             return None
-        # A continuous output would be this close to a multiple with the probability 2·tolerance.
-        gain = view.n * float(np.log(0.5 / _TOLERANCE))
+        # It is in the samples themselves: that all of them are so close to multiples is no chance.
         return Candidate(
             self.name,
             [view.amplitude_estimate("step", q, q * _TOLERANCE / np.sqrt(view.n))],
-            gain,
-            float(np.exp(-min(gain, 700.0))),
+            float("nan"),
+            None,
             view.with_samples(x),
-            lambda: gain,
+            lambda: float("nan"),
+            bound=0.0,
         )
 
 

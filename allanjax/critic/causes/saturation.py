@@ -41,15 +41,17 @@ class Saturation(Cause):
         if count > 0.9 * view.n:
             return None
         x, sigma = draw_between(view.samples, lower, upper, count)
-        # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit.
-        gain = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
+        # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit: the
+        # odds of this are a judgement, by which it is accepted, and not told.
+        odds = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
         return Candidate(
             self.name,
             [*levels, view.estimate("fraction", count / view.n, 0.0, "1")],
-            gain,
-            float(np.exp(-min(gain, 700.0))),
+            float("nan"),
+            None,
             view.with_samples(x, (raw == raw.max()) | (raw == raw.min())),
-            lambda: gain,
+            lambda: float("nan"),
+            bound=float(np.exp(-min(odds, 700.0))),
         )
 
 

@@ -27,8 +27,8 @@ class SpectralShape(Cause):
         if found is None:
             return None
         after, gain = found
-        p_value = float(np.exp(-gain))
-        if after.structure is not None and after.structure.kind == NONE:
-            # Of a filter there is no statistic but its odds.
-            p_value = min(self.p_value(view), p_value)
-        return Candidate(self.name, (), gain, p_value, after, lambda: gain, domain="frequency")
+        # Of a filter there is no statistic but its odds.
+        has_filter = after.structure is None or after.structure.kind != NONE
+        p_value = None if has_filter else self.p_value(view)
+        bound = float(np.exp(-gain))
+        return Candidate(self.name, (), gain, p_value, after, lambda: gain, domain="frequency", bound=bound)

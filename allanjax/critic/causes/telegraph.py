@@ -72,9 +72,9 @@ class Telegraph(Cause):
             return None
         # A basic term that the model lacks is preferred if it explains as much.
         gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
-        p_value = float(np.exp(-max(gain, 0.0)))
+        bound = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
-        return dataclasses.replace(candidate, gain=gain, p_value=p_value, held_out=held_out)
+        return dataclasses.replace(candidate, gain=gain, p_value=None, bound=bound, held_out=held_out)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
