@@ -36,8 +36,8 @@ def command(
         bool,
         typer.Option(
             "--json",
-            help="Print JSON instead: of one file {schema_version, recording, axes, shared_findings, errors, "
-            "...}, of several {schema_version, critiques, errors}.",
+            help="Print JSON instead: of one file {schema_version, recording, findings, axes, "
+            "shared_findings, errors, ...}, of several {schema_version, critiques, errors}.",
         ),
     ] = False,
 ) -> None:
@@ -68,7 +68,8 @@ def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
 
 def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
     """Write the JSON file and the figures; returns their paths."""
-    from allanjax.report.critique_figure import figure_names, plot_critique
+    from allanjax.report.critique_figure import plot_critique
+    from allanjax.report.critique_jobs import figure_names
     from allanjax.report.critique_json import write_json
 
     named = dataclasses.replace(critique, name=file.name)

@@ -17,7 +17,8 @@ from allanjax.critic.parameters import parameter_estimate
 from allanjax.critic.together import together
 from allanjax.noise.estimate import Estimate
 
-OUTLIERS = "outliers"
+#: Names of the cause that events are made of, and of events of several causes.
+OUTLIERS, EVENT = "outliers", "event"
 # What is an event as long as it is short.
 _STRETCHES = ("disturbance", "variance_change")
 # Longest change of the variance that is an event, as a share of the record: a judgement.
@@ -117,7 +118,7 @@ def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Seque
         if size is not None and (axis not in per_axis or _louder(size, per_axis[axis])):
             per_axis[axis] = size
     one = together(
-        causes[0] if len(causes) == 1 and causes[0] != OUTLIERS else "event",
+        causes[0] if len(causes) == 1 and causes[0] != OUTLIERS else EVENT,
         members,
         {"start": _end(start, findings, "start"), "end": _end(end, findings, "end")},
         {

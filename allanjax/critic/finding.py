@@ -93,7 +93,8 @@ class Effect(NamedTuple):
 
     Attributes:
         size: the factor less one, 0.5 for half as much again or a third less; 1 where a term comes or goes.
-        quantity: "angle_random_walk", "rate_random_walk", "drift" or "allan_deviation"; "" for none.
+        quantity: "angle_random_walk", "rate_random_walk", "drift" or "allan_deviation"; "sum" for what noise
+            that axes share changes, the deviation of the sum of two of them; "" for none.
         time: time over which the drift or the Allan deviation is [s], else nan.
     """
 
@@ -186,6 +187,9 @@ class Finding(ByValue):
                 # How much less wrong the simulation is: what is subtracted changes the measured one, too.
                 mended = (1.0 + _off(before)) / (1.0 + _off(after)) - 1.0
                 found.append(Effect(max(mended, 0.0), "allan_deviation", before.where))
+        if "correlation" in self.parameters and len(self.axes) > 1:
+            r = abs(self.parameters["correlation"].value)
+            found.append(Effect(float(np.sqrt(1.0 + r)) - 1.0, "sum"))
         return max(found, key=lambda effect: effect.size, default=Effect(0.0, ""))
 
     @presented

@@ -15,7 +15,7 @@ import numpy as np
 from allanjax.critic.events import OUTLIERS, events
 from allanjax.critic.finding import Finding
 from allanjax.critic.parameters import parameter_estimate, values_of
-from allanjax.critic.together import largest, mean_of, shared, together
+from allanjax.critic.together import largest, mean_of, shared, summed, together
 from allanjax.noise.estimate import Estimate
 
 #: What is left over, which has no cause.
@@ -154,10 +154,16 @@ def _same_channel(one: Finding, other: Finding, duration: float) -> bool:
 # --- Rules --------------------------------------------------------------------------------------------------
 
 
-def _rule(causes: Sequence[str], same: Same, parameters: Sequence[str] = (), is_once: bool = True) -> Rule:
+def _rule(
+    causes: Sequence[str],
+    same: Same,
+    parameters: Sequence[str] = (),
+    totals: Sequence[str] = (),
+    is_once: bool = True,
+) -> Rule:
     """Rule for causes that are one where `same` says so; `is_once`: if there is one of them in an axis.
 
-    The `parameters` are those that the axes share.
+    The `parameters` are those that the axes share, of the `totals` the sum is told.
     """
 
     def family(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
@@ -178,7 +184,8 @@ def _rule(causes: Sequence[str], same: Same, parameters: Sequence[str] = (), is_
             for name, detail in members[0].details.items()
             if isinstance(detail, str) and all(f.details.get(name) == detail for f in members)
         }
-        return together(members[0].cause, members, shared(members, parameters), largest(members), words)
+        own = shared(members, parameters) | summed(members, totals)
+        return together(members[0].cause, members, own, largest(members), words)
 
     return Rule(lambda f: f.cause in causes, family, told)
 
@@ -228,24 +235,30 @@ def _line(members: Sequence[Finding]) -> Finding:
         for axis, size in f.amplitudes.items():
             remark = f"harmonic {order}" if order > 1 else ""
             per_axis.setdefault(axis, dataclasses.replace(size, remark=remark))
-    every = {order for order in orders if order > 1}
-    for f, order in zip(members, orders, strict=True):
-        own = values_of(f.details.get("harmonics", ()))[0]
-        every |= {order * round(float(each)) for each in own}
-    axis = fundamental[0].axis
-    details = {"harmonics": tuple(parameter_estimate(axis, "harmonic", k, 0.0, "1") for k in sorted(every))}
+    every = sorted({k for f in members for k in _harmonics(f, lowest)})
+    whose = fundamental[0].axis
     strongest = max(members, key=_weight)
     return together(
         strongest.cause,
         members,
-        {} if frequency is None else {"frequency": frequency},
+        ({} if frequency is None else {"frequency": frequency}) | shared(members, ["quality_factor"]),
         {
             axis: per_axis[axis]
             for axis in dict.fromkeys(a for f in members for a in f.axes)
             if axis in per_axis
         },
-        details if every else {},
+        {"harmonics": tuple(parameter_estimate(whose, "harmonic", k, 0.0, "1") for k in every)}
+        if every
+        else {},
     )
+
+
+def _harmonics(f: Finding, fundamental: float) -> set[int]:
+    """Orders of the harmonics of a line that a finding has, its own among them."""
+    own = f.parameters["frequency"].value / fundamental
+    each = [own, *(own * float(k) for k in values_of(f.details.get("harmonics", ()))[0])]
+    each += [float(x) / fundamental for x in values_of(f.details.get("further_frequencies", ()))[0]]
+    return {round(k) for k in each if abs(k - round(k)) < _BY_CHANCE * k and round(k) > 1}
 
 
 def _divided(e: Estimate, order: int) -> Estimate:
@@ -264,6 +277,6 @@ RULES: tuple[Rule, ...] = (
     _rule(["warm_up"], _same_warm_up, ["time_constant"]),
     _rule(["temperature"], _same_channel, ["lag"]),
     _rule(["disturbance", "variance_change"], _same_stretch, ["start", "end"]),
-    _rule([OUTLIERS], _same_sensor, is_once=False),
+    _rule([OUTLIERS], _same_sensor, totals=["count"], is_once=False),
     _rule(["rounding", "saturation", "repeated_samples"], _always),
 )

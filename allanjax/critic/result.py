@@ -139,6 +139,11 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         return float(sum(f.gain for f in (*own, *self.shared_findings) if f.gain is not None))
 
     @presented
+    def details(self) -> str:
+        """The story at length; `print` tells findings in a line each, and no more than ten."""
+        raise NotImplementedError
+
+    @presented
     def to_dict(self) -> dict[str, Any]:
         """The critique as plain data for JSON; see `critique.schema.json`."""
         raise NotImplementedError
@@ -156,6 +161,8 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     ) -> tuple[Figure, ...]:
         """A figure for every finding, or for some, and one for each axis without; saved in the folder `path`.
 
+        That of a finding in several axes shows the one in which it matters most, `Finding.shown`.
+
         See `report.critique_figure`.
         """
         raise NotImplementedError
@@ -165,18 +172,30 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         raise NotImplementedError
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
+        return f"<pre>{html.escape(self.details())}</pre>"
 
 
 def _table(findings: Sequence[Finding]) -> pd.DataFrame:
-    """Table with a row for each finding and parameter."""
+    """Table with a row for each finding and parameter; how large it is in each of several axes, too."""
     import pandas as pd
 
     columns = ["axes", "cause", "parameter", "value", "std", "unit", "p_value", "gain"]
     rows = []
     for f in findings:
-        found: list[tuple[Any, ...]] = [(e.label, e.value, e.std, e.unit) for e in f.parameters.values()]
-        found += [(name, *values_of(detail)) for name, detail in f.details.items()]
-        for parameter in found or [("", float("nan"), float("nan"), "")]:
-            rows.append((", ".join(f.axes), f.cause, *parameter, f.p_value, f.gain))
+        whole = ", ".join(f.axes)
+        found = [(whole, *row) for row in _rows(f)]
+        if f.members:
+            found += [(axis, e.label, e.value, e.std, e.unit) for axis, e in f.amplitudes.items()]
+            # Lists, such as the times of outliers, are those of the axes.
+            lists = [(m, {k: d for k, d in m.details.items() if k not in f.details}) for m in f.members]
+            found += [(m.axes[0], name, *values_of(d)) for m, own in lists for name, d in own.items()]
+        numbers = [float("nan") if x is None else x for x in (f.p_value, f.gain)]
+        for axes, *parameter in found or [(whole, "", float("nan"), float("nan"), "")]:
+            rows.append((axes, f.cause, *parameter, *numbers))
     return pd.DataFrame(rows, columns=columns)
+
+
+def _rows(f: Finding) -> list[tuple[Any, ...]]:
+    """Label, value, standard deviation and unit of a finding's parameters and details."""
+    found: list[tuple[Any, ...]] = [(e.label, e.value, e.std, e.unit) for e in f.parameters.values()]
+    return found + [(name, *values_of(detail)) for name, detail in f.details.items()]

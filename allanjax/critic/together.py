@@ -42,7 +42,8 @@ def together(
         span=(min(start), max(end)),
         domain=members[0].domain,
         details=details or {},
-        members=tuple(members),
+        # What is left of a finding stands for it.
+        members=tuple(made for f in members for made in f.members or (f,)),
         per_axis=per_axis,
     )
     if not counted:
@@ -60,6 +61,17 @@ def shared(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estim
         each = [f.parameters[label] for f in members if label in f.parameters]
         if each and (mean := mean_of(each)) is not None:
             found[label] = mean
+    return found
+
+
+def summed(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estimate]:
+    """Sums of parameters over the members that have them."""
+    found = {}
+    for label in labels:
+        each = [f.parameters[label] for f in members if label in f.parameters]
+        if each:
+            value, std = sum(e.value for e in each), float(np.sqrt(sum(e.std**2 for e in each)))
+            found[label] = parameter_estimate(each[0].axis, label, value, std, each[0].unit)
     return found
 
 

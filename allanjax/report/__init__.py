@@ -10,6 +10,7 @@ present(
         "AllanDeviation.plot": "allanjax.report.allan_figure.plot_allan",
         "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
         "Critique.__str__": "allanjax.report.critique_story.critique_text",
+        "Critique.details": "allanjax.report.critique_story.details",
         "Critique.plot": "allanjax.report.critique_figure.plot_critique",
         "Critique.to_dict": "allanjax.report.critique_json.to_dict",
         "Finding.__repr__": "allanjax.report.critique_story.finding_repr",

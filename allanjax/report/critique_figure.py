@@ -5,22 +5,25 @@ from __future__ import annotations
 import functools
 import itertools
 import os
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Int
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
+from allanjax.critic.events import EVENT
+from allanjax.critic.finding import Finding
 from allanjax.critic.parameters import values_of
-from allanjax.critic.result import AxisCritique, Critique, Finding
+from allanjax.critic.result import AxisCritique, Critique
 from allanjax.record.recording import Axis
+from allanjax.report.critique_jobs import Job, file_names, jobs
 from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainder, sentence
-from allanjax.report.critique_words import p_value, what, wrap
+from allanjax.report.critique_words import significance, what, wrap
 from allanjax.report.figure import (
     CLUSTER_TIME,
     DOTS,
@@ -29,7 +32,7 @@ from allanjax.report.figure import (
     add_grid,
     facts_of,
     literal,
-    save_and_close,
+    save,
     style,
     unit_of,
 )
@@ -70,48 +73,46 @@ def plot_critique(
     (bands), before the finding and after; the place of the effect; and what is said about it. Allan
     deviations are those of the record continued by its mirror image (the total deviation), without a ramp.
 
+    A finding in several axes is drawn in that in which it matters most. The figures are not pyplot's, so that
+    no number of them is too many.
+
     Args:
         critique: what `critique` returns.
         path: where to save them, as NAME_gyro_x_sinusoid.png; it is made if need be.
-        findings: some of the critique's, if only their figures are wanted.
+        findings: some of the critique's or of its axes', if only their figures are wanted.
 
     Returns:
         The matplotlib figures.
     """
     if path is not None:
         Path(path).mkdir(parents=True, exist_ok=True)
-    figures = []
+    drawn = [job for job in jobs(critique) if job.is_wanted(findings)]
+    names = file_names(critique, drawn)
+    # Axis by axis, since the curves of an axis are used again.
+    order = sorted(range(len(drawn)), key=lambda k: critique.axes.index(drawn[k].axis))
+    figures: dict[int, Figure] = {}
+    axis, record = "", None
     with style():
-        for (finding, draw), name in zip(_jobs(critique), figure_names(critique), strict=True):
-            if findings is None or finding in findings:
-                figures.append(save_and_close(draw(), None if path is None else Path(path) / name))
-    return tuple(figures)
+        for k in order:
+            if record is None or drawn[k].axis != axis:
+                axis = drawn[k].axis
+                record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique, critique[axis]))
+            figures[k] = _draw(critique, drawn[k], record)
+            if path is not None:
+                save(figures[k], Path(path) / names[k])
+    return tuple(figures[k] for k in range(len(drawn)))
 
 
-def _jobs(critique: Critique) -> Iterator[tuple[Finding | None, Callable[[], Figure]]]:
-    """Findings, None for an axis without, and what draws them, in the order of `figure_names`."""
-    for axis in critique.results:
-        record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique, axis))
-        for k, finding in enumerate(axis.findings):
-            stages = (k, min(k + 1, len(axis.stages) - 1))
-            yield finding, functools.partial(_of_finding, critique, finding, record, stages)
-        if not axis.findings:
-            yield None, functools.partial(_of_clean, critique, axis, record)
-    for finding in critique.shared_findings:
-        yield finding, functools.partial(_of_shared, critique, finding)
-
-
-def figure_names(critique: Critique) -> tuple[str, ...]:
-    """File names of a critique's figures, numbered where a cause was found several times."""
-    names: list[str] = []
-    for axis in critique.results:
-        names += [f"{axis.axis.name}_{finding.cause}" for finding in axis.findings] or [axis.axis.name]
-    names += [f"{'_'.join(finding.axes)}_{finding.cause}" for finding in critique.shared_findings]
-    earlier = [names[:k].count(name) for k, name in enumerate(names)]
-    start = critique.name or "recording"
-    return tuple(
-        f"{start}_{name}{f'_{k + 1}' if k else ''}.png" for name, k in zip(names, earlier, strict=True)
-    )
+def _draw(critique: Critique, job: Job, record: Callable[[int], StageResiduals]) -> Figure:
+    """Figure of a job; `record` gives the axis at a stage."""
+    axis, finding = critique[job.axis], job.finding
+    if finding is None:
+        return _of_clean(critique, axis, record)
+    if finding in critique.shared_findings:
+        return _of_shared(critique, finding)
+    own = next(f for f in (finding, finding.strongest) if f in axis.findings)
+    k = axis.findings.index(own)
+    return _of_finding(critique, finding, own, record, (k, min(k + 1, len(axis.stages) - 1)))
 
 
 def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResiduals:
@@ -120,15 +121,20 @@ def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResidual
 
 
 def _of_finding(
-    critique: Critique, finding: Finding, record: Callable[[int], StageResiduals], stages: tuple[int, int]
+    critique: Critique,
+    finding: Finding,
+    own: Finding,
+    record: Callable[[int], StageResiduals],
+    stages: tuple[int, int],
 ) -> Figure:
+    """Figure of a finding, of which `own` is what was found in the axis that is shown."""
     before, after = (record(k) for k in stages)
     shown = [(before, "", _AFTER, "o")]
     if before is not after:
         shown = [(before, "before", _BEFORE, "o"), (after, "after", _AFTER, "s")]
     figure, _, effect = _four_panels(critique, finding, shown)
     draw = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(finding.cause, _draw_path)
-    draw(effect, before, after, finding)
+    draw(effect, before, after, finding if finding.cause == EVENT else own)
     return figure
 
 
@@ -143,7 +149,8 @@ def _of_shared(critique: Critique, finding: Finding) -> Figure:
 
 def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], StageResiduals]) -> Figure:
     record = stage(0)
-    figure, panels = plt.subplots(1, 2, figsize=(_SIZE[0], _SIZE[1] / 2.0), layout="constrained")
+    figure = _new_figure((_SIZE[0], _SIZE[1] / 2.0))
+    panels = figure.subplots(1, 2)
     _title(figure, critique, f"{axis.axis.name}: nothing found", record)
     _draw_curves(panels, [(record, "", _AFTER, "o")], axis.axis)
     return figure
@@ -151,12 +158,27 @@ def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], Sta
 
 def _four_panels(critique: Critique, finding: Finding, stages: Sequence[_Stage]) -> tuple[Figure, Axes, Axes]:
     """Figure with both curves and what is said; its Allan panel, and the empty one for the effect."""
-    figure, ((allan, psd), (effect, text)) = plt.subplots(2, 2, figsize=_SIZE, layout="constrained")
+    figure = _new_figure(_SIZE)
+    (allan, psd), (effect, text) = figure.subplots(2, 2)
     record = stages[0][0]
-    _title(figure, critique, f"{', '.join(finding.axes)}: {finding.cause.replace('_', ' ')}", record)
+    cause, name = finding.cause.replace("_", " "), record.axis.name
+    several = len(finding.axes) > 1
+    _title(
+        figure,
+        critique,
+        f"{', '.join(finding.axes)}: {cause}{f', here in {name}' if several else ''}",
+        record,
+    )
     _draw_curves((allan, psd), stages, record.axis)
     _draw_text(text, finding, record.axis)
     return figure, allan, effect
+
+
+def _new_figure(size: tuple[float, float]) -> Figure:
+    """Figure that pyplot knows nothing of."""
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals) -> None:
@@ -300,7 +322,7 @@ def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, f
 # What shows a cause, if not means of samples or a spectrum.
 _EFFECTS = {
     "variance_change": _draw_loudness,
-    **dict.fromkeys(("outliers", "disturbance", "unexplained"), _draw_extremes),
+    **dict.fromkeys(("outliers", "disturbance", EVENT, "unexplained"), _draw_extremes),
     **dict.fromkeys(("rounding", "saturation", "repeated_samples"), _draw_samples),
 }
 
@@ -331,7 +353,8 @@ def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
     panel.set_axis_off()
     lines = [sentence(finding), ""]
     if finding.cause != "unexplained":
-        lines.append(f"{p_value(finding.p_value)}, evidence {finding.evidence:,.0f} nats")
+        evidence = "" if finding.evidence is None else f"evidence {finding.evidence:,.0f} nats"
+        lines.append(", ".join(text for text in (significance(finding), evidence) if text))
         lines += changes(finding, axis)
         mended = [pair for pair in finding.discrepancies if pair[0].p_value < UNEXPLAINED]
         lines += ["", "before → after:"] if mended else []

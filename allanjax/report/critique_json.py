@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from allanjax.base.wording import finite_or_none
+from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.parameters import Detail, values_of
-from allanjax.critic.result import AxisCritique, Critique, Discrepancy, Finding
+from allanjax.critic.result import AxisCritique, Critique
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -27,6 +28,7 @@ def to_dict(critique: Critique) -> dict[str, Any]:
     rate = float(critique.rate)
     found = {
         "gain_nats": critique.gain,
+        "findings": [_told(finding, critique) for finding in critique.findings],
         "axes": [_axis(axis) for axis in critique.results],
         "shared_findings": [_finding(finding) for finding in critique.shared_findings],
         "notes": critique.notes,
@@ -53,7 +55,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(x) for key, x in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(x) for x in value]
-    return value if value is None or isinstance(value, bool | str) else finite_or_none(value)
+    return value if value is None or isinstance(value, str | int) else finite_or_none(value)
 
 
 def _fields(data: Any, *names: str) -> dict[str, Any]:
@@ -75,11 +77,30 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
     }
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
-    drift = None
-    if finding.drift is not None:
-        changed = _fields(finding.drift, "measured", "before", "after", "unit")
-        drift = {"horizon_s": finding.drift.horizon, **changed}
+def _told(finding: Finding, critique: Critique) -> dict[str, Any]:
+    """A finding of the recording; what it changes in each axis is said by its parts."""
+    effect = finding.effect
+    return {
+        **_head(finding),
+        "amplitudes": {
+            axis: {**_parameter(e), "label": e.label, "remark": e.remark}
+            for axis, e in finding.amplitudes.items()
+        },
+        "effect": {"size": effect.size, "quantity": effect.quantity, "time_s": effect.time},
+        "parts": [_part(member, critique) for member in finding.members or (finding,)],
+    }
+
+
+def _part(finding: Finding, critique: Critique) -> dict[str, Any]:
+    """Place of a finding of one axis, or of several that share it, in the document."""
+    if finding in critique.shared_findings:
+        return {"axis": None, "index": critique.shared_findings.index(finding)}
+    (axis,) = finding.axes
+    return {"axis": axis, "index": critique[axis].findings.index(finding)}
+
+
+def _head(finding: Finding) -> dict[str, Any]:
+    """What is said of every finding."""
     return {
         **_fields(finding, "cause", "axes"),
         "parameters": {
@@ -91,6 +112,16 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "gain_nats": finding.gain,
         "rivals": [_fields(rival, "cause", "odds") for rival in finding.rivals],
         **_fields(finding, "span", "domain"),
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    drift = None
+    if finding.drift is not None:
+        changed = _fields(finding.drift, "measured", "before", "after", "unit")
+        drift = {"horizon_s": finding.drift.horizon, **changed}
+    return {
+        **_head(finding),
         "coefficients": [_fields(c, "label", "before", "after", "unit") for c in finding.coefficients],
         "drift": drift,
         "discrepancies": [

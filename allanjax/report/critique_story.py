@@ -8,11 +8,23 @@ import numpy as np
 
 from allanjax.base.plain import printable
 from allanjax.base.wording import duration, plain
-from allanjax.critic.result import AxisCritique, CoefficientChange, Critique, Discrepancy, Finding
+from allanjax.critic.finding import Discrepancy, Finding
+from allanjax.critic.result import AxisCritique, Critique
 from allanjax.estimate.misfit import LIMIT
-from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
-from allanjax.report.critique_words import describe, factor_off, p_value, parameters, percent, what, wrap
+from allanjax.report.critique_summary import MOST, amplitudes, coefficient, in_one_line
+from allanjax.report.critique_words import (
+    describe,
+    factor_off,
+    gain_of,
+    nats,
+    p_value,
+    parameters,
+    percent,
+    significance,
+    what,
+    wrap,
+)
 
 #: Largest p-value of a discrepancy that is reported: of some fourteen an axis, a few are small by chance. A
 #: judgement.
@@ -30,28 +42,54 @@ _WIDTH = 108
 
 
 def story(critique: Critique) -> str:
-    """Story of a critique: a headline for each axis, a paragraph for each finding."""
-    count = sum(f.cause != "unexplained" for f in critique.findings)
-    head = "nothing found" if count == 0 else f"{count} finding{'s' if count > 1 else ''}"
-    gain = f", worth {nats(critique.gain)} on held-out data" if count else ""
+    """Story of a critique: a line for each of the findings that change most, a headline for each axis."""
+    causes = _causes(critique)
+    lines = _beginning(critique, bool(causes))
+    axes = {name: critique[name].axis for name in critique}
+    for f in causes[:MOST]:
+        lines.append(f"  - {in_one_line(f, axes[f.shown], _WIDTH - 4)}")
+    if len(causes) > MOST:
+        lines.append(f"  and {len(causes) - MOST} more: see the pictures, the JSON, or `critique.details()`")
+    return "\n".join([*lines, *_end(critique)])
+
+
+def details(critique: Critique) -> str:
+    """Story of a critique at length: a paragraph for each finding, and a headline for each axis."""
+    causes = _causes(critique)
+    lines = _beginning(critique, bool(causes))
+    for f in causes:
+        lines += ["", _wrapped(sentence(f)), *format_changes(f, critique[f.shown].axis)]
+    return "\n".join([*lines, *_end(critique)])
+
+
+def _causes(critique: Critique) -> list[Finding]:
+    """Findings with a cause, what changes most first."""
+    return [f for f in critique.findings if f.cause != "unexplained"]
+
+
+def _beginning(critique: Critique, found: bool) -> list[str]:
+    """Warnings, and how many findings there are."""
+    count = len(_causes(critique))
+    head = f"{count} finding{'s' if count > 1 else ''}" if found else "nothing found"
     axes = "1 axis" if len(critique) == 1 else f"{len(critique)} axes"
+    # Nothing of what was found may be of the kind that can be held out.
+    gain = f", worth {nats(critique.gain)} on held-out data" if found and critique.gain else ""
     # Before all that is said of coefficients: whether they are any.
     warnings = (*critique.warnings, *unmeasured(critique))
-    lines = [_wrapped(f"warning: {text}") for text in warnings]
-    lines.append(f"{critique.name or 'recording'}: {head} in {axes}{gain}")
-    shared, previous = {name for f in critique.shared_findings for name in f.axes}, 2
-    for axis in critique.results:
-        block = _of_axis(axis, shared)
-        # Axes with nothing but a headline stand together.
-        lines += [*([""] if max(len(block), previous) > 1 else []), *block]
-        previous = len(block)
-    for dead in critique.dead:
-        lines += ["", _wrapped(f"{dead.axis.name}: not compared: {dead.reason}")]
-    for finding in critique.shared_findings:
-        lines += ["", _wrapped(sentence(finding))]
-        lines += format_changes(finding, critique[finding.axes[0]].axis)
+    order = "; what changes most first" if count > 1 else ""
+    return [
+        *(_wrapped(f"warning: {text}") for text in warnings),
+        f"{critique.name or 'recording'}: {head} in {axes}{gain}{order}",
+    ]
+
+
+def _end(critique: Critique) -> list[str]:
+    """How well each axis is simulated now, which were not compared, and notes."""
+    shared = {name for f in critique.shared_findings for name in f.axes}
+    lines = ["", *(_of_axis(axis, shared) for axis in critique.results)]
+    lines += [_wrapped(f"{dead.axis.name}: not compared: {dead.reason}") for dead in critique.dead]
     notes = [_wrapped(f"note: {note}") for note in critique.notes]
-    return "\n".join([*lines, *([""] if notes else []), *notes])
+    return [*lines, *([""] if notes else []), *notes]
 
 
 def unmeasured(critique: Critique) -> tuple[str, ...]:
@@ -83,18 +121,22 @@ def sentence(finding: Finding) -> str:
     return f"{', '.join(finding.axes)}: {paragraph(finding)}"
 
 
-def paragraph(finding: Finding, known: str = "") -> str:
-    """Description of a finding: what was wrong (unless `known`), the cause, the remainder, gain, rivals."""
+def paragraph(finding: Finding) -> str:
+    """Description of a finding: what was wrong, the cause, how large it is, the remainder, gain, rivals."""
     if finding.cause == "unexplained":
         return f"unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
     cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding)])
-    pair = headline_discrepancy(finding)
+    several = len(finding.axes) > 1 and finding.members
+    if finding.members and finding.amplitudes:
+        cause += f"; {amplitudes(finding)}"
+    pair, gain = headline_discrepancy(finding), gain_of(finding)
     if pair is None:
-        text = f"{cause} ({p_value(finding.p_value)}). "
+        test = significance(finding)
+        text = f"{cause}{f' ({test})' if test else ''}. {gain[0].upper()}{gain[1:]}."
     else:
-        wrong = f"{describe(pair[0])}. "
-        text = f"{wrong if what(pair[0]) != known else ''}Cause: {cause}. After: {format_remainder(*pair)}; "
-    text += f"{'Gain' if pair is None else 'gain'} {nats(finding.gain)} on held-out data."
+        where = f"in {finding.shown}: " if several else ""
+        text = f"{where}{describe(pair[0])}. Cause: {cause}. "
+        text += f"After{f' in {finding.shown}' if several else ''}: {format_remainder(*pair)}; {gain}."
     if finding.rivals:
         rivals = ", ".join(f"{r.cause.replace('_', ' ')} (1 : {r.odds:,.2g})" for r in finding.rivals)
         text += f" Rivals: {rivals}."
@@ -139,7 +181,7 @@ def format_changes(finding: Finding, axis: Axis) -> list[str]:
 
 def changes(finding: Finding, axis: Axis) -> list[str]:
     """Changes of coefficients and drift by a finding, each in words."""
-    found = [_coefficient(c, axis) for c in finding.coefficients if _notable(c.before, c.after)]
+    found = [coefficient(c, axis) for c in finding.coefficients if _notable(c.before, c.after)]
     drift = finding.drift
     if drift is not None and _notable(drift.before, drift.after):
         measured, before, after = (plain(x, 3) for x in (drift.measured, drift.before, drift.after))
@@ -150,39 +192,29 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     return found
 
 
-def nats(gain: float) -> str:
-    """Gain in words, e.g. "1,234 nats"."""
-    return f"{gain:,.0f} nats" if abs(gain) >= 10.0 else f"{gain:.1f} nats"
-
-
-def _of_axis(axis: AxisCritique, shared: set[str]) -> list[str]:
-    """Lines of the story of one axis."""
+def _of_axis(axis: AxisCritique, shared: set[str]) -> str:
+    """How well one axis is simulated, before and after what was found."""
     name, count = axis.axis.name, len(axis.before)
     causes = [f for f in axis.findings if f.cause != "unexplained"]
     wrong = _wrong(axis.before)
     remains = _wrong(axis.after if causes else axis.before)
-    # What axes have in common is told at the end.
+    # What axes have in common is told with the findings.
     remains = [d for d in remains if not (name in shared and d.statistic in _BETWEEN)]
     if not wrong and not causes:
         smallest = min((d.p_value for d in axis.before), default=1.0)
-        text = (
+        return _wrapped(
             f"{name}: nothing found: the simulation is indistinguishable from the measurement "
             f"(smallest p-value {smallest:.2g} of {count} tests)"
         )
-        return [_wrapped(text)]
     if not causes:
         own = _unexplained(remains) if remains else "nothing of its own; see what axes share"
-        return [_wrapped(f"{name}: {own}")]
-    known = what(wrong[0]) if wrong else ""
+        return _wrapped(f"{name}: {own}")
     headline = "no test by itself fails"
     if wrong:
         fail = "tests fail" if len(wrong) > 1 else "tests fails"
-        headline = f"{known} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
-    lines = [_wrapped(f"{name}: {headline}")]
-    for finding in causes:
-        lines += [_wrapped(paragraph(finding, known), "  - ", "    "), *format_changes(finding, axis.axis)]
+        headline = f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
     left = _unexplained(remains) if remains else f"left: nothing, all {count} tests pass"
-    return [*lines, _wrapped(left, "  ", "    ")]
+    return _wrapped(f"{name}: {headline}; {left}")
 
 
 def _wrong(found: Sequence[Discrepancy]) -> list[Discrepancy]:
@@ -199,12 +231,6 @@ def _unexplained(remains: Sequence[Discrepancy]) -> str:
 
 def _wrapped(text: str, first: str = "", rest: str = "  ") -> str:
     return wrap(text, _WIDTH, first, rest)
-
-
-def _coefficient(c: CoefficientChange, axis: Axis) -> str:
-    before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
-    change = f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
-    return f"{title_of(c.label, axis)} {change}"
 
 
 def _notable(before: float, after: float) -> bool:
@@ -228,4 +254,4 @@ def finding_text(finding: Finding) -> str:
 def finding_repr(finding: Finding) -> str:
     """Finding in one line: its cause, its parameters, its gain."""
     found = ", ".join([f"{finding.cause} in {' and '.join(finding.axes)}", *parameters(finding)])
-    return f"<Finding {found}; gain {nats(finding.gain)} on held-out data>"
+    return f"<Finding {found}; {gain_of(finding)}>"

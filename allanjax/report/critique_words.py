@@ -20,14 +20,14 @@ _RELATIVE = {
     "psd": ("PSD", "at"),
     "window_variance": ("noise power", "around"),
 }
-# Values of a list that are shown.
-_SHOWN = 3
+# Values of a list that are shown; length from which on none is; and details that are not told.
+_SHOWN, _LONGEST, _UNTOLD = 3, 20, frozenset({"axes", "sizes"})
 # Errors below this share of a value are not shown: they are those of arithmetic, or of a file's digits.
 _EXACT = 1e-5
 # Parameters that are whole numbers.
 _COUNTS = frozenset({"count", "jumps", "order", "longest"})
-# Parameters that are values of samples, and are given in the samples' unit.
-_AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
+#: Parameters that are values of samples, and are given in the samples' unit.
+AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
 # Parameters that are places in time, whose limits have words of their own.
 _PLACES = frozenset({"start", "end", "time"})
 # Finer units for small values, the largest first, and their factors.
@@ -47,9 +47,50 @@ _TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<]) |(?<=\d) (?=[A-Za-zµσ(])|
 def parameters(finding: Finding) -> list[str]:
     """Parameters in words, each with its error, e.g. "frequency 0.55200 ± 0.00010 Hz", and the details."""
     told = [(name, amount(e)) for name, e in finding.parameters.items()]
-    # The axes stand before the finding.
-    told += [(name, several(detail)) for name, detail in finding.details.items() if name != "axes"]
+    told += [(name, several(detail)) for name, detail in finding.details.items() if _is_told(name, detail)]
     return [f"{name.replace('_', ' ')} {text}" for name, text in told]
+
+
+def _is_told(name: str, detail: Detail) -> bool:
+    """Whether a detail is told in words: a long list has been counted, and is in the JSON and the tables."""
+    # The axes stand before the finding.
+    return name not in _UNTOLD and len(values_of(detail)[0]) <= _LONGEST
+
+
+def significance(finding: Finding) -> str:
+    """How improbable a finding is by chance in words: a p-value where there is a test, else the odds."""
+    if finding.p_value is not None:
+        return p_value(finding.p_value)
+    if finding.evidence is None:
+        apart = finding.gain is not None or is_told_elsewhere(finding)
+        return "" if apart else "seen in the samples themselves"
+    return f"odds {_odds(finding.evidence)} : 1"
+
+
+def _odds(evidence: float) -> str:
+    """Odds by their logarithm, e.g. "41" or "1e+12"."""
+    if evidence < np.log(1e4):
+        return f"{np.exp(evidence):,.2g}" if evidence < np.log(100.0) else f"{np.exp(evidence):,.0f}"
+    return f"1e+{int(evidence / np.log(10.0))}"
+
+
+def gain_of(finding: Finding) -> str:
+    """Gain of a finding in words, e.g. "gain 1,234 nats on held-out data"."""
+    if finding.gain is not None:
+        return f"gain {nats(finding.gain)} on held-out data"
+    if is_told_elsewhere(finding):
+        return "gain told with that of its axes' other outliers"
+    return "gain cannot be held out"
+
+
+def is_told_elsewhere(finding: Finding) -> bool:
+    """Whether the gain of a finding is told with that of another one, of which it is a part."""
+    return finding.gain is None and any(member.gain is not None for member in finding.members)
+
+
+def nats(gain: float) -> str:
+    """Gain in words, e.g. "1,234 nats"."""
+    return f"{gain:,.0f} nats" if abs(gain) >= 10.0 else f"{gain:.1f} nats"
 
 
 def side_of_limit(e: Estimate) -> Limit:
@@ -69,7 +110,7 @@ def amount(e: Estimate) -> str:
         return f"{round(e.value):,}{'' if e.unit == '1' else f' {e.unit}'}"
     if e.label == "fraction":
         return f"{plain(100.0 * e.value, 3)} %"
-    unit, factor = (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
+    unit, factor = (e.unit, 1.0) if e.label in AS_RECORDED else suited(e.unit, e.value)
     value, std = factor * e.value, factor * e.std
     known = std > _EXACT * abs(value)
     text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
