@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import poisson
+from scipy.special import gammainc
 
 from allanjax.critic.finding import Finding
 from allanjax.critic.parameters import parameter_estimate
@@ -25,6 +25,8 @@ _STRETCHES = ("disturbance", "variance_change")
 _SHORT = 0.05
 # Pause [s] after which another event begins: a judgement.
 _PAUSE = 0.5
+# Share of a finding's outliers below which those outside of its event are not told apart: a judgement.
+_FEW = 0.1
 # Expected number of chance coincidences of outliers from which on they are no event: a judgement.
 _CHANCE = 1e-3
 
@@ -45,8 +47,8 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
     """
     marks = sorted(mark for k, f in enumerate(findings) for mark in _marks(k, f, duration))
     clusters = _clusters(marks)
-    rate = max(len(clusters) - 1, 0) / duration
-    found = [c for cluster in clusters if (c := _crowd(cluster, rate, len(clusters)))]
+    rate = _rate(marks, duration)
+    found = [c for cluster in clusters if (c := _crowd(cluster, rate, duration))]
     if not found:
         return [], list(findings)
     # Where most of a finding is, there its evidence and its gain are told.
@@ -84,16 +86,27 @@ def _clusters(marks: Sequence[_Mark]) -> list[list[_Mark]]:
     return found
 
 
-def _crowd(cluster: Sequence[_Mark], rate: float, count: int) -> list[_Mark]:
+def _rate(marks: Sequence[_Mark], duration: float) -> float:
+    """Rate of outliers outside of events [1/s], by the share of the record's parts that have none.
+
+    An event, with however many outliers, is in a few of these parts, and one does not count.
+    """
+    parts = max(int(duration / _PAUSE), 2)
+    seen = {int(mark.start / _PAUSE) for mark in marks if mark.place is not None}
+    return -float(np.log1p(-min(max(len(seen) - 1, 0), parts - 1) / parts)) / _PAUSE
+
+
+def _crowd(cluster: Sequence[_Mark], rate: float, duration: float) -> list[_Mark]:
     """Marks of a cluster that are no chance coincidence; none if they are all of one finding."""
     stretches = [mark for mark in cluster if mark.place is None]
     points = [mark for mark in cluster if mark.place is not None]
     if stretches:
         length = max(m.end for m in cluster) - min(m.start for m in cluster) + 2.0 * _PAUSE
-        by_chance = float(poisson.sf(len(points) - 1, rate * length))
+        # Of a Poisson process: so many or more.
+        by_chance = float(gammainc(len(points), rate * length)) if points else 0.0
     else:
         # So many, each within the pause after the one before.
-        by_chance = count * float(-np.expm1(-rate * _PAUSE)) ** (len(points) - 1)
+        by_chance = (1.0 + rate * duration) * float(-np.expm1(-rate * _PAUSE)) ** (len(points) - 1)
     kept = [*cluster] if by_chance < _CHANCE else stretches
     return kept if len({mark.finding for mark in kept}) > 1 else []
 
@@ -160,16 +173,20 @@ def _end(mark: _Mark, findings: Sequence[Finding], label: str) -> Estimate:
 
 
 def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bool) -> Finding | None:
-    """Finding without what is in events, None if nothing is left; it keeps its numbers if most is left."""
+    """Finding without what is in events, None if hardly anything is left.
+
+    It keeps its evidence and its gain if most is left.
+    """
     if (k, None) in taken:
         return None
-    kept = [place for place in range(len(_numbers(f, "times"))) if (k, place) not in taken]
-    if f.cause != OUTLIERS or len(kept) == len(_numbers(f, "times")):
+    whole = len(_numbers(f, "times"))
+    kept = {place for place in range(whole) if (k, place) not in taken}
+    if f.cause != OUTLIERS or len(kept) == whole:
         return f
-    return of_places(f, kept.__contains__, is_home) if kept else None
+    return _of_places(f, kept.__contains__, is_home) if is_home or len(kept) > _FEW * whole else None
 
 
-def of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> Finding:
+def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> Finding:
     """Outliers of a finding that are wanted, by their number in its list."""
     details = {
         name: tuple(e for place, e in enumerate(_numbers(f, name)) if wanted(place))

@@ -59,11 +59,12 @@ def title(finding: Finding) -> str:
             break
     if isinstance(channel := finding.details.get("channel"), str):
         words.append(f"by {channel}")
-    for name, called in (("harmonics", "harmonics "), ("further_frequencies", "")):
+    for name, called in (("harmonics", "harmonic"), ("further_frequencies", "")):
         if name in finding.details:
             values, _, unit = values_of(finding.details[name])
             each = ", ".join(plain(float(x), 4) for x in values)
-            words.append(f"(and {called}{each}{'' if unit == '1' else f' {unit}'})")
+            before = f"{called}{'s' if len(values) > 1 else ''} " if called else ""
+            words.append(f"(and {before}{each}{'' if unit == '1' else f' {unit}'})")
     return " ".join(words)
 
 

@@ -18,16 +18,8 @@ from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.noise import family_of
 from allanjax.critic.parameters import parameter_estimate
-from allanjax.critic.result import (
-    AxisCritique,
-    CoefficientChange,
-    Critique,
-    Discrepancy,
-    DriftChange,
-    Finding,
-    Rival,
-    Snapshot,
-)
+from allanjax.critic.finding import CoefficientChange, Discrepancy, DriftChange, Finding, Rival
+from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.record.io import write
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.report.critique_figure import plot_critique
@@ -112,26 +104,39 @@ def words(text):
     return " ".join(str(text).split())
 
 
-def test_the_story_says_what_is_wrong_why_and_what_else_it_might_be(critique):
+def test_the_story_says_what_was_found_what_it_changes_and_what_is_wrong(critique):
     told = words(critique)
-    wrong, _ = headline_discrepancy(critique["accel_x"].findings[0])
     worst = next(d for d in critique["accel_x"].before if d.statistic == "allan_deviation")
     assert worst.p_value < 1e-4
-    assert told.startswith("bench: 1 finding in 2 axes, worth 5,310 nats on held-out data accel_x: simulated")
+    start = (
+        "bench: 1 finding in 2 axes, worth 5,310 nats on held-out data - sinusoid 0.552 Hz: accel_x 5 mg; "
+    )
+    # The Allan deviation is off by more than a factor of 2.9, by which the drift changes.
+    assert told.startswith(start + "Allan deviation was ")
     assert f"at τ = {worst.where:.3g} s (p " in told
-    assert "tests fail) - " in told
-    assert wrong.statistic in ("allan_deviation", "psd_line", "psd")
-    assert "Cause: sinusoid, frequency 0.55200 ± 0.00010 Hz, amplitude 5.000 ± 0.020 mg. After: " in told
-    assert "gain 5,310 nats on held-out data. Rivals: resonance (1 : 40)." in told
-    assert "velocity random walk 0.2 → 0.1 m/s/√h; drift over 100 s: measured 0.3 m/s" in told
-    assert "predicted 0.1 before and 0.29 after" in told
-    assert "markov" not in told
+    assert "tests fail); left: nothing, all 11 tests pass" in told
     assert "gyro_x: nothing found: the simulation is indistinguishable from the measurement" in told
-    assert "left: nothing, all 11 tests pass" in told
     assert "note: a note" in told
     assert " nan" not in told
     assert "unexplained" not in told
     assert max(len(line) for line in str(critique).splitlines()) <= 108
+
+
+def test_the_story_at_length_says_why_and_what_else_it_might_be(critique):
+    told = words(critique.details())
+    wrong, _ = headline_discrepancy(critique["accel_x"].findings[0])
+    assert wrong.statistic in ("allan_deviation", "psd_line", "psd")
+    assert told.startswith("bench: 1 finding in 2 axes, worth 5,310 nats on held-out data accel_x: ")
+    assert f"{describe(wrong)}. Cause: sinusoid, frequency 0.55200 ± 0.00010 Hz" in told
+    assert "Hz, amplitude 5.000 ± 0.020 mg. After: " in told
+    assert "gain 5,310 nats on held-out data. Rivals: resonance (1 : 40)." in told
+    assert "velocity random walk 0.2 → 0.1 m/s/√h; drift over 100 s: measured 0.3 m/s" in told
+    assert "predicted 0.1 before and 0.29 after" in told
+    assert "markov" not in told
+    assert " nan" not in told
+    assert max(len(line) for line in critique.details().splitlines()) <= 108
+    # A page of a notebook shows all of it.
+    assert "Rivals" in critique._repr_html_()
 
 
 def test_a_finding_by_itself_says_what_it_mended(critique):
@@ -274,6 +279,7 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
     from matplotlib import pyplot as plt
 
     matplotlib.use("Agg")
+    plt.close("all")
     twice = critique_of((LINE, STEP))
     shared = dataclasses.replace(STEP, cause="repeated_samples", axes=("accel_x", "gyro_x"))
     twice = dataclasses.replace(twice, shared_findings=(shared,))
@@ -284,7 +290,7 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
         "bench_accel_x_sinusoid.png",
         "bench_gyro_x.png",
     ]
-    line, outliers, clean, _ = figures
+    line, outliers, _, clean = figures
     allan, psd, spectrum, text = line.axes
     assert allan.get_xlabel() == psd.get_xlabel().replace("frequency f [Hz]", "cluster time T [s]")
     assert allan.get_ylabel() == "Allan deviation [µg]"
@@ -298,11 +304,11 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
         "one-sided PSD [(deg/h)²/Hz]",
     ]
     assert len(plot_critique(twice, findings=[twice["accel_x"].findings[1]])) == 1
+    assert plt.get_fignums() == []
     # The line stands out of its own panel at its frequency.
     drawn = spectrum.get_lines()[0]
     peak = drawn.get_xdata()[np.argmax(drawn.get_ydata())]
     assert peak == pytest.approx(0.552, abs=RATE / N)
-    plt.close("all")
 
 
 # --- Export -------------------------------------------------------------------------------------------------
@@ -317,6 +323,12 @@ def test_json_has_all_numbers_and_follows_the_schema(schema):
     document = json.loads(json.dumps(critique_of((LINE, STEP)).to_dict(), allow_nan=False))
     jsonschema.validate(document, schema)
     axis = document["axes"][0]
+    assert [f["cause"] for f in document["findings"]] == ["sinusoid", "outliers"]
+    assert [f["parts"] for f in document["findings"]] == [
+        [{"axis": "accel_x", "index": 0}],
+        [{"axis": "accel_x", "index": 1}],
+    ]
+    assert document["findings"][0]["amplitudes"]["accel_x"]["value"] == 5.0
     assert axis["findings"][0]["parameters"]["amplitude"] == {
         "value": 5.0,
         "std": 0.02,
@@ -333,6 +345,25 @@ def test_json_has_all_numbers_and_follows_the_schema(schema):
     lines = {d["statistic"]: d for d in axis["discrepancies"]}
     assert lines["psd_line"]["p_value"] < 1e-4 < lines["psd_line"]["after"]["p_value"]
     assert document["recording"] == {"name": "bench", "n": N, "rate_hz": RATE, "duration_s": N / RATE}
+
+
+def test_what_cannot_be_held_out_has_no_gain_and_odds_are_no_p_value(schema):
+    seen = dataclasses.replace(LINE, cause="rounding", p_value=None, evidence=None, gain=None, rivals=())
+    odds = dataclasses.replace(LINE, cause="low_pass", p_value=None, rivals=())
+    found = critique_of((seen, odds))
+    bare = dataclasses.replace(seen, discrepancies=())
+    assert sentence(bare).endswith("(seen in the samples themselves). Gain cannot be held out.")
+    assert "(odds 1e+2306 : 1). Gain 5,310 nats" in sentence(dataclasses.replace(odds, discrepancies=()))
+    assert "cannot be held out" in repr(seen)
+    assert found.gain == 5310.2
+    table = found.to_dataframe().groupby("cause")[["p_value", "gain"]].first()
+    assert np.isnan(table.loc["rounding"]).all()
+    document = found.to_dict()
+    jsonschema.validate(json.loads(json.dumps(document, allow_nan=False)), schema)
+    first, second = document["axes"][0]["findings"]
+    assert (first["gain_nats"], first["evidence_nats"], first["p_value"]) == (None, None, None)
+    assert (second["gain_nats"], second["p_value"]) == (5310.2, None)
+    assert "worth" not in str(critique_of((seen,)))
 
 
 @pytest.mark.parametrize("change", ["schema_version", "missing", "nan"])
