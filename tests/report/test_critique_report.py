@@ -16,9 +16,9 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.app import app
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
+from allanjax.critic.finding import CoefficientChange, Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.noise import family_of
 from allanjax.critic.parameters import parameter_estimate
-from allanjax.critic.finding import CoefficientChange, Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.record.io import write
 from allanjax.record.recording import Axis, DeadAxis, Recording

@@ -62,6 +62,8 @@ _PER_OCTAVE = 12
 _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
 # Number of oscillators that stand for one that moves.
 _MOVING = 3
+# Share of its median below which a spectrum falls deep.
+_DEEP = 0.05
 # Relative error of a power beyond which it is tried whether it is needed.
 _DOUBTFUL = 0.2
 # Deviations of a smoothed level from its expectation beyond which there is something to look for.
@@ -194,9 +196,9 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
     structure, n = now.structure, spectrum.n
     if structure.kind == NONE:
         if _smoothed_scores(spectrum, now) > _CLEAR:
-            yield from responses(structure, float(np.min(spectrum.rough[: len(spectrum.bins.size)])))
-    elif not structure.active[OUTSIDE]:
-        yield structure.using(OUTSIDE, float(np.min(spectrum.rough[: len(spectrum.bins.size)])))
+            yield from responses(structure, _floor(spectrum))
+    elif not structure.active[OUTSIDE] and (floor := _floor(spectrum)):
+        yield structure.using(OUTSIDE, floor)
     ratio = record.squares / at_all(spectrum, now)
     for k in structure.oscillators:
         if structure.companions(int(k)) >= _MOVING:
@@ -225,13 +227,21 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
         yield together
 
 
+def _floor(spectrum: Spectrum) -> float:
+    """Lowest level of a spectrum that falls to a small part of itself, else zero."""
+    rough = spectrum.rough[: len(spectrum.bins.size)]
+    floor = float(np.min(rough))
+    return floor if floor < _DEEP * float(np.median(rough)) else 0.0
+
+
 def responses(structure: Structure, floor: float) -> Iterator[Structure]:
     """Structures with a response, and white noise after it, all resonances inside it or after it.
 
-    Without that noise, of a level of `floor` or less, the depth of the stop band would decide what the
-    response is.
+    Without that noise, of a level of `floor` if that is not zero, the depth of a deep stop band would decide
+    what the response is.
     """
-    structure = structure.using(OUTSIDE, floor)
+    if floor:
+        structure = structure.using(OUTSIDE, floor)
     count = len(structure.oscillators)
     for kind in _FIRST_KINDS:
         for bandwidth in _BANDWIDTHS:

@@ -73,7 +73,8 @@ class Structure:
         active, inside = np.zeros(count, bool), np.zeros(count, bool)
         active[np.asarray(columns, int)] = True
         inside[: FULL.first_oscillator] = True
-        inside[OUTSIDE] = False
+        # A term of its own kind may have no closed form behind a response.
+        inside[[OUTSIDE, FURTHER]] = False
         slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), inside)
         return cls(np.zeros(count), slots.usual()[count:], active, inside)
 
