@@ -229,17 +229,18 @@ def _line(members: Sequence[Finding]) -> Finding:
     fundamental = [
         _divided(f.parameters["frequency"], order) for f, order in zip(members, orders, strict=True)
     ]
-    frequency = mean_of(fundamental)
+    frequency, cause = mean_of(fundamental), max(members, key=_weight).cause
     per_axis: dict[str, Estimate] = {}
     for f, order in sorted(zip(members, orders, strict=True), key=lambda pair: (pair[1], -_weight(pair[0]))):
         for axis, size in f.amplitudes.items():
-            remark = f"harmonic {order}" if order > 1 else ""
+            # The amplitude of a resonance is a standard deviation.
+            remarks = [f"harmonic {order}" if order > 1 else "", "" if f.cause == cause else f"as {f.cause}"]
+            remark = ", ".join(text for text in remarks if text)
             per_axis.setdefault(axis, dataclasses.replace(size, remark=remark))
     every = sorted({k for f in members for k in _harmonics(f, lowest)})
     whose = fundamental[0].axis
-    strongest = max(members, key=_weight)
     return together(
-        strongest.cause,
+        cause,
         members,
         ({} if frequency is None else {"frequency": frequency}) | shared(members, ["quality_factor"]),
         {

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import allanjax as aj
+from allanjax.critic.causes import BiasStep, Disturbance, Outliers, Sinusoid, VarianceChange
 from allanjax.critic.critique import critique
 from allanjax.critic.finding import CoefficientChange, Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.merging import merged
@@ -18,6 +19,7 @@ DURATION = N / RATE
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 AXES = {name: Axis(name, name[:-2], "deg/s" if name.startswith("gyro") else "g") for name in NAMES}
 NAN = float("nan")
+WALK, RATE_WALK = "angle_random_walk", "rate_random_walk"
 
 
 # --- Records ------------------------------------------------------------------------------------------------
@@ -37,7 +39,7 @@ def causes(found):
 
 @pytest.fixture(scope="module")
 def vibrating():
-    """A line on four axes, one of which has its harmonic only and one both; a step on two others."""
+    """A line on four axes, of which one has its harmonic only and one has both; a step on two others."""
     t = (np.arange(N) + 0.5) / RATE
     line, harmonic = (np.cos(2.0 * np.pi * f * t + 0.3) for f in (1.37, 2.74))
     step = (t > 170.0).astype(float)
@@ -49,7 +51,7 @@ def vibrating():
         "gyro_y": 0.3 * step,
         "gyro_z": -0.4 * step,
     }
-    return critique(six_axes(effects))
+    return critique(six_axes(effects), causes=(Sinusoid(), BiasStep()))
 
 
 def test_a_line_on_four_axes_and_its_harmonic_are_one_finding(vibrating):
@@ -105,7 +107,8 @@ def knocked():
         "accel_y": 12.0,
         "accel_z": 25.0,
     }
-    return gains, critique(six_axes({name: gain * ringing for name, gain in gains.items()}))
+    recording = six_axes({name: gain * ringing for name, gain in gains.items()})
+    return gains, critique(recording, causes=(Outliers(), Disturbance(), VarianceChange()))
 
 
 def test_a_knock_on_all_axes_is_one_event(knocked):
@@ -294,8 +297,9 @@ def allan(simulated, measured=1.0):
 @pytest.mark.parametrize(
     ("change", "size", "quantity"),
     [
-        ({"coefficients": (CoefficientChange("angle_random_walk", 2.0, 1.0, "deg/√h"),)}, 1.0, "angle_random_walk"),
-        ({"coefficients": (CoefficientChange("rate_random_walk", NAN, 3.0, "deg/h/√h"),)}, 1.0, "rate_random_walk"),
+        ({"coefficients": (CoefficientChange(WALK, 2.0, 1.0, "deg/√h"),)}, 1.0, WALK),
+        # A term that comes.
+        ({"coefficients": (CoefficientChange(RATE_WALK, NAN, 3.0, "deg/h/√h"),)}, 1.0, RATE_WALK),
         ({"coefficients": (CoefficientChange("quantization", 5.0, 1.0, "arcsec"),)}, 0.0, ""),
         ({"drift": DriftChange(64.0, 1.0, 1.0, 1.5, "deg")}, 0.5, "drift"),
         # Half as large as measured before, and as large after.

@@ -89,7 +89,7 @@ def model_without(hidden: Hidden) -> aj.Model | None:
 def right(critique: Critique, effect: Effect) -> Finding | None:
     """The finding that names the effect, that with most evidence if there are several."""
     found = [f for f in critique.findings if f.cause == effect.cause and set(f.axes) <= set(effect.axes)]
-    return max(found, key=lambda f: f.evidence, default=None)
+    return max(found, key=lambda f: f.evidence or 0.0, default=None)
 
 
 def others(critique: Critique, effects: Iterable[Effect]) -> list[str]:
