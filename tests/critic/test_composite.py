@@ -1,4 +1,4 @@
-"""Several effects at once, behind a filter: all are found, the model is what was measured, nothing else is said."""
+"""Several effects at once, behind a filter: all are found, and the model is what was measured."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def oscillation(frequency, quality, rng):
 
 
 def sensor(seed):
-    """White noise and a walk behind a pole at 18 Hz, a resonance, a line and a step: what no one effect hides."""
+    """White noise and a walk behind a pole at 18 Hz, a resonance, a line and a step."""
     rng = np.random.default_rng([41, seed])
     w = np.exp(-2.0 * np.pi * 18.0 / RATE)
     noise = rng.standard_normal(N) + 2e-3 * np.cumsum(rng.standard_normal(N))
