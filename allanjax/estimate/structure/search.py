@@ -148,14 +148,14 @@ def described(structure: Structure, rate: float) -> str:
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
     """The best of all additions, fitted in bins that are made for it; None if none gains enough."""
     tried = [spectrum.fit(proposal) for proposal in _additions(record, spectrum, now)]
-    tried = [found for found in tried if found.structure.power[WHITE] > 0.0]
+    tried = [found for found in tried if _keeps_white(now, found)]
     tried = sorted((f for f in tried if f.evidence > now.evidence - 1.0), key=lambda f: -f.evidence)
     for best in tried[:2]:
         finer = record.binned(best.structure)
         again = finer.fit(best.structure)
         finer = finer.weighing(again)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
-        if again.evidence - before.evidence > _GAIN and again.structure.power[WHITE] > 0.0:
+        if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
             return finer, _settled(finer, now.structure, again)
     return None
 
@@ -187,8 +187,18 @@ def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitte
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
-    """The other fit if it is more likely and white noise is left in it."""
-    return other if other.evidence > now.evidence and other.structure.power[WHITE] > 0.0 else now
+    """The other fit if it is more likely and has not lost the white noise."""
+    return other if other.evidence > now.evidence and _keeps_white(now, other) else now
+
+
+def _keeps_white(now: Fitted, other: Fitted) -> bool:
+    """Whether a fit has white noise, or lacks it as the present one does, with the same kind of response.
+
+    A sensor has white noise before its filter; a response and wide resonances that do without are its
+    spectrum by other names.
+    """
+    lacked = not now.structure.power[WHITE] > 0.0 and other.structure.kind == now.structure.kind
+    return bool(other.structure.power[WHITE] > 0.0 or lacked)
 
 
 def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Structure]:
@@ -309,7 +319,7 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
             now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in _TIMES
         )
         tried = [spectrum.fit(start) for start in starts if start is not None]
-        tried = [found for found in tried if found.structure.power[WHITE] > 0.0]
+        tried = [found for found in tried if _keeps_white(now, found)]
         best = min(tried, key=lambda found: found.loss, default=now)
         if best.loss > now.loss - _PREDICTS:
             break
