@@ -64,6 +64,8 @@ _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
 _MOVING = 3
 # Share of its median below which a spectrum falls deep.
 _DEEP = 0.05
+# Quality factor below which a resonance may be white noise behind a filter.
+_WIDE = 4.0
 # Relative error of a power beyond which it is tried whether it is needed.
 _DOUBTFUL = 0.2
 # Deviations of a smoothed level from its expectation beyond which there is something to look for.
@@ -192,13 +194,13 @@ def _better(now: Fitted, other: Fitted) -> Fitted:
 
 
 def _keeps_white(now: Fitted, other: Fitted) -> bool:
-    """Whether a fit has white noise, or lacks it as the present one does, with the same kind of response.
+    """Whether a fit has white noise, or lacks it for no resonance that is wide and no other response.
 
-    A sensor has white noise before its filter; a response and wide resonances that do without are its
-    spectrum by other names.
+    White noise before a filter, and a response with wide resonances, have the same spectrum.
     """
-    lacked = not now.structure.power[WHITE] > 0.0 and other.structure.kind == now.structure.kind
-    return bool(other.structure.power[WHITE] > 0.0 or lacked)
+    structure = other.structure
+    narrow = all(structure.quality(int(k)) > _WIDE for k in structure.oscillators)
+    return bool(structure.power[WHITE] > 0.0 or (narrow and structure.kind == now.structure.kind))
 
 
 def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Structure]:

@@ -136,3 +136,16 @@ def test_fits_to_halves_of_the_coefficients_weigh_like_the_whole():
     level = np.asarray(whole.levels.level)
     assert whole.loss_of(fitted) == pytest.approx(np.sum(k * (np.log(fitted.mean) + level / fitted.mean)))
     assert fitted.structure.power[WHITE] == pytest.approx(squares.mean() / RATE, rel=0.01)
+
+
+def test_a_resonance_is_found_where_there_is_no_white_noise():
+    """In quantization noise only: no filter is put in the place of the noise that is not there."""
+    rng = np.random.default_rng(37)
+    x = np.diff(rng.uniform(-0.5, 0.5, N + 1)) + 0.2 * oscillation(20.0, 15.0, rng)
+    structure = structure_of(x).structure
+    assert structure.kind == NONE
+    (k,) = structure.oscillators
+    assert structure.frequency(k) * RATE / (2.0 * np.pi) == pytest.approx(20.0, rel=0.004)
+    sizes = np.array([1, 2, 4, 8, 16, 32])
+    deviation = np.sqrt(model_of(structure, RATE).sampled(RATE).allan_variance(sizes / RATE))
+    np.testing.assert_allclose(deviation, measured(x, sizes), rtol=0.05)
