@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import json
+import warnings
 from importlib.resources import files
 from pathlib import Path
 
@@ -309,6 +310,16 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
     drawn = spectrum.get_lines()[0]
     peak = drawn.get_xdata()[np.argmax(drawn.get_ydata())]
     assert peak == pytest.approx(0.552, abs=RATE / N)
+
+
+def test_many_figures_are_drawn_without_a_warning():
+    from matplotlib import pyplot as plt
+
+    plt.close("all")
+    with plt.rc_context({"figure.max_open_warning": 1}), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(plot_critique(critique_of((LINE, STEP)))) == 3
+    assert plt.get_fignums() == []
 
 
 # --- Export -------------------------------------------------------------------------------------------------
