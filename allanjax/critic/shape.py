@@ -39,6 +39,8 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 # Quality factor from which on resonances may be lines of one source, and how far from multiples of its
 # frequency, as a share of that, its lines may be: judgements.
 _LINES, _BESIDE = 50.0, 0.25
+# Width [coefficients] of a resonance that is left to the search for lines.
+_LINE = 1.25 * LINE
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
 # p-value of what is left of the spectrum from which on it is searched again: a judgement.
@@ -96,6 +98,11 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     further = _further(view)
     start = _start(view, further)
     spectrum, found = searched(_record(view, further), start)
+    lines = [
+        int(k) for k in found.structure.oscillators if found.structure.width(int(k)) < _LINE * np.pi / view.n
+    ]
+    if lines:
+        found = spectrum.fit(_without(found.structure, [FULL.first_oscillator + k for k in lines]))
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)
