@@ -17,10 +17,10 @@ from allanjax.critic.parameters import parameter_estimate
 from allanjax.critic.together import together
 from allanjax.noise.estimate import Estimate
 
-#: Names of the cause that events are made of, and of events of several causes.
+#: Names of the cause of single samples, and of an event that nothing but such samples show.
 OUTLIERS, EVENT = "outliers", "event"
-# What is an event as long as it is short.
-_STRETCHES = ("disturbance", "variance_change")
+#: What is an event as long as it is short, and what an event is called of which it is a part.
+STRETCHES = ("disturbance", "variance_change")
 # Longest change of the variance that is an event, as a share of the record: a judgement.
 _SHORT = 0.05
 # Pause [s] after which another event begins: a judgement.
@@ -67,7 +67,7 @@ def _marks(k: int, f: Finding, duration: float) -> list[_Mark]:
     if f.cause == OUTLIERS:
         return [_Mark(t.value, t.value, k, place) for place, t in enumerate(_numbers(f, "times"))]
     start, end = f.span
-    if f.cause not in _STRETCHES or (f.cause == "variance_change" and end - start > _SHORT * duration):
+    if f.cause not in STRETCHES or (f.cause == "variance_change" and end - start > _SHORT * duration):
         return []
     errors = [f.parameters[label].std if label in f.parameters else 0.0 for label in ("start", "end")]
     before, after = (error if np.isfinite(error) else 0.0 for error in errors)
@@ -131,7 +131,7 @@ def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Seque
         if size is not None and (axis not in per_axis or _louder(size, per_axis[axis])):
             per_axis[axis] = size
     one = together(
-        causes[0] if len(causes) == 1 and causes[0] != OUTLIERS else EVENT,
+        next((cause for cause in STRETCHES if cause in causes), EVENT),
         members,
         {"start": _end(start, findings, "start"), "end": _end(end, findings, "end")},
         {
@@ -139,7 +139,7 @@ def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Seque
             for axis in dict.fromkeys(a for f in members for a in f.axes)
             if axis in per_axis
         },
-        {"seen_as": causes},
+        {"seen_as": causes} if len(causes) > 1 else {},
         [findings[k] for k in places if k in counted],
     )
     return dataclasses.replace(one, span=(one.parameters["start"].value, one.parameters["end"].value))

@@ -111,7 +111,7 @@ class Finding(ByValue):
     of the axis in which it matters most, `shown`.
 
     Attributes:
-        cause: name of the cause, see `causes`; "event" where several of them are one.
+        cause: name of the cause, see `causes`; "event" for outliers of several axes at one time.
         axes: axes that it concerns.
         parameters: estimates by label, in the recording's own units, times from its start [s].
         p_value: p-value of its statistic, corrected for the search; None where its odds are the test.

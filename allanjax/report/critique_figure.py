@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
-from allanjax.critic.events import EVENT
+from allanjax.critic.events import EVENT, OUTLIERS
 from allanjax.critic.finding import Finding
 from allanjax.critic.parameters import values_of
 from allanjax.critic.result import AxisCritique, Critique
@@ -134,7 +134,9 @@ def _of_finding(
         shown = [(before, "before", _BEFORE, "o"), (after, "after", _AFTER, "s")]
     figure, _, effect = _four_panels(critique, finding, shown)
     draw = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(finding.cause, _draw_path)
-    draw(effect, before, after, finding if finding.cause == EVENT else own)
+    # Single samples and frequencies are those of the axis.
+    is_own = finding.cause == OUTLIERS or finding.domain == "frequency"
+    draw(effect, before, after, own if is_own else finding)
     return figure
 
 

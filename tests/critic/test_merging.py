@@ -229,8 +229,9 @@ def test_outliers_of_a_knock_are_an_event_and_the_others_stay_outliers():
     )
     d = outliers("gyro_x", [33.0, 250.0])
     found = {f.cause: f for f in told(a, b, c, d) if f.axes != ("gyro_x",)}
-    assert found.keys() == {"event", "outliers"}
-    event, left = found["event"], found["outliers"]
+    assert found.keys() == {"disturbance", "outliers"}
+    event, left = found["disturbance"], found["outliers"]
+    assert event.details["seen_as"] == ("outliers", "disturbance")
     assert event.axes == ("accel_x", "accel_y", "accel_z")
     assert {axis: e.value for axis, e in event.amplitudes.items()} == {
         "accel_x": 7.0,
@@ -244,6 +245,13 @@ def test_outliers_of_a_knock_are_an_event_and_the_others_stay_outliers():
     assert (event.gain, left.gain) == (100.0, 50.0)
 
 
+def test_a_knock_that_is_seen_as_outliers_only_is_one_event():
+    (event,) = told(*(outliers(axis, [120.0, 120.1], size=5.0 + k) for k, axis in enumerate(NAMES)))
+    assert (event.cause, event.axes) == ("event", NAMES)
+    assert [e.value for e in event.amplitudes.values()] == [5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+    assert event.gain == 300.0
+
+
 def test_outliers_that_coincide_by_chance_are_no_event():
     rng = np.random.default_rng(0)
     own = [outliers(axis, np.sort(rng.uniform(0.0, DURATION, 200)).tolist()) for axis in NAMES[3:]]
@@ -255,7 +263,7 @@ def test_several_findings_of_one_axis_within_an_event_are_one():
     change = {"start": (100.0, 0.2, "s"), "end": (108.0, 0.2, "s"), "ratio": (3.0, 0.1, "1")}
     loud = finding("variance_change", "gyro_x", change, span=(100.0, 108.0))
     (found,) = told(loud, outliers("gyro_x", [101.0, 102.5, 103.0]))
-    assert (found.cause, found.axes, len(found.members)) == ("event", ("gyro_x",), 2)
+    assert (found.cause, found.axes, len(found.members)) == ("variance_change", ("gyro_x",), 2)
 
 
 def test_rounding_is_one_finding_with_the_step_of_each_axis():
