@@ -85,9 +85,8 @@ class View:
         """Ratio of the spectrum to that of the basic terms; None for 1."""
         if self.structure is None:
             return self.base
-        squares = self.coefficients**2 if self.base is None else self.coefficients**2 / self.base
-        found = spectrum_factor(self.structure, self.family, squares)
-        return found if self.base is None else self.base * found
+        base = 1.0 if self.base is None else self.base
+        return base * spectrum_factor(self.structure, self.family, self.coefficients**2 / base)
 
     @functools.cached_property
     def coefficients(self) -> Float[np.ndarray, " n-1"]:
@@ -191,8 +190,7 @@ class View:
     ) -> float:
         """Log-likelihood of some of the coefficients under noise, with a further factor of the spectrum.
 
-        A ramp of the noise is projected out: nearly all of it is in one coefficient, which the others do not
-        predict.
+        A ramp of the noise is projected out: nearly all of it is in one coefficient, unknown to the others.
         """
         v = self.variance(noise) if factor is None else self.variance(noise) * factor
         c = self.coefficients
@@ -256,7 +254,6 @@ class View:
     def with_structure(self, structure: Structure | None) -> View:
         """View whose spectrum has this structure."""
         view = dataclasses.replace(self, structure=structure)
-        # The coefficients are what they were: a transform saved.
         vars(view)["coefficients"] = self.coefficients
         return view
 
