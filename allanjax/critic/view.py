@@ -159,12 +159,8 @@ class View:
     @functools.cached_property
     def cv_log_likelihood(self) -> float:
         """Log-likelihood of each half of the coefficients under the best noise of the other half."""
-        return self.cv_log_likelihood_with(self.allowed)
-
-    def cv_log_likelihood_with(self, allowed: Collection[str]) -> float:
-        """Cross-validated log-likelihood under noise of some of these basic terms."""
         return self.cross_validated(
-            lambda fold: self.model_evidence_of(fold).approximate_map(allowed, self.model_evidence)
+            lambda fold: self.model_evidence_of(fold).approximate_map(self.allowed, self.model_evidence)
         )
 
     def cross_validated(

@@ -117,7 +117,7 @@ def _correlation_time(view: View, noise: Noise) -> Estimate:
 
     def likelihood(u: float) -> float:
         own = density(Markov(1.0, float(np.exp(u))), levels.frequency, view.rate)
-        return levels.log_likelihood(extra=view.rate * own)
+        return levels.log_likelihood(view.rate * own)
 
     times = np.log(view.family.times)
     middle, step = np.log(noise.shape), times[1] - times[0]

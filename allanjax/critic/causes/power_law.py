@@ -68,7 +68,7 @@ def _exponent(view: View, noise: Noise) -> tuple[float, float]:
 
     def likelihood(exponent: float) -> float:
         law = density(PowerLawTerm(1.0, exponent), levels.frequency, view.rate)
-        return levels.log_likelihood(extra=view.rate * law)
+        return levels.log_likelihood(view.rate * law)
 
     low, high = _EXPONENTS
     middle = noise.shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from scipy.optimize import minimize_scalar, nnls
 
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, density
@@ -15,26 +15,17 @@ from allanjax.noise.terms import Markov, PowerLaw
 #: Name of the free shape in the result of `relative_errors`.
 SHAPE = "shape"
 
-# Bins in an octave, and finer ones on either side of a place.
+# Bins in an octave.
 _PER_OCTAVE = 64
-_NEAR = 400
-#: Nodes and weights of Gauss-Legendre quadrature: a response may fall by much within a bin.
-NODES, SHARES = np.polynomial.legendre.leggauss(4) * np.array([[1.0], [0.5]])
 # Scoring of powers: most rounds, the gain [nats] that ends it, bins that a first guess is averaged over; and
 # the step of numerical derivatives.
 _SCORINGS, _SETTLED, _SMOOTH, _STEP = 8, 1e-4, 9, 0.02
 
 
-def fine_bins(n: int, centre: float | None = None, width: float = 1.0) -> np.ndarray:
-    """First indices of bins of the coefficients 1 … n−1: 64 an octave, finer around a place."""
-    log = np.unique(np.rint(2.0 ** (np.arange(0.0, np.log2(n) * _PER_OCTAVE) / _PER_OCTAVE)))
-    edges = log
-    if centre is not None:
-        step = max(width / 16.0, 1.0)
-        near = centre + step * np.arange(-_NEAR, _NEAR + 1)
-        edges = np.concatenate([log[(log < near[0]) | (log > near[-1])], np.rint(near)])
-    edges = np.unique(edges.astype(int) - 1)
-    return edges[(edges >= 0) & (edges < n - 1)]
+def fine_bins(n: int) -> Int[np.ndarray, " bins"]:
+    """First indices of bins of the coefficients 1 … n−1: 64 an octave."""
+    edges = np.rint(2.0 ** (np.arange(0.0, np.log2(n) * _PER_OCTAVE) / _PER_OCTAVE)).astype(int) - 1
+    return np.unique(edges[edges < n - 1])
 
 
 def sums(values: Float[np.ndarray, " n-1"], first: np.ndarray) -> Float[np.ndarray, " bins"]:
@@ -66,69 +57,38 @@ class FineLevels:
     Attributes:
         size, squares, frequency: number of coefficients in each bin, the sum of their squares divided by the
             factor of earlier findings, and their mean frequency [Hz].
-        within: nodes in each bin [Hz] at which `SHARES` weigh a function's values to its mean.
         columns: levels of the allowed basic terms but the Markov process, at unit amplitude.
         smooth: mean squares over a few neighbouring bins.
     """
 
-    def __init__(self, view: View, fold: Bool[np.ndarray, " n-1"] | None = None) -> None:
+    def __init__(self, view: View) -> None:
         self._first = fine_bins(view.n)
-        self._used = np.ones(view.n - 1) if fold is None else fold.astype(float)
-        size = sums(self._used, self._first)
-        self._real = size > 0
-        self.size = size[self._real]
+        self.size = sums(np.ones(view.n - 1), self._first)
         squares = view.coefficients**2
-        self.squares = self.size * self.mean(squares if view.factor is None else squares / view.factor)
-        self.frequency = self.mean(view.family.frequency)
-        last = np.append(self._first[1:], view.n - 1)
-        middle, half = 0.5 * (self._first + last + 1), 0.5 * (last - self._first)
-        places = middle[:, None] + half[:, None] * NODES
-        self.within = places[self._real] * view.rate / (2.0 * view.n)
+        self.squares = sums(squares if view.factor is None else squares / view.factor, self._first)
+        self.frequency = self._mean(view.family.frequency)
         spectra = [view.family.spectra[FIXED.index(t)] for t in FIXED if t in view.allowed]
-        self.columns = np.stack([self.mean(spectrum) for spectrum in spectra])
+        self.columns = np.stack([self._mean(spectrum) for spectrum in spectra])
         near = np.ones(_SMOOTH)
         level = np.convolve(self.squares, near, "same") / np.convolve(self.size, near, "same")
         self.smooth = np.maximum(level, 1e-300)
 
-    def keep(self, count: int) -> None:
-        """Keep only the `count` lowest bins."""
-        self._real[np.flatnonzero(self._real)[count:]] = False
-        self.size, self.squares, self.frequency, self.within = (
-            x[:count] for x in (self.size, self.squares, self.frequency, self.within)
-        )
-        self.columns, self.smooth = self.columns[:, :count], self.smooth[:count]
+    def _mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
+        """Mean in each bin."""
+        return sums(values, self._first) / self.size
 
-    def mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
-        """Mean in each bin over the coefficients in the fold."""
-        return sums(self._used * values, self._first)[self._real] / self.size
-
-    def log_likelihood(
-        self,
-        factor: Float[np.ndarray, " bins"] | float = 1.0,
-        extra: Float[np.ndarray, " bins"] | None = None,
-    ) -> float:
-        """Largest log-likelihood [nats] over powers of the basic terms and an extra one, with a factor."""
-        return self.scored(factor, extra)[0]
-
-    def scored(
-        self,
-        factor: Float[np.ndarray, " bins"] | float = 1.0,
-        extra: Float[np.ndarray, " bins"] | None = None,
-    ) -> tuple[float, Float[np.ndarray, " terms"]]:
-        """Largest log-likelihood [nats] and the powers, that of the extra term last."""
-        columns = factor * (self.columns if extra is None else np.vstack([self.columns, extra]))
-        level = self.squares / self.size
-        model, best, found = self.smooth, -np.inf, np.zeros(len(columns))
+    def log_likelihood(self, extra: Float[np.ndarray, " bins"]) -> float:
+        """Largest log-likelihood [nats] over powers of the basic terms and an extra one."""
+        columns, level = np.vstack([self.columns, extra]), self.squares / self.size
+        model, best = self.smooth, -np.inf
         for _ in range(_SCORINGS):
             power = non_negative(columns, level, np.sqrt(self.size) / model)
             model = np.maximum(power @ columns, 1e-300)
             value = log_likelihood(self.squares, self.size, model)
-            gained = value - best
-            if gained > 0.0:
-                best, found = value, power
+            gained, best = value - best, max(value, best)
             if gained < _SETTLED:
                 break
-        return best, found
+        return best
 
     def shape_of(
         self, likelihood: Callable[[float], float], bounds: tuple[float, float]
