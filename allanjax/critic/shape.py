@@ -97,12 +97,7 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
         return None
     further = _further(view)
     start = _start(view, further)
-    spectrum, found = searched(_record(view, further), start)
-    lines = [
-        int(k) for k in found.structure.oscillators if found.structure.width(int(k)) < _LINE * np.pi / view.n
-    ]
-    if lines:
-        found = spectrum.fit(_without(found.structure, [FULL.first_oscillator + k for k in lines]))
+    spectrum, found = _searched(_record(view, further), start)
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)
@@ -110,6 +105,16 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     occam = before.loss - found.loss - gain
     gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
     return (_without_ends(after), gain) if gain > 0.0 else None
+
+
+def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
+    """Structure of a spectrum without resonances that are as narrow as lines."""
+    spectrum, found = searched(record, start)
+    structure, narrowest = found.structure, _LINE * np.pi / record.n
+    lines = [int(k) for k in structure.oscillators if structure.width(int(k)) < narrowest]
+    if lines:
+        found = spectrum.fit(_without(structure, [FULL.first_oscillator + k for k in lines]))
+    return spectrum, found
 
 
 def _without_ends(view: View) -> View:
@@ -176,10 +181,7 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
         return None
     further = _further(view)
     record, start = _record(view, further), _start(view, further)
-    if _left(view):
-        spectrum, found = searched(record, start)
-    else:
-        spectrum, found = refitted(record, start)
+    spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
     found = completed(spectrum, found, MARKOV in view.allowed and further is None)
     structure = found.structure
     groups = _groups(structure)
