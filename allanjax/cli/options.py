@@ -107,6 +107,14 @@ def _fit_options(
         bool,
         typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
     ] = False,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="The plain noise terms only, also where they do not follow the data; else a filter, "
+            "resonances and lines are looked for there.",
+        ),
+    ] = False,
 ) -> FitOptions:
     model = None if terms is None else parsed_model(terms)
     for p in () if model is None else model.parameters:
@@ -114,7 +122,9 @@ def _fit_options(
             wrong = f"{p.label} is what the fit estimates; leave out its value"
             raise typer.BadParameter(wrong, param_hint="--terms")
     names = (name.strip() for name in (regressors or "").split(","))
-    return FitOptions(reading, model, objective, tuple(name for name in names if name), as_is, vibrating)
+    return FitOptions(
+        reading, model, objective, tuple(name for name in names if name), as_is, vibrating, plain
+    )
 
 
 _BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options": _fit_options}

@@ -146,11 +146,11 @@ def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
     """Fit of the Allan variances, or of the spectrum where that does not converge."""
     tell("fitting the noise model")
     # What was done to the recording is what is looked for.
-    fit = fit_recording(recording, as_is=True)
+    fit = fit_recording(recording, as_is=True, plain=True)
     if all(result.converged for result in fit.results):
         return fit
     # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
-    return fit_recording(recording, objective="whittle", as_is=True)
+    return fit_recording(recording, objective="whittle", as_is=True, plain=True)
 
 
 def _stages(s: Search) -> tuple[Snapshot, ...]:

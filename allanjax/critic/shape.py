@@ -15,7 +15,7 @@ from allanjax.critic.noise import MARKOV, POWER_LAW
 from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.view import View, in_time
 from allanjax.critic.windows import conspicuous
-from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE, TWO_POLES
+from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, order_of, response_of
 from allanjax.estimate.structure.search import Record, completed, refitted, searched
@@ -321,11 +321,7 @@ def _half_power(structure: Structure, rate: float) -> float:
         k = int(below[0])
         share = (log[k - 1] - np.log(0.5)) / (log[k - 1] - log[k])
         return float(f[k - 1] + share * (f[k] - f[k - 1]))
-    w, Q = structure.bandwidth
-    # Of two poles 1/|1 − x² + ix/Q|² = ½.
-    lower = 1.0 - 0.5 / Q**2
-    x = np.sqrt(lower + np.hypot(lower, 1.0)) if structure.kind == TWO_POLES else 1.0
-    return float(x * w * rate / (2.0 * np.pi))
+    return response.half_power
 
 
 def _of_resonances(

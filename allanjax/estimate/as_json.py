@@ -80,6 +80,7 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "selection": None,
         "selection_discrepancy": None,
         "selection_averaged": None,
+        "extension": None,
         "regression": {},
     }
 
@@ -112,9 +113,23 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "selection": None if selection is None else _ranking(selection[result.axis.name]),
         "selection_discrepancy": None if selection is None else selection[result.axis.name].discrepancy,
         "selection_averaged": None if selection is None else _averaged(selection[result.axis.name].averaged),
+        "extension": None if result.own_template is None else _extension(result),
         "regression": {
             name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
         },
+    }
+
+
+def _extension(result: AxisFit) -> dict[str, Any]:
+    """The axis's own model, what it was corrected for in words, and the fit without that."""
+    template, plain = result.own_template, result.plain
+    assert template is not None
+    assert plain is not None
+    return {
+        "model": [_term(term) for term in template],
+        "response": None if template.response is None else _response(template),
+        "correction": result.correction,
+        "plain": _axis(plain, None),
     }
 
 

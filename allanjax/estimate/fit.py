@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,6 +15,7 @@ from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import fit_allan, fit_whittle, with_curve
 from allanjax.estimate.design import model_to_fit
+from allanjax.estimate.extension import Extension, extended
 from allanjax.estimate.ranking import select_terms
 from allanjax.estimate.result import NEXT, AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
@@ -39,6 +41,7 @@ def fit(
     regressors: Sequence[str] = (),
     as_is: bool = False,
     vibrating: bool = False,
+    plain: bool = False,
     rate: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
@@ -62,12 +65,15 @@ def fit(
             with a value start there, those held stay there. The time of a step and the time constant of a
             warm-up must have a value and are held; such terms need "whittle".
             Without one, the terms are those that `select_terms` chooses for each axis among the five basic
-            ones and a Markov process; for the basic terms not chosen there is an upper limit.
+            ones and a Markov process; for the basic terms not chosen there is an upper limit. Where no set
+            of terms follows the data, the spectrum is searched for a filter, resonances, lines and further
+            Markov processes, and what is found is fitted jointly (`AxisFit.own_template`, `plain`).
         objective: "allan" or "whittle".
         regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
             with "whittle" only.
         as_is: whether to use all of the recording whatever it looks like; the warnings stay.
         vibrating: whether the platform moves or vibrates, and is to: motion is no reason for a warning then.
+        plain: whether to leave it at the terms where they do not suffice.
         rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
             and a file may state their own.
 
@@ -82,7 +88,7 @@ def fit(
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
     seen = inspected(recording, model, regressors, as_is, vibrating)
-    return fit_inspected(recording, seen, model, objective, regressors)
+    return fit_inspected(recording, seen, model, objective, regressors, plain)
 
 
 def fit_inspected(
@@ -91,6 +97,7 @@ def fit_inspected(
     model: ModelLike | None,
     objective: Objective,
     regressors: Sequence[str] = (),
+    plain: bool = False,
 ) -> Fit:
     """Fit of a recording whose inspection is known already; see `fit`."""
     if objective not in get_args(Objective):
@@ -98,7 +105,8 @@ def fit_inspected(
     # What is wrong with them is said before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:
-        return with_what_was_seen(_fitted(seen.quiet(recording), model, objective, regressors), seen)
+        found = _fitted(seen.quiet(recording), model, objective, regressors, plain)
+        return with_what_was_seen(found, seen)
     template, _ = terms_to_fit(model, None, recording.axes, objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
     return without_coefficients(seen, curve, template, objective, recording.notes, recording.dead)
@@ -124,6 +132,7 @@ def _fitted(
     model: ModelLike | None,
     objective: Objective,
     regressors: Sequence[str],
+    plain: bool,
 ) -> Fit:
     """Fit of all samples of a recording."""
     given = _regressors(recording, regressors, objective)
@@ -138,10 +147,28 @@ def _fitted(
         axes = range(len(recording.axes))
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
         results, curve = with_curve(curve, template, results)
+    if selection is not None and not plain:
+        results, selection = _extended(recording, results, curve, selection)
     if selection is not None:
         results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)
     notes = recording.notes + ambiguities(selection)
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
+
+
+def _extended(
+    recording: Recording, results: Sequence[AxisFit], curve: AllanDeviation, selection: TermSelection
+) -> tuple[tuple[AxisFit, ...], TermSelection]:
+    """Results and selection in which axes that no set of terms follows have their extension."""
+
+    def of(k: int) -> Extension | None:
+        incomplete = results[k].converged and results[k].discrepancy > 0.0
+        return extended(recording.values[:, k], recording.rate, results[k], curve, k) if incomplete else None
+
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(of, range(len(results))))
+    rankings = [s if e is None else e.selection for s, e in zip(selection.results, found, strict=True)]
+    fits = (r if e is None else e.result for r, e in zip(results, found, strict=True))
+    return tuple(fits), dataclasses.replace(selection, results=tuple(rankings))
 
 
 def without_coefficients(

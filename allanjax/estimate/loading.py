@@ -85,7 +85,7 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
         name=name,
         template=template,
         curve=_curve(document, axes),
-        results=tuple(_result(a, axis, template) for a, axis in zip(alive, axes, strict=True)),
+        results=tuple(_result(a, axis, template, classes) for a, axis in zip(alive, axes, strict=True)),
         notes=tuple(document["notes"]),
         warnings=tuple(document["warnings"]),
         stretch=None if document["stretch_s"] is None else tuple(document["stretch_s"]),
@@ -142,8 +142,14 @@ def _axis(a: Mapping[str, Any]) -> Axis:
     return Axis(a["name"], a["sensor"], a["unit"])
 
 
-def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
+def _result(
+    a: Mapping[str, Any], axis: Axis, template: Model, classes: Mapping[str, type[NoiseTerm]]
+) -> AxisFit:
     """Result of one axis."""
+    own = plain = None
+    if extension := a.get("extension"):
+        own = _model(extension, classes)
+        template, plain = own, _result(extension["plain"], axis, template, classes)
     parameters = {p.label: p.parameter for p in template.parameters}
     coefficients = {c["label"]: _estimate(c, parameters[c["label"]], axis, "fit") for c in a["coefficients"]}
     return AxisFit(
@@ -162,6 +168,8 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model) -> AxisFit:
         mean=_number(a["mean_si"]),
         rms=_number(a["rms_si"]),
         moving=a["moving"],
+        own_template=own,
+        plain=plain,
     )
 
 

@@ -21,6 +21,7 @@ from allanjax.base.presented import presented
 from allanjax.base.tables import WIDTH
 from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
+from allanjax.estimate.correction import correction_of, further_terms
 from allanjax.estimate.misfit import Misfit
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -69,6 +70,9 @@ class AxisFit(ByValue, AxisEstimates):
         spectrum: with Whittle's likelihood, the statistics it was fitted to.
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
         moving: whether the sensor was not at rest: then no coefficient is a measurement of it either.
+        own_template: the model that was fitted, where that of the other axes did not follow this one: with
+            filter, resonances and lines; by Whittle's likelihood.
+        plain: the fit without these.
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
@@ -101,6 +105,8 @@ class AxisFit(ByValue, AxisEstimates):
     mean: float = np.nan
     rms: float = np.nan
     moving: bool = False
+    own_template: Model | None = None
+    plain: AxisFit | None = None
 
     def _checked(self) -> None:
         if not self.converged:
@@ -142,6 +148,19 @@ class AxisFit(ByValue, AxisEstimates):
         """The fitted model, with the terms found. Raises FitError if the fit did not converge."""
         self._checked()
         return self._model
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Labels of the filter, the resonances and the lines for which the plain terms were corrected."""
+        return () if self.own_template is None else further_terms(self.own_template)
+
+    @property
+    def correction(self) -> str:
+        """What the plain terms were corrected for and by how much, in words; "" if they suffice."""
+        if self.own_template is None or not self.converged:
+            return ""
+        before = None if self.plain is None else self.plain["angle_random_walk"]
+        return correction_of(self.own_template, self.model, self["angle_random_walk"], before)
 
     @property
     def term_labels(self) -> tuple[str, ...]:
@@ -211,6 +230,11 @@ class Fit(ByValue, PerAxis[AxisFit]):
     warnings: tuple[str, ...] = ()
     stretch: tuple[float, float] | None = None
 
+    def as_for(self, axis: str) -> Fit:
+        """The fit as it is for one axis, with the model and the objective of that where it has its own."""
+        own = self[axis].own_template
+        return self if own is None else dataclasses.replace(self, template=own, objective="whittle")
+
     @property
     def chosen(self) -> bool:
         """Whether the fit chose the terms itself."""
@@ -265,13 +289,17 @@ class Fit(ByValue, PerAxis[AxisFit]):
                 cells.append((result.axis.name, "", why, ""))
                 continue
             for c in result.coefficients.values():
+                if c.term in result.further:
+                    continue
                 shown = c.in_unit()
                 known = c.detected and not c.held and np.isfinite(c.std)
                 interval = shown.describe_interval() if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
             if level := result.level():
                 cells.append((result.axis.name, "", level, ""))
-            cells.append((result.axis.name, "", result.verdict(), ""))
+            cells += [
+                (result.axis.name, "", text, "") for text in (result.correction, result.verdict()) if text
+            ]
         cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
         return cells
 

@@ -135,6 +135,7 @@ def fit_spectrum(
     if bool(solution.converged) and float(solution.discrepancy) > 0.0:
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
     solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
+    design = design.owned(noise, active[random] & (np.asarray(solution.power)[0] > 0.0))
     inference = infer_levels(design, projection.level, free_powers(noise), active[random], solution)
     (noise_found,) = coefficients_of(
         noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
@@ -169,7 +170,7 @@ def _fit_noise(
     solution: Solution | None = None
     smooth, free = _smoothed(spectrum), free_powers(noise)
     variance = smooth
-    empty = SpectralDesign.of(noise, bins)
+    empty = SpectralDesign.of(noise, bins).owned(noise, active)
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)
         design = empty.with_data(projection.level, projection.dof)

@@ -105,6 +105,7 @@ def characterize_fleet(
     regressors: Sequence[str] = (),
     as_is: bool = False,
     vibrating: bool = False,
+    plain: bool = False,
     group: Groups | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -133,7 +134,8 @@ def characterize_fleet(
         files: paths and patterns such as `logs/**/*.parquet`; on a cluster of several machines, in a place
             that all see under the same path. Files below `out` are left out.
         out: folder for the results.
-        model, objective, regressors, as_is, vibrating: as for `fit`.
+        model, objective, regressors, as_is, vibrating, plain: as for `fit`; recordings read in pieces get the
+            plain terms.
         group: which units are alike: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
             file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
         workers: processes of a local cluster that lives as long as this call; one a core by default.
@@ -155,7 +157,7 @@ def characterize_fleet(
     out = Path(out)
     paths = matching_files(files, out)
     added = None if model is None else as_model(model)
-    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors), as_is, vibrating)
+    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors), as_is, vibrating, plain)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
     done = _Done(recordings, group_names(group, recordings))
     folder = out / _RECORDINGS

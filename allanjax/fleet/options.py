@@ -21,7 +21,7 @@ class FitOptions:
 
     Attributes:
         reading: how they are read.
-        model, objective, regressors, as_is, vibrating: as `fit` takes them.
+        model, objective, regressors, as_is, vibrating, plain: as `fit` takes them.
     """
 
     reading: ReadOptions = ReadOptions()
@@ -30,6 +30,7 @@ class FitOptions:
     regressors: tuple[str, ...] = ()
     as_is: bool = False
     vibrating: bool = False
+    plain: bool = False
 
     def arguments(self) -> dict[str, Any]:
         """All options by name, as `characterize_fleet` takes them."""
@@ -39,7 +40,7 @@ class FitOptions:
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
         """Fit of a recording with these options; `seen` is how it looks (`inspect`), if that is known."""
         seen = self.inspect(recording) if seen is None else seen
-        return fit_inspected(recording, seen, self.model, self.objective, self.regressors)
+        return fit_inspected(recording, seen, self.model, self.objective, self.regressors, self.plain)
 
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.

@@ -88,6 +88,11 @@ class Response(Parametrized):
         """What the power response is beside its poles; 0 unless a filter says otherwise."""
         return 0.0
 
+    @property
+    def half_power(self) -> float:
+        """Frequency at which the power response, as that of an analog filter, has fallen by half [Hz]."""
+        return float(getattr(self, self.parameters()[0].name))
+
     def sampled(self, rate: float) -> Self:
         """The filter for samples at `rate` [Hz]; AllanjaxError if there is none."""
         return self
@@ -155,6 +160,12 @@ class LowPass2(Response):
         c = c / xp.real(c * (1.0 + w) / (1.0 - w))
         pair = xp.stack([w, xp.conj(w)])
         return Poles(pair, xp.stack([c, xp.conj(c)]) / 2.0)
+
+    @property
+    def half_power(self) -> float:
+        # |1 − x² + ix/Q|² = 2 for x = f/f_c.
+        middle = 1.0 - 0.5 / float(self.quality_factor) ** 2
+        return float(self.bandwidth) * math.sqrt(middle + math.hypot(middle, 1.0))
 
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         w = self.poles(rate).pole[0]

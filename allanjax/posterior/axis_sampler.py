@@ -58,6 +58,10 @@ class AxisSampler:
 
     def one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
         """Posterior of one axis; `report` is told the steps done and expected."""
+        return dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report)
+
+    def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
+        """Posterior of an axis whose model is the fit's."""
         likelihood = likelihood_of(self.fit, name)
         posterior = LogPosterior.of(likelihood, self._all_priors(likelihood))
         sampled = self._sampled(likelihood, name)

@@ -130,6 +130,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     verdict = KeyEntry(wrapped(result.verdict()))
     if not result.converged:
         return Panel(name, label, points, draw_slopes, [verdict])
+    fit = fit.as_for(name)
     entries = term_entries(fit, result, _is_transient, " (no Allan variance: not drawn)")
 
     def draw(panel: Axes) -> None:
@@ -152,7 +153,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
         total += variance
         if label in drawn_terms(result):
             y, name = np.sqrt(variance) / scale, title_of(label, result.axis)
-            (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, label))
+            (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, result, label))
     panel.plot(time, np.sqrt(total) / scale, **MODEL)
     return lines
 

@@ -44,6 +44,8 @@ DOTS: dict[str, Any] = {
 SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 #: Style of a model's line, the sum of its terms.
 MODEL: dict[str, Any] = {"color": "black", "linewidth": 1.4, "label": "model", "zorder": 2.5}
+#: Style of what the terms are corrected for: filter, resonances and lines.
+FURTHER: dict[str, Any] = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 1))}
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 62
@@ -214,6 +216,8 @@ def term_entries(
     """Entries of all terms with their coefficients, detected or not; a remark on those found but hidden."""
     entries = []
     for term, kind in zip(fit.template.term_labels, fit.template.terms, strict=True):
+        if term in result.further:
+            continue
         found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
         amplitude, name = found[0], title_of(term, result.axis)
         if amplitude.detected and len(found) > 1:
@@ -224,8 +228,10 @@ def term_entries(
         if is_hidden and term in result.term_labels:
             text += remark
         drawn = term in drawn_terms(result) and not is_hidden
-        entries.append(KeyEntry(wrapped(text), term_style(fit, term) if drawn else None))
-    if (response := fit.template.response) is not None:
+        entries.append(KeyEntry(wrapped(text), term_style(fit, result, term) if drawn else None))
+    if result.correction:
+        entries.append(KeyEntry(wrapped(result.correction), FURTHER))
+    elif (response := fit.template.response) is not None:
         own = [c.in_unit() for c in result.coefficients.values() if c.term == response.name()]
         values = ", ".join(f"{c.symbol} = {c.describe()}" for c in own)
         entries.append(KeyEntry(wrapped(f"{title_of(response.name(), result.axis)}: {values}"), None))
@@ -239,8 +245,10 @@ def drawn_terms(result: AxisFit) -> set[str]:
     return set(result.term_labels) - hidden
 
 
-def term_style(fit: Fit, term_label: str) -> dict[str, Any]:
+def term_style(fit: Fit, result: AxisFit, term_label: str) -> dict[str, Any]:
     """Style of a term's line, the same in every panel."""
+    if term_label in result.further:
+        return FURTHER
     i = fit.template.term_labels.index(term_label)
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": _DASHES[i % len(_DASHES)], "linewidth": 1.3}
 

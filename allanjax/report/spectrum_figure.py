@@ -101,6 +101,7 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> 
     """Power spectral density of an axis and, of a fit, the model, its terms and residuals."""
     unit, scale = ("", 1.0) if spectrum.axes is None else density_unit(spectrum.axes[k])
     result = None if fit is None else _result(spectrum, fit, k)
+    fit = fit if fit is None or result is None or not result.converged else fit.as_for(result.axis.name)
     walk = _random_walk(spectrum, k) if has_band else None
     key = [] if fit is None or result is None else _fit_entries(fit, result)
     if has_band:
@@ -147,7 +148,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
     for label, term in zip(result.term_labels, model.seen, strict=True):
-        style: dict[str, Any] = {"label": title_of(label, result.axis), **term_style(fit, label)}
+        style: dict[str, Any] = {"label": title_of(label, result.axis), **term_style(fit, result, label)}
         drawn = label in drawn_terms(result)
         if not term.deterministic:
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))

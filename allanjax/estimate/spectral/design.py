@@ -23,8 +23,8 @@ from allanjax.spectrum.cosine import Bins
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 # Margin kept from a shape's upper bound, which is open, in ln.
 _INSIDE = 1e-2
-# Numbers of terms and free shapes that arrays have room for are multiples of these.
-_TERMS, _SHAPES = 8, 4
+# Numbers of terms and free shapes that arrays have room for; of more, multiples of the last.
+_TERMS, _SHAPES = (8, 24), (4, 8, 32)
 
 
 class SpectralDesign(Design):
@@ -63,9 +63,8 @@ class SpectralDesign(Design):
     def of(cls, model: Model, bins: Bins, tight: bool = False) -> SpectralDesign:
         """Design of a noise model of random terms only, for levels without data yet; see `Arrangement.of`."""
         found, shapes = Arrangement.of(model, bins, tight), free_shapes(model)
-        terms = -len(model) % _TERMS
-        more = max(-(-len(shapes) // _SHAPES), 1) * _SHAPES - len(shapes)
-        # The response is that of the first term that passes it.
+        terms = _room(len(model), _TERMS) - len(model)
+        more = _room(len(shapes), _SHAPES) - len(shapes)
         owner = [p.term if p.term < len(model) else model.inside.index(True) for p in shapes]
         top = [np.log(_upper(model, p, bins.rate) - p.parameter.lower) - _INSIDE for p in shapes]
 
@@ -93,6 +92,14 @@ class SpectralDesign(Design):
     def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> SpectralDesign:
         """Copy for these mean squares [rate²] and degrees of freedom."""
         return dataclasses.replace(self, levels=self.levels.with_data(level, dof))
+
+    def owned(self, model: Model, there: Bool[np.ndarray, " terms"]) -> SpectralDesign:
+        """Copy in which the response belongs to the first of these terms that pass it, if there is one."""
+        if model.response is None or not (passing := there & np.array(model.inside, bool)).any():
+            return self
+        owner = self.owner.copy()
+        owner[[k for k, p in enumerate(free_shapes(model)) if p.term == len(model)]] = np.argmax(passing)
+        return dataclasses.replace(self, owner=owner)
 
     @property
     def movable(self) -> Bool[np.ndarray, " shapes"]:
@@ -167,6 +174,11 @@ class SpectralDesign(Design):
     @property
     def weight(self) -> Float[Array, " m"]:
         return 2.0 * jnp.asarray(self.levels.shape)
+
+
+def _room(count: int, rooms: tuple[int, ...]) -> int:
+    """The smallest room for so many."""
+    return next((room for room in rooms if room >= count), -(-count // rooms[-1]) * rooms[-1])
 
 
 def _upper(model: Model, p: ModelParameter, rate: float) -> float:

@@ -22,8 +22,8 @@ def model_of(structure: Structure, rate: float, further: NoiseTerm | None = None
         further: the term whose column it has besides the basic ones, with unit amplitude.
     """
     terms: list[tuple[NoiseTerm, bool]] = []
-    for k in np.flatnonzero(structure.active & (structure.power > 0.0)):
-        terms.append((_term(structure, int(k), rate, further), bool(structure.inside[k])))
+    for k in structure.there:
+        terms.append((term_of(structure, k, rate, further), bool(structure.inside[k])))
     response = response_of(structure, rate)
     if response is None:
         return Model(tuple(term for term, _ in terms))
@@ -62,8 +62,8 @@ def markov_of(structure: Structure, k: int, rate: float) -> Markov:
     return Markov(np.sqrt(2.0 * power / time), time)
 
 
-def _term(structure: Structure, k: int, rate: float, further: NoiseTerm | None) -> NoiseTerm:
-    """Term of a component."""
+def term_of(structure: Structure, k: int, rate: float, further: NoiseTerm | None = None) -> NoiseTerm:
+    """Term of component k, before the response if it passes that."""
     amplitude = float(np.sqrt(structure.power[k]))
     if k < OUTSIDE:
         return basic_terms()[FIXED[k]].replace(coefficient=amplitude)

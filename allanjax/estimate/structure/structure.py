@@ -79,6 +79,11 @@ class Structure:
         return cls(np.zeros(count), slots.usual()[count:], active, inside)
 
     @property
+    def there(self) -> list[int]:
+        """Components with some power."""
+        return [int(k) for k in np.flatnonzero(self.active & (self.power > 0.0))]
+
+    @property
     def oscillators(self) -> np.ndarray:
         """Indices of the resonances in use, among all oscillators."""
         return np.flatnonzero(self.active[FULL.first_oscillator : FULL.first_other])
