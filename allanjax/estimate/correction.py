@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from allanjax.base.wording import plain
+from allanjax.base.wording import plain, significant
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, Resonance, Sinusoid, basic_terms
@@ -38,7 +38,7 @@ def correction_of(template: Model, found: Model, after: Estimate, before: Estima
     if before is None or not (after.value > 0.0 and before.value > 0.0):
         return text
     new, old = after.in_unit(), before.in_unit()
-    return f"{text}: {new.title} {plain(old.value, 3)} → {plain(new.value, 3)} {new.unit}"
+    return f"{text}: {new.title} {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
 
 def _places(found: Model, kind: type[Resonance] | type[Sinusoid], name: str) -> list[str]:

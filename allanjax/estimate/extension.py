@@ -22,7 +22,7 @@ from allanjax.estimate.result import AxisFit
 from allanjax.estimate.selection import AxisSelection
 from allanjax.estimate.spectral.components import NONE
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.as_model import markov_of, resonance_of, response_of, term_of
+from allanjax.estimate.structure.as_model import markov_of, response_of, term_of
 from allanjax.estimate.structure.search import Record, completed, refitted, searched
 from allanjax.estimate.structure.structure import FIXED, LINE, LOWEST, OUTSIDE, Structure
 from allanjax.estimate.whittle import fit_spectrum, spectrum_of
@@ -231,23 +231,27 @@ def _selection(content: _Content, axis: Axis) -> AxisSelection:
 def _template(content: _Content, selection: AxisSelection) -> tuple[Model, Bool[np.ndarray, " terms"]]:
     """Model to fit, all five basic terms first, and which of its terms are in use."""
     structure, rate, chosen = content.structure, content.bins.rate, selection.chosen.terms
-    terms: list[tuple[NoiseTerm, bool]] = [
-        (term, label in FIXED and bool(structure.inside[FIXED.index(label)]))
-        for label, term in zip(basic_terms().term_labels, basic_terms().terms, strict=True)
-    ]
+    terms: list[tuple[NoiseTerm, bool]] = []
     active = [label in chosen for label in basic_terms().term_labels]
+    for label, term in zip(basic_terms().term_labels, basic_terms().terms, strict=True):
+        if label in FIXED:
+            k = FIXED.index(label)
+            amplitude = float(np.sqrt(structure.power[k])) if label in chosen else None
+            terms.append((term.replace(coefficient=amplitude), bool(structure.inside[k])))
+        else:
+            terms.append((term, False))
     # Where no set of terms suffices those with a free time were left out.
-    own = [markov_of(structure, int(k), rate).correlation_time for k in structure.markovs]
+    own: list[NoiseTerm] = [markov_of(structure, int(k), rate) for k in structure.markovs]
     count = len(own) if selection.discrepancy > 0.0 else sum(s.startswith("markov") for s in chosen)
-    terms += [(Markov(correlation_time=t if count == len(own) else None), True) for t in own[:count]]
+    terms += [(term, True) for term in (own if count == len(own) else [Markov()] * count)]
     for k in content.further:
         if k < 0:
             terms.append((Sinusoid(frequency=content.lines[-1 - k]), False))
         elif k == OUTSIDE:
-            terms.append((PowerLaw(exponent=0.0).hold("exponent"), False))
+            white = PowerLaw(float(np.sqrt(structure.power[k])), 0.0)
+            terms.append((white.hold("exponent"), False))
         else:
-            found = resonance_of(structure, k - FULL.first_oscillator, rate)
-            terms.append((found.replace(amplitude=None), bool(structure.inside[k])))
+            terms.append((term_of(structure, k, rate), bool(structure.inside[k])))
     active += [True] * (len(terms) - len(active))
     response = response_of(structure, rate)
     inside = () if response is None else tuple(passes for _, passes in terms)

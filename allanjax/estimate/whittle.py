@@ -185,6 +185,10 @@ def _fit_noise(
                 solve_levels(design, free, active, starts.power[0, k], starts.shape[0, k], smooth)
                 for k in tried
             ]
+            given = [getattr(term, term.amplitude_parameter().name) for term in noise.terms]
+            if None not in np.array(given, object)[active]:
+                power = np.array([value or 0.0 for value in given]) ** 2
+                begun.append(solve_levels(design, free, active, power, starts.shape[0, 0], smooth))
             solution = best_of(begun)
         else:
             solution = solve_levels(design, free, active, solution.power, solution.shape, smooth)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Any
 
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -51,8 +51,8 @@ class BiasInstability(NoiseTerm):
         if not self._has_no_cutoff():
             return super().parts(rate)
         B2 = self.coefficient**2
-        parts = _flicker_parts(namespace(self, rate))
-        poles = parts.poles._replace(weight=B2 * parts.poles.weight)
+        parts, xp = _flicker_parts(), namespace(self, rate)
+        poles = Poles(xp.asarray(parts.poles.pole), B2 * xp.asarray(parts.poles.weight))
         return Parts(B2 * parts.white, B2 * parts.difference, 0.0, poles)
 
     @np.errstate(divide="ignore")
@@ -83,14 +83,15 @@ _STEP = 0.5
 _DECAY = np.exp(np.arange(-25.0, 45.0, _STEP))
 
 
-def _flicker_parts(xp: Any) -> Parts:
+@functools.cache
+def _flicker_parts() -> Parts:
     """Parts of flicker noise with B = 1, but for what is slower than any filter."""
     each = [Markov(math.sqrt(2.0 * x), 1.0 / x).parts(1.0) for x in _DECAY]
     share = _STEP / math.pi
     pole, weight = (np.concatenate(x) for x in zip(*(p.poles for p in each), strict=True))
     white, difference = (share * sum(getattr(p, name) for p in each) for name in ("white", "difference"))
     there = weight != 0.0
-    return Parts(white, difference, 0.0, Poles(xp.asarray(pole[there]), share * xp.asarray(weight[there])))
+    return Parts(white, difference, 0.0, Poles(pole[there], share * weight[there]))
 
 
 def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:
