@@ -212,30 +212,27 @@ def _evidence(
 @eqx.filter_jit
 def _evidences(
     subsets: TermSubset,
-    first: Float[Any, "axes subsets terms"],
+    first: Float[Any, "subsets terms"],
     statistics: SpectralStatistics,
     fixed: Float[Any, "fixed m"],
     grid: Float[Any, "grid m"],
     size: Float[Any, " m"],
-    share: Float[Any, "axes m"],
+    share: Float[Any, " m"],
     steps: Any,
 ) -> Evidence:
-    """Evidence of a block of subsets for every axis."""
+    """Evidence of a block of subsets for one axis."""
 
-    def of_axis(first: Array, statistics: SpectralStatistics, share: Array) -> Evidence:
-        columns = jnp.concatenate([fixed, grid])
-        window = jnp.ones(7)
-        around = jnp.convolve(size, window, "same")
-        smooth = jnp.convolve(statistics.squares, window, "same") / jnp.maximum(around, 1.0)
-        smooth = jnp.where(around > 0.0, smooth, 1.0)
-        information = jnp.sum(0.5 * share * size * (columns / smooth) ** 2, axis=1)
-        prior_scales = information**-0.25
-        of_subset = lambda subset, first: _evidence(  # noqa: E731
-            subset, first, statistics, fixed, grid, size, share, smooth, prior_scales, steps
-        )
-        return jax.vmap(of_subset)(subsets, first)
-
-    return jax.lax.map(lambda of: of_axis(*of), (first, statistics, share))
+    columns = jnp.concatenate([fixed, grid])
+    window = jnp.ones(7)
+    around = jnp.convolve(size, window, "same")
+    smooth = jnp.convolve(statistics.squares, window, "same") / jnp.maximum(around, 1.0)
+    smooth = jnp.where(around > 0.0, smooth, 1.0)
+    information = jnp.sum(0.5 * share * size * (columns / smooth) ** 2, axis=1)
+    prior_scales = information**-0.25
+    of_subset = lambda subset, first: _evidence(  # noqa: E731
+        subset, first, statistics, fixed, grid, size, share, smooth, prior_scales, steps
+    )
+    return jax.vmap(of_subset)(subsets, first)
 
 
 def evidences(
@@ -272,6 +269,10 @@ def evidences(
         # The last block is padded, so that all have one shape and are compiled once.
         rows = np.minimum(np.arange(begin, begin + BLOCK), count - 1)
         block = TermSubset(*(x[rows] for x in subsets))
-        found = _evidences(block, first[:, rows], statistics, fixed, grid, size, share, np.asarray(steps))
-        blocks.append(jax.device_get(found))
+        # One axis after another: the program is the same for any number of them.
+        each = [
+            _evidences(block, f[rows], SpectralStatistics(*own), fixed, grid, size, s, np.asarray(steps))
+            for f, s, *own in zip(first, share, *statistics, strict=True)
+        ]
+        blocks.append(Evidence(*map(np.stack, zip(*jax.device_get(each), strict=True))))
     return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))

@@ -15,7 +15,7 @@ from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import fit_allan, fit_whittle, with_curve
 from allanjax.estimate.design import model_to_fit
-from allanjax.estimate.extension import Extension, extended
+from allanjax.estimate.extension.search import Extension, extended
 from allanjax.estimate.ranking import select_terms
 from allanjax.estimate.result import NEXT, AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection

@@ -21,7 +21,8 @@ from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, 
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.misfit import Misfit, spectral_misfit, widened
 from allanjax.estimate.spectral.design import SpectralDesign
-from allanjax.estimate.spectral.fit import best_of, infer_levels, levels_under, solve_levels
+from allanjax.estimate.spectral.fit import best_of, infer_levels, levels_under, solve_levels, tangent_of
+from allanjax.estimate.spectral.level_design import TangentDesign
 from allanjax.estimate.starts import best_starts, find_lines, shape_candidates
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -63,26 +64,31 @@ def spectrum_of(
     rate: float,
     regressors: Mapping[str, Float[np.ndarray, " n"]],
     peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    bins: Bins | None = None,
 ) -> AxisSpectrum:
     """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed.
 
-    Bins are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those without one.
+    Bins that are not given are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those
+    without one.
     """
     n = len(x)
     lines, wanted = lines_of(template)
     known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
     c, found = take_out_lines(x - x.mean(), rate, wanted)
+    columns: list[tuple[str | int, np.ndarray]] = []
+    for name, z in regressors.items():
+        columns.append((name, cosine_transform(z)))
+    columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
+    by_term = dict(zip(lines, found, strict=True))
+    if bins is not None:
+        return AxisSpectrum.of(bins, c, columns, by_term)
     around = [line.frequency for line in found]
     narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
     unknown = iter(peaks)
     around += [p.start if p.start is not None else float(next(unknown, rate / 8.0)) for p in narrow]
     per_octave = PER_OCTAVE if template.response is None else _FINE
     bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
-    columns: list[tuple[str | int, np.ndarray]] = []
-    for name, z in regressors.items():
-        columns.append((name, cosine_transform(z)))
-    columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
-    return AxisSpectrum.of(bins, c, columns, dict(zip(lines, found, strict=True)))
+    return AxisSpectrum.of(bins, c, columns, by_term)
 
 
 def fit_axis(
@@ -131,11 +137,38 @@ def fit_spectrum(
     noise = template.without([label for label, here in labels if not here])
     used = spectrum.used([k for k in range(len(template)) if not active[k]])
     design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
-    misfit, mean = None, levels_under(design, solution)
+    mean = levels_under(design, solution)
+    design = design.owned(noise, active[random] & (np.asarray(solution.power) > 0.0))
+    tangent = tangent_of(design, np.asarray(solution.shape))
+    return inferred(template, axis, active, spectrum, projection, tangent, solution, mean)
+
+
+def inferred(
+    template: Model,
+    axis: Axis,
+    active: Bool[np.ndarray, " terms"],
+    spectrum: AxisSpectrum,
+    projection: Projection,
+    design: TangentDesign,
+    solution: Solution,
+    mean: Float[np.ndarray, " m"],
+) -> WhittleFit:
+    """Fit of one axis from the solution for its random terms, with intervals and limits.
+
+    Args:
+        template: the terms, `active` those in use.
+        axis: the axis.
+        spectrum: the statistics, and `projection` their levels without the deterministic parts.
+        design: the levels around the solution.
+        solution: the solution.
+        mean: expected levels there.
+    """
+    random = np.array([not term.deterministic for term in template.terms])
+    noise = template.without([s for s, here in zip(template.term_labels, random, strict=True) if not here])
+    misfit = None
     if bool(solution.converged) and float(solution.discrepancy) > 0.0:
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
     solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
-    design = design.owned(noise, active[random] & (np.asarray(solution.power)[0] > 0.0))
     inference = infer_levels(design, projection.level, free_powers(noise), active[random], solution)
     (noise_found,) = coefficients_of(
         noise, [axis], active[random][None], solution, inference, int(spectrum.bins.n), spectrum.bins.rate
@@ -185,10 +218,6 @@ def _fit_noise(
                 solve_levels(design, free, active, starts.power[0, k], starts.shape[0, k], smooth)
                 for k in tried
             ]
-            given = [getattr(term, term.amplitude_parameter().name) for term in noise.terms]
-            if None not in np.array(given, object)[active]:
-                power = np.array([value or 0.0 for value in given]) ** 2
-                begun.append(solve_levels(design, free, active, power, starts.shape[0, 0], smooth))
             solution = best_of(begun)
         else:
             solution = solve_levels(design, free, active, solution.power, solution.shape, smooth)

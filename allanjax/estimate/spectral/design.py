@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from allanjax.base.linalg import CholeskyWhitened
-from allanjax.estimate.design import Design, free_shapes
+from allanjax.estimate.design import free_shapes
 from allanjax.estimate.spectral.arrangement import Arrangement
+from allanjax.estimate.spectral.level_design import LevelDesign
 from allanjax.estimate.spectral.levels import Levels, padded
 from allanjax.estimate.spectral.model import Slots, units
 from allanjax.noise.butterworth import LARGEST_BANDWIDTH, Butterworth
@@ -27,12 +27,12 @@ _INSIDE = 1e-2
 _TERMS, _SHAPES = (8, 24), (4, 8, 32)
 
 
-class SpectralDesign(Design):
+class SpectralDesign(LevelDesign):
     """Model of levels of the cosine spectrum, χ² around their expectations.
 
     Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are no
-    part of the model. A relative error of the model is taken to be common to the bins of an octave. What the
-    terms and shapes are is data: one program serves all models without shapes of their own kind.
+    part of the model. What the terms and shapes are is data: one program serves all models without shapes of
+    their own kind.
 
     Attributes:
         levels, slots: the levels, and the slots of the joint spectral model.
@@ -42,8 +42,6 @@ class SpectralDesign(Design):
         held: parameters with the shapes that are not free.
         interval: sample interval [s].
         reach, top: largest distance of each shape from its start, and its upper end.
-        moves: which shapes there are; the others only pad.
-        per_octave: number of bins in the octave around each bin.
     """
 
     levels: Levels
@@ -56,8 +54,6 @@ class SpectralDesign(Design):
     interval: Float[np.ndarray, ""]
     reach: Float[np.ndarray, " shapes"]
     top: Float[np.ndarray, " shapes"]
-    moves: Bool[np.ndarray, " shapes"]
-    per_octave: Float[np.ndarray, " m"]
 
     @classmethod
     def of(cls, model: Model, bins: Bins, tight: bool = False) -> SpectralDesign:
@@ -102,21 +98,12 @@ class SpectralDesign(Design):
         return dataclasses.replace(self, owner=owner)
 
     @property
-    def movable(self) -> Bool[np.ndarray, " shapes"]:
-        return self.moves
+    def degrees(self) -> Float[np.ndarray, " m"]:
+        return 2.0 * self.levels.shape
 
     @property
-    def has_shapes(self) -> bool:
-        return True
-
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
-        return padded(V, len(self.per_octave), 1.0)
-
-    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
-        return padded(values, len(self.component), 0)
-
-    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
-        return padded(values, len(self.moves), 0)
+    def room(self) -> int:
+        return len(self.component)
 
     def parameters(self, shape: Float[Array, " shapes"]) -> Float[Array, " parameters"]:
         """Parameters of the joint spectral model with these shapes, and without powers."""
@@ -135,45 +122,6 @@ class SpectralDesign(Design):
         theta = self.parameters(shape)
         every = units(theta, self.slots, self.levels)
         return every[self.component] * self.unit_power(theta)[:, None]
-
-    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
-        there = jnp.arange(means.shape[1]) < self.rows
-        return jnp.where(there, power @ means, 1.0)
-
-    def products(self, shape: Float[Array, " shapes"]) -> Array:
-        return self.means(shape)
-
-    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
-        return self.mean(power, products) ** 2 / jnp.maximum(self.levels.shape, 1e-9)
-
-    def variances(self, covariance: Array) -> Float[Array, " m"]:
-        return covariance
-
-    def whiten(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> CholeskyWhitened:
-        relative = covariance / mean**2 + power_error**2 * self.per_octave
-        known = jnp.asarray(self.levels.shape) > 0.0
-        scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
-        return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
-
-    def whiten_and_weigh(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
-        scale = self.whiten(covariance, mean, power_error, jnp.ones((len(mean), 1))).values
-        return X * scale, (X * scale**2).T
-
-    @property
-    def weight(self) -> Float[Array, " m"]:
-        return 2.0 * jnp.asarray(self.levels.shape)
 
 
 def _room(count: int, rooms: tuple[int, ...]) -> int:

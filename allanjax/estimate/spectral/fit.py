@@ -21,6 +21,7 @@ from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.spectral.design import SpectralDesign
+from allanjax.estimate.spectral.level_design import LevelDesign, TangentDesign
 from allanjax.estimate.spectral.model import expected, power_scales
 from allanjax.estimate.spectral.scoring import maximize
 
@@ -192,8 +193,33 @@ def _levels_under(
     return design.mean(jnp.asarray(power), design.means(jnp.asarray(shape)))
 
 
+def tangent_of(design: SpectralDesign, shape: Float[np.ndarray, " shapes"]) -> TangentDesign:
+    """Design that is linear in the shapes around these, which is all that an inference needs."""
+    centre = design.padded_shapes(np.asarray(shape))
+    base, by_shape = _tangent(design, centre)
+    return TangentDesign(
+        owner=design.owner,
+        terms=design.terms,
+        rows=design.rows,
+        moves=design.moves,
+        per_octave=design.per_octave,
+        base=base,
+        by_shape=by_shape,
+        centre=centre,
+        degrees_of_freedom=design.degrees,
+    )
+
+
+@eqx.filter_jit
+def _tangent(
+    design: SpectralDesign, shape: Float[ArrayLike, " shapes"]
+) -> tuple[Float[Array, "terms m"], Float[Array, "terms m shapes"]]:
+    at = jnp.asarray(shape)
+    return design.means(at), jax.jacfwd(design.means)(at)
+
+
 def infer_levels(
-    design: SpectralDesign,
+    design: LevelDesign,
     level: Float[np.ndarray, " m"],
     free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, " terms"],
@@ -207,7 +233,7 @@ def infer_levels(
     return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])
 
 
-def _padded(design: SpectralDesign, solution: Solution) -> Solution:
+def _padded(design: LevelDesign, solution: Solution) -> Solution:
     """Solution in arrays of the design's length."""
     padded: dict[str, Any] = {
         "power": design.padded_terms(np.asarray(solution.power)),

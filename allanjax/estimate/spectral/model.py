@@ -285,6 +285,16 @@ def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> F
     return jnp.mean(_units(theta, slots, levels) * jnp.where(slots.inside[:, None, None], R, 1.0), axis=1)
 
 
+def units_by_response(
+    theta: Float[Array, " parameters"], slots: Slots, levels: Levels
+) -> Float[Array, "2 components m"]:
+    """Derivatives of the levels of each component of unit power by the parameters of the response."""
+    unit, inside = _units(theta, slots, levels), slots.inside[:, None, None]
+    shape = _of_response(theta, slots.layout)
+    slopes = _derivatives(lambda shape: _passed(shape, slots, levels), shape)
+    return jnp.stack([jnp.mean(unit * jnp.where(inside, slope, 0.0), axis=1) for slope in slopes])
+
+
 def _passed(shape: Float[Array, " 2"], slots: Slots, levels: Levels) -> Float[Array, "2 m"]:
     """Response of white noise in a record, whose two ends add to it."""
     return response(levels, shape, slots.kind) + response_ends(levels, shape, slots.kind)

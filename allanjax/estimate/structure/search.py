@@ -51,8 +51,8 @@ _BANDWIDTHS = (0.06, 0.25)
 _KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4)
 _FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
-# Correlation times that a Markov process starts from, in powers of the number of samples.
-_TIMES = (0.35, 0.55, 0.75, 0.95)
+#: Correlation times that a Markov process starts from, in powers of the number of samples.
+TIMES = (0.35, 0.55, 0.75, 0.95)
 # Most rounds.
 _ROUNDS = 20
 # Bins in an octave.
@@ -318,7 +318,7 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     """
     for _ in range(2):
         starts = (
-            now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in _TIMES
+            now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in TIMES
         )
         tried = [spectrum.fit(start) for start in starts if start is not None]
         tried = [found for found in tried if _keeps_white(now, found)]

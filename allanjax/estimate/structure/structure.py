@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from allanjax.estimate.spectral.columns import columns_of
 from allanjax.estimate.spectral.components import NONE, TWO_POLES
 from allanjax.estimate.spectral.levels import Levels, levels_of, padded
-from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales
+from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales, units_by_response
 from allanjax.estimate.spectral.scoring import Maximum, maximize
 from allanjax.noise.terms import AngleRandomWalk, NoiseTerm, basic_terms
 from allanjax.spectrum.cosine import Bins
@@ -204,6 +204,8 @@ class Fitted(NamedTuple):
         covariance: of the joint spectral model's parameters.
         mean: expected levels [rate²].
         resonant: share of each resonance in them.
+        slope: derivatives of their logarithms by the parameters.
+        by_response: derivatives of the levels of each component of unit power by those of the response.
         by_power: derivatives of the powers by their parameters.
     """
 
@@ -213,6 +215,8 @@ class Fitted(NamedTuple):
     covariance: np.ndarray
     mean: np.ndarray
     resonant: np.ndarray
+    slope: np.ndarray
+    by_response: np.ndarray
     by_power: np.ndarray
 
 
@@ -261,11 +265,17 @@ class Spectrum:
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
-        dof = count / (1.0 + 0.5 * count * _ERROR**2)
-        window = np.ones(7)
-        smooth = np.convolve(total, window, "same") / np.maximum(np.convolve(count, window, "same"), 1e-9)
-        rough = np.pad(np.maximum(smooth, 1e-300), (0, len(levels.shape) - len(count)), constant_values=1.0)
-        return cls(bins, levels.with_data(level, dof), rough, padded(count, len(levels.shape), 0.0))
+        nothing = np.zeros(len(levels.shape))
+        return cls(bins, levels, nothing, nothing).with_data(level, count)
+
+    def with_data(self, level: Float[np.ndarray, " m"], count: Float[np.ndarray, " m"]) -> Spectrum:
+        """Copy with these mean squares [rate²] of so many coefficients."""
+        capacity, window = len(self.size), np.ones(7)
+        around = np.convolve(count, window, "same")
+        smooth = np.convolve(level * count, window, "same") / np.maximum(around, 1e-9)
+        rough = padded(np.maximum(smooth, 1e-300), capacity, 1.0)
+        levels = self.levels.with_data(level, count / (1.0 + 0.5 * count * _ERROR**2))
+        return Spectrum(self.bins, levels, rough, padded(count, capacity, 0.0))
 
     @property
     def n(self) -> int:
@@ -307,14 +317,15 @@ class Spectrum:
         slots = dataclasses.replace(slots, lower=lower, upper=upper, precision=precision, centre=centre)
         data = structure.power, structure.shape, structure.active
         tolerance = _FINE if final else _ROUGH
-        found, power, mean, resonant, by_power, covariance = jax.device_get(
+        found, power, mean, resonant, slope, by_response, by_power, covariance = jax.device_get(
             _fitted(*data, slots, self.levels, self.rough, np.asarray(tolerance))
         )
         better = dataclasses.replace(
             structure, power=np.where(structure.active, power, 0.0), shape=found.theta[at.components :]
         )
         evidence = self._evidence(found, structure)
-        return Fitted(better, float(found.loss), evidence, covariance, mean, resonant, by_power)
+        of = covariance, mean, resonant, slope, by_response, by_power
+        return Fitted(better, float(found.loss), evidence, *of)
 
     def _bounds(self, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the parameters."""
@@ -367,7 +378,7 @@ def _free(structure: Structure) -> Bool[np.ndarray, " parameters"]:
 @eqx.filter_jit
 def _fitted(
     power: Any, shape: Any, active: Any, slots: Slots, levels: Levels, rough: Any, tolerance: Any
-) -> tuple[Maximum, Array, Array, Array, Array, Array]:
+) -> tuple[Maximum, Array, Array, Array, Array, Array, Array, Array]:
     """Maximum of the likelihood from a start, the powers, the levels, and derivatives of ln p."""
     from allanjax.estimate.spectral.scoring import covariance
 
@@ -381,4 +392,5 @@ def _fitted(
     model = expected(found.theta, slots, levels)
     resonant = model.components[at.first_oscillator : at.first_other] / model.mean
     powers = scale * jnp.expm1(u), jnp.exp(u) * scale
-    return found, powers[0], model.mean, resonant, powers[1], covariance(found)
+    by_response = units_by_response(found.theta, slots, levels)
+    return found, powers[0], model.mean, resonant, model.slope, by_response, powers[1], covariance(found)

@@ -1,0 +1,1 @@
+"""Fits of axes that the plain terms do not follow: with filter, resonances and lines."""

@@ -1,0 +1,173 @@
+"""Joint fit of terms, response, resonances and lines to an axis's spectrum, from a structure."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.base.chi_squared import beyond_doubt
+from allanjax.estimate.design import free_shapes
+from allanjax.estimate.extension.content import Content
+from allanjax.estimate.gls import Solution
+from allanjax.estimate.spectral.fit import chi_squared, error_of_powers
+from allanjax.estimate.spectral.level_design import TangentDesign
+from allanjax.estimate.spectral.levels import padded
+from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.structure.as_model import response_of, term_of
+from allanjax.estimate.structure.search import Record
+from allanjax.estimate.structure.structure import FIXED, OUTSIDE, WHITE, Fitted, Structure
+from allanjax.estimate.whittle import WhittleFit, inferred, spectrum_of
+from allanjax.noise.model import Model
+from allanjax.noise.terms import NoiseTerm, PowerLaw, Sinusoid, basic_terms
+from allanjax.record.recording import Axis
+
+# Rounds of projecting out ramp and lines and fitting the rest.
+_ROUNDS = 2
+# Numbers of terms, free shapes and levels that arrays have room for: those of the joint spectral model.
+_TERMS, _SHAPES, _LEVELS = 24, 32, 1024
+
+
+class Template(NamedTuple):
+    """Model of an axis, with the values of a structure.
+
+    Attributes:
+        model: all five basic terms first, the ramp too, then Markov processes and what there is further.
+        active: its terms that are in use; for the others there is a limit.
+        component: of its random terms, the component of the structure.
+    """
+
+    model: Model
+    active: Bool[np.ndarray, " terms"]
+    component: Int[np.ndarray, " random"]
+
+    @classmethod
+    def of(cls, content: Content, ramp: bool) -> Template:
+        """Template of what there is, with or without a ramp in use."""
+        structure, rate = content.structure, content.bins.rate
+        terms: list[tuple[NoiseTerm, bool, bool]] = []
+        component = []
+        for label, term in zip(basic_terms().term_labels, basic_terms().terms, strict=True):
+            if label in FIXED:
+                k = FIXED.index(label)
+                component.append(k)
+                here = bool(structure.active[k])
+                amplitude = float(np.sqrt(structure.power[k])) if here else None
+                terms.append((term.replace(coefficient=amplitude), bool(structure.inside[k]), here))
+            else:
+                terms.append((term, False, ramp))
+        own = [FULL.first_markov + int(k) for k in structure.markovs]
+        for k in [*own, *content.further]:
+            if k < 0:
+                terms.append((Sinusoid(frequency=content.lines[-1 - k]), False, True))
+                continue
+            component.append(k)
+            white = PowerLaw(float(np.sqrt(structure.power[k])), 0.0).hold("exponent")
+            terms.append(
+                (white if k == OUTSIDE else term_of(structure, k, rate), bool(structure.inside[k]), True)
+            )
+        each, inside, active = zip(*terms, strict=True)
+        response = response_of(structure, rate)
+        model = Model(each, response, () if response is None else inside)
+        return cls(model, np.array(active), np.array(component))
+
+
+def fit_jointly(
+    content: Content, ramp: bool, axis: Axis, x: Float[np.ndarray, " n"]
+) -> tuple[Template, WhittleFit, Structure]:
+    """Joint fit of what the spectrum of these samples consists of, and its structure."""
+    template, rate = Template.of(content, ramp), content.bins.rate
+    base = Record(content.c**2, rate).binned(content.structure)
+    spectrum = spectrum_of(template.model, x, rate, {}, bins=base.bins)
+    used = spectrum.used([k for k in range(len(template.model)) if not template.active[k]])
+    found, rows = base.fit(content.structure), len(base.bins.size)
+    for _ in range(_ROUNDS):
+        projection = spectrum.project(found.mean[:rows], used)
+        base = base.with_data(projection.level, projection.dof).weighing(found)
+        found = base.fit(found.structure, final=True)
+    template = Template.of(content._replace(structure=found.structure), ramp)
+    mean, per_octave = found.mean[:rows], base.bins.per_octave()
+    degrees = 2.0 * np.asarray(base.levels.shape)
+    design, solution = _tangent(template, found, rate, degrees, per_octave)
+    left = max(
+        float(np.sum(np.minimum(projection.dof, 1.0))) - np.sum(template.active) - len(solution.shape), 1.0
+    )
+    ratio = projection.level / mean
+    chi2 = chi_squared(ratio, projection.dof)
+    sure = chi2 > beyond_doubt(left)
+    error = error_of_powers(ratio, projection.dof, per_octave, left) if sure else 0.0
+    misfit: dict[str, Any] = {"chi2": np.asarray(chi2), "power_error": np.asarray(error)}
+    solution = solution._replace(**misfit)
+    of = template.model, axis, template.active, spectrum, projection, design, solution, mean
+    return template, inferred(*of), found.structure
+
+
+def _tangent(
+    template: Template,
+    found: Fitted,
+    rate: float,
+    degrees: Float[np.ndarray, " capacity"],
+    per_octave: Float[np.ndarray, " m"],
+) -> tuple[TangentDesign, Solution]:
+    """Levels around a fit, linear in all shapes, and the solution."""
+    random = [k for k, term in enumerate(template.model.terms) if not term.deterministic]
+    noise = template.model.without(
+        [label for k, label in enumerate(template.model.term_labels) if k not in random]
+    )
+    at, slope, structure = FULL, found.slope * found.mean, found.structure
+    component, shapes = template.component, free_shapes(noise)
+    # A Gauss–Markov process of unit amplitude has the variance T_c/2 (4.59).
+    is_markov = (component >= at.first_markov) & (component < at.first_oscillator)
+    time = np.array(
+        [
+            structure.time(k - at.first_markov) / rate if m else 2.0
+            for k, m in zip(component, is_markov, strict=True)
+        ]
+    )
+    unit = slope[component] / found.by_power[component, None] * (time / 2.0)[:, None]
+    power = structure.power[component] / (time / 2.0)
+    inside = np.array(noise.inside, bool) if noise.response is not None else np.zeros(len(noise), bool)
+    levels = np.where(inside & (power > 0.0), (power[:, None] * unit).sum(axis=1), 0.0)
+    owner_of_response = WHITE if levels[WHITE] > 0.0 else int(np.argmax(levels))
+    owner, by_shape = [], np.zeros((len(noise), unit.shape[1], len(shapes)))
+    for s, p in enumerate(shapes):
+        if p.term == len(noise):
+            owner.append(owner_of_response)
+            of_response = found.by_response[int(p.parameter.name != "bandwidth")]
+            by_shape[:, :, s] = of_response[component] * (time / 2.0)[:, None]
+            continue
+        k = p.term
+        owner.append(k)
+        if power[k] > 0.0:
+            place = _parameter(p.parameter.name, int(component[k]))
+            by_shape[k, :, s] = slope[place] / power[k] + (unit[k] if is_markov[k] else 0.0)
+    room = [(0, _TERMS - len(noise)), (0, max(_LEVELS - unit.shape[1], 0))]
+    design = TangentDesign(
+        owner=padded(np.array(owner, int), _SHAPES, 0),
+        terms=np.asarray(len(noise)),
+        rows=np.asarray(len(per_octave)),
+        moves=np.arange(_SHAPES) < len(shapes),
+        per_octave=padded(per_octave, max(_LEVELS, unit.shape[1]), 1.0),
+        base=np.pad(unit, room),
+        by_shape=np.pad(by_shape, [*room, (0, _SHAPES - len(shapes))]),
+        centre=padded(shape_values(noise), _SHAPES, 0.0),
+        degrees_of_freedom=padded(degrees, max(_LEVELS, len(degrees)), 0.0),
+    )
+    nothing, converged = np.asarray(0.0), np.asarray(np.isfinite(found.loss))
+    values: Any = power, shape_values(noise), nothing, nothing, converged, np.asarray(2.0 * found.loss)
+    return design, Solution(*values)
+
+
+def shape_values(noise: Model) -> Float[np.ndarray, " shapes"]:
+    """Free shapes of a model with values, ln(value − lower bound)."""
+    return np.log([float(p.start or 0.0) - p.parameter.lower for p in free_shapes(noise)])
+
+
+def _parameter(name: str, component: int) -> int:
+    """Parameter of the joint spectral model that a shape of a component is."""
+    at = FULL
+    if component < at.first_oscillator:
+        return at.times + component - at.first_markov
+    first = at.frequencies if name == "frequency" else at.qualities
+    return first + component - at.first_oscillator
