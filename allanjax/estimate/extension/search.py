@@ -75,10 +75,11 @@ def extended(
         content = tidied
     if not result.converged or result.discrepancy > _LESS * plain.discrepancy:
         return None
-    deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
-    ratio = curve.deviation[:, k] / deviation
-    if misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s").excessive:
-        return None
+    if result.misfit is not None:
+        deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
+        ratio = curve.deviation[:, k] / deviation
+        if misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s").excessive:
+            return None
     return Extension(dataclasses.replace(result, own_template=template.model, plain=plain), selection)
 
 
