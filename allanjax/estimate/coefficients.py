@@ -269,7 +269,8 @@ def _around(
     p: Parameter, distance: Float[np.ndarray, " axes"], width: Float[np.ndarray, " axes"]
 ) -> Float[np.ndarray, "axes 2"]:
     """Intervals of a parameter whose distance from its lower bound is known to this width in ln."""
-    ratio = np.exp(np.minimum(width, 700.0))
+    # Beyond this they are anywhere.
+    ratio = np.exp(np.minimum(width, 300.0))
     return np.stack([p.lower + distance / ratio, np.minimum(p.lower + distance * ratio, p.upper)], axis=1)
 
 

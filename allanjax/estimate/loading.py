@@ -17,7 +17,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.estimate.as_json import INFINITY, SCHEMA_VERSION
 from allanjax.estimate.averaged import Averaged
 from allanjax.estimate.misfit import Misfit
-from allanjax.estimate.result import AxisFit, Fit, fitted_model
+from allanjax.estimate.result import AxisFit, Fit, extended_model, fitted_model
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -162,7 +162,7 @@ def _result(
         discrepancy=_number(a["discrepancy"]),
         _coefficients=coefficients,
         _covariance=_matrix(a["covariance"]["values"]),
-        _model=fitted_model(template, coefficients),
+        _model=(fitted_model if own is None else extended_model)(template, coefficients),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
         misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
         mean=_number(a["mean_si"]),

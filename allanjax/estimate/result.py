@@ -42,6 +42,10 @@ NEXT = (
 )
 
 
+# Least share of N that is white noise.
+_LITTLE = 1e-6
+
+
 def fitted_model(
     template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
 ) -> Model:
@@ -50,6 +54,17 @@ def fitted_model(
     amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
     absent = [p.term_label for p in amplitudes if values.get(p.label, 0.0) == 0.0]
     return template.with_values(**values).without([*absent, *inactive])
+
+
+def extended_model(
+    template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
+) -> Model:
+    """The model of an extension: of white noise it has what wide resonances and short processes leave."""
+    N, left = coefficients["angle_random_walk"], template.values["angle_random_walk"] or 0.0
+    # The term stays where it is detected.
+    value = max(float(left), _LITTLE * N.value)
+    own = {**coefficients, "angle_random_walk": dataclasses.replace(N, value=value)}
+    return fitted_model(template, own, inactive)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -71,7 +86,8 @@ class AxisFit(ByValue, AxisEstimates):
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
         moving: whether the sensor was not at rest: then no coefficient is a measurement of it either.
         own_template: the model that was fitted, where that of the other axes did not follow this one: with
-            filter, resonances and lines; by Whittle's likelihood.
+            filter, resonances and lines; by Whittle's likelihood. N is the density at low frequencies, of
+            white noise with what resonances with Q < 4 and processes of less than 20 samples have there.
         plain: the fit without these.
     """
 

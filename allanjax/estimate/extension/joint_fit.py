@@ -16,17 +16,22 @@ from allanjax.estimate.spectral.level_design import TangentDesign
 from allanjax.estimate.spectral.levels import padded
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import response_of, term_of
-from allanjax.estimate.structure.search import Record
-from allanjax.estimate.structure.structure import FIXED, OUTSIDE, WHITE, Fitted, Structure
+from allanjax.estimate.structure.search import WIDE, Record
+from allanjax.estimate.structure.structure import FIXED, OUTSIDE, WHITE, Fitted, Spectrum, Structure
 from allanjax.estimate.whittle import WhittleFit, inferred, spectrum_of
 from allanjax.noise.model import Model
-from allanjax.noise.terms import NoiseTerm, PowerLaw, Sinusoid, basic_terms
+from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
 
 # Rounds of projecting out ramp and lines and fitting the rest.
 _ROUNDS = 2
 # Numbers of terms, free shapes and levels that arrays have room for: those of the joint spectral model.
 _TERMS, _SHAPES, _LEVELS = 24, 32, 1024
+# Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
+# its widths: judgements.
+_FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
+# Correlation time [samples] below which a Markov process is filtered white noise.
+_SHORT = 20.0
 
 
 class Template(NamedTuple):
@@ -84,7 +89,7 @@ def fit_jointly(
     found, rows = base.fit(content.structure), len(base.bins.size)
     for _ in range(_ROUNDS):
         projection = spectrum.project(found.mean[:rows], used)
-        base = base.with_data(projection.level, projection.dof).weighing(found)
+        base = base.with_data(projection.level, projection.dof).weighing(found, _error(found, base))
         found = base.fit(found.structure, final=True)
     template = Template.of(content._replace(structure=found.structure), ramp)
     mean, per_octave = found.mean[:rows], base.bins.per_octave()
@@ -101,6 +106,23 @@ def fit_jointly(
     solution = solution._replace(**misfit)
     of = template.model, axis, template.active, spectrum, projection, design, solution, mean
     return template, inferred(*of), found.structure
+
+
+def _error(found: Fitted, spectrum: Spectrum) -> Float[np.ndarray, " capacity"]:
+    """Relative error of the levels where the response has fallen and on the skirts of resonances.
+
+    No sensor's are just like the model's; such errors are common to an octave.
+    """
+    structure, bins = found.structure, spectrum.bins
+    f, rows, square = bins.frequency, len(bins.size), np.zeros(len(bins.size))
+    if (response := response_of(structure, bins.rate)) is not None:
+        fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
+        square += (_FILTER * fallen) ** 2
+    hertz = bins.rate / (2.0 * np.pi)
+    for k in structure.oscillators:
+        beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
+        square += np.where(beside, _SKIRT * found.resonant[k, :rows], 0.0) ** 2
+    return padded(np.sqrt(square * bins.per_octave()), len(spectrum.size), 0.0)
 
 
 def _tangent(
@@ -142,6 +164,15 @@ def _tangent(
         if power[k] > 0.0:
             place = _parameter(p.parameter.name, int(component[k]))
             by_shape[k, :, s] = slope[place] / power[k] + (unit[k] if is_markov[k] else 0.0)
+    levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
+    for i, (plateau, by_own) in _fillers(noise, rate).items():
+        # Powers are counted anew: what it has at low frequencies is that of white noise.
+        power[WHITE] += plateau * power[i]
+        unit[i] -= plateau * levels_of_white
+        by_shape[i] -= plateau * slopes_of_white
+        for s, p in enumerate(shapes):
+            if p.term == i:
+                by_shape[i, :, s] -= plateau * by_own[p.parameter.name] * levels_of_white
     room = [(0, _TERMS - len(noise)), (0, max(_LEVELS - unit.shape[1], 0))]
     design = TangentDesign(
         owner=padded(np.array(owner, int), _SHAPES, 0),
@@ -157,6 +188,26 @@ def _tangent(
     nothing, converged = np.asarray(0.0), np.asarray(np.isfinite(found.loss))
     values: Any = power, shape_values(noise), nothing, nothing, converged, np.asarray(2.0 * found.loss)
     return design, Solution(*values)
+
+
+def _fillers(noise: Model, rate: float) -> dict[int, tuple[float, dict[str, float]]]:
+    """Terms that are white at low frequencies, which nothing tells from white noise there.
+
+    By index: their density there for unit amplitude, and its logarithmic derivatives by ln(shape − bound).
+    """
+    found: dict[int, tuple[float, dict[str, float]]] = {}
+    for i, term in enumerate(noise.terms):
+        if isinstance(term, PowerLaw):
+            found[i] = 1.0, {}
+        elif isinstance(term, Markov):
+            T = float(term.correlation_time or 0.0)
+            if T * rate < _SHORT:
+                found[i] = T**2, {"correlation_time": 2.0}
+        elif isinstance(term, Resonance):
+            f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
+            if Q < WIDE:
+                found[i] = 1.0 / (np.pi * f * Q), {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
+    return found
 
 
 def shape_values(noise: Model) -> Float[np.ndarray, " shapes"]:

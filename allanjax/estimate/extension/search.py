@@ -18,7 +18,7 @@ from allanjax.estimate.extension.content import Content, content_of
 from allanjax.estimate.extension.joint_fit import Template, fit_jointly
 from allanjax.estimate.misfit import misfit_of
 from allanjax.estimate.ranking import candidates_of, rank_terms
-from allanjax.estimate.result import AxisFit
+from allanjax.estimate.result import AxisFit, extended_model
 from allanjax.estimate.selection import AxisSelection
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import response_of, term_of
@@ -75,12 +75,15 @@ def extended(
         content = tidied
     if not result.converged or result.discrepancy > _LESS * plain.discrepancy:
         return None
+    inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]
+    model = extended_model(template.model, result.coefficients, inactive)
     if result.misfit is not None:
-        deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
+        deviation = np.sqrt(np.asarray(model.sampled(rate).allan_variance(curve.cluster_time)))
         ratio = curve.deviation[:, k] / deviation
         if misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s").excessive:
             return None
-    return Extension(dataclasses.replace(result, own_template=template.model, plain=plain), selection)
+    result = dataclasses.replace(result, own_template=template.model, plain=plain, _model=model)
+    return Extension(result, selection)
 
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:

@@ -53,6 +53,8 @@ _FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
 #: Correlation times that a Markov process starts from, in powers of the number of samples.
 TIMES = (0.35, 0.55, 0.75, 0.95)
+# Difference in evidence up to which two fits are the same [nats], and how many different ones are tried.
+_SAME, _TRIED = 0.1, 3
 # Most rounds.
 _ROUNDS = 20
 # Bins in an octave.
@@ -64,8 +66,8 @@ _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
 _MOVING = 3
 # Share of its median below which a spectrum falls deep.
 _DEEP = 0.05
-# Quality factor below which a resonance may be white noise behind a filter.
-_WIDE = 4.0
+#: Quality factor below which a resonance may be white noise behind a filter.
+WIDE = 4.0
 # Relative error of a power beyond which it is tried whether it is needed.
 _DOUBTFUL = 0.2
 # Deviations of a smoothed level from its expectation beyond which there is something to look for.
@@ -152,7 +154,9 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
     tried = [spectrum.fit(proposal) for proposal in _additions(record, spectrum, now)]
     tried = [found for found in tried if _keeps_white(now, found)]
     tried = sorted((f for f in tried if f.evidence > now.evidence - 1.0), key=lambda f: -f.evidence)
-    for best in tried[:2]:
+    # Several starts end in the same place.
+    places = [f for k, f in enumerate(tried) if k == 0 or tried[k - 1].evidence - f.evidence > _SAME]
+    for best in places[:_TRIED]:
         finer = record.binned(best.structure)
         again = finer.fit(best.structure)
         finer = finer.weighing(again)
@@ -199,7 +203,7 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
     White noise before a filter, and a response with wide resonances, have the same spectrum.
     """
     structure = other.structure
-    narrow = all(structure.quality(int(k)) > _WIDE for k in structure.oscillators)
+    narrow = all(structure.quality(int(k)) > WIDE for k in structure.oscillators)
     return bool(structure.power[WHITE] > 0.0 or (narrow and structure.kind == now.structure.kind))
 
 

@@ -282,14 +282,15 @@ class Spectrum:
         """Number of samples."""
         return self.bins.n
 
-    def weighing(self, fitted: Fitted) -> Spectrum:
+    def weighing(self, fitted: Fitted, error: float | Float[np.ndarray, " capacity"] = 0.0) -> Spectrum:
         """Spectrum whose levels count less where they are those of the resonances in a fit.
 
         The more so where several stand for one that moves. Models must be compared with the same weights.
+        `error` is a further relative error of each level.
         """
         near = np.array([fitted.structure.companions(k) for k in range(FULL.oscillators)])
         unsteady = _UNSTEADY * near @ fitted.resonant
-        dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + unsteady**2))
+        dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + unsteady**2 + error**2))
         return dataclasses.replace(self, levels=self.levels._replace(shape=dof / 2.0))
 
     def weighed_like(self, other: Spectrum) -> Spectrum:
