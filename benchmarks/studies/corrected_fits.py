@@ -2,7 +2,7 @@
 
     python benchmarks/studies/corrected_fits.py [--first-seed 3000000] [--count 200] [--workers 2]
 
-Records of one gyro, made by NumPy and SciPy alone: white noise, with a walk, flicker or a Gauss–Markov process,
+Records of one gyro, made by NumPy and SciPy alone: white noise with a walk, flicker or a Gauss–Markov process
 behind a filter of one of five kinds (two of which no model of allanjax's has), with up to two resonances and
 a line. `fit` is told nothing. Beside it the plain fit, which is what other tools do.
 """
