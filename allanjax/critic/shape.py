@@ -18,7 +18,7 @@ from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, order_of, response_of
-from allanjax.estimate.structure.search import Record, completed, refitted, searched
+from allanjax.estimate.structure.search import Record, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
     FURTHER,
@@ -39,8 +39,6 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 # Quality factor from which on resonances may be lines of one source, and how far from multiples of its
 # frequency, as a share of that, its lines may be: judgements.
 _LINES, _BESIDE = 50.0, 0.25
-# Width [coefficients] of a resonance that is left to the search for lines.
-_LINE = 1.25 * LINE
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
 # p-value of what is left of the spectrum from which on it is searched again: a judgement.
@@ -110,10 +108,8 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
 def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum without resonances that are as narrow as lines."""
     spectrum, found = searched(record, start)
-    structure, narrowest = found.structure, _LINE * np.pi / record.n
-    lines = [int(k) for k in structure.oscillators if structure.width(int(k)) < narrowest]
-    if lines:
-        found = spectrum.fit(_without(structure, [FULL.first_oscillator + k for k in lines]))
+    if lines := narrow(found.structure, record.n):
+        found = spectrum.fit(_without(found.structure, [FULL.first_oscillator + k for k in lines]))
     return spectrum, found
 
 
@@ -211,10 +207,10 @@ def _groups(structure: Structure) -> list[list[int]]:
             groups[-1].append(int(k))
         else:
             groups.append([int(k)])
-    narrow = [g for g in groups if all(structure.quality(k) > _LINES for k in g)]
-    if narrow:
-        first = max(narrow, key=lambda g: max(_power(structure, k) for k in g))
-        family = [g for g in narrow if g is first or _related(structure, first[0], g[0])]
+    sharp = [g for g in groups if all(structure.quality(k) > _LINES for k in g)]
+    if sharp:
+        first = max(sharp, key=lambda g: max(_power(structure, k) for k in g))
+        family = [g for g in sharp if g is first or _related(structure, first[0], g[0])]
         groups = [g for g in groups if g not in family] + [[k for g in family for k in g]]
     places = [
         sorted((FULL.first_oscillator + k for k in g), key=lambda c: -structure.power[c]) for g in groups

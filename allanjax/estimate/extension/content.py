@@ -11,12 +11,10 @@ from jaxtyping import Float
 from allanjax.estimate.deterministic import line_columns, take_out_lines
 from allanjax.estimate.spectral.components import NONE
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.search import Record, completed, refitted, searched
-from allanjax.estimate.structure.structure import FIXED, LINE, LOWEST, OUTSIDE, Structure
+from allanjax.estimate.structure.search import Record, completed, narrow, refitted, searched
+from allanjax.estimate.structure.structure import FIXED, LOWEST, OUTSIDE, Structure
 from allanjax.spectrum.cosine import Bins, cosine_transform
 
-# Width of a resonance [coefficients] below which it is a line.
-_LINE = 1.25 * LINE
 # Coefficients on either side of a line that have its power, and that are looked at.
 _CORE, _AROUND = 4, 40
 # Share of the excess there that a line's core has; log odds of a peak in white noise; peaks that are tried.
@@ -68,13 +66,13 @@ def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
             break
         lines, c = _without_lines(x, rate, lines + more)
     spectrum, found = searched(Record(c**2, rate), Structure.plain(list(range(len(FIXED)))))
-    if narrow := _narrow(found.structure, n):
-        more = [found.structure.frequency(k) * rate / (2.0 * np.pi) for k in narrow]
+    if sharp := narrow(found.structure, n):
+        more = [found.structure.frequency(k) * rate / (2.0 * np.pi) for k in sharp]
         lines, c = _without_lines(x, rate, lines + more)
-        record, rest = Record(c**2, rate), without(found.structure, narrow)
+        record, rest = Record(c**2, rate), without(found.structure, sharp)
         spectrum, found = searched(record, refitted(record, rest)[1].structure)
     structure = completed(spectrum, found).structure
-    return Content(without(structure, _narrow(structure, n)), lines, spectrum.bins, c)
+    return Content(without(structure, narrow(structure, n)), lines, spectrum.bins, c)
 
 
 def _conspicuous(c: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
@@ -104,11 +102,6 @@ def _without_lines(
         own = line_columns(line.frequency, line.indices, len(x), rate)
         c[line.indices - 1] -= own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
     return [line.frequency for line in taken], c
-
-
-def _narrow(structure: Structure, n: int) -> list[int]:
-    """Resonances that are lines."""
-    return [int(k) for k in structure.oscillators if structure.width(int(k)) < _LINE * np.pi / n]
 
 
 def without(structure: Structure, resonances: Sequence[int]) -> Structure:

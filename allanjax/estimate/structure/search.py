@@ -42,6 +42,8 @@ from allanjax.spectrum.cosine import Bins
 _GAIN, _PREDICTS = 2.0, 3.0
 # Windows that are tried for a resonance in a round, and the least gain of one [nats].
 _WINDOWS, _WORTH = 3, 8.0
+# Width of a resonance [coefficients] below which it is a line.
+_LINE = 1.25 * LINE
 # Narrowest window [coefficients].
 _NARROWEST = 8
 # Bandwidths that a response starts from [cycles per sample].
@@ -109,13 +111,28 @@ def searched(
 ) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
     spectrum, now = refitted(record, start)
+    before = now.structure
     for _ in range(_ROUNDS):
         found = _grown(record, spectrum, now)
         if found is None:
             break
         spectrum, now = found
         tell(described(now.structure, record.rate))
+    # A start to which only lines were added has had its swaps.
+    if _outline(now.structure, record.n) == _outline(before, record.n):
+        return spectrum, now
     return spectrum, pruned(spectrum, _replaced(spectrum, now))
+
+
+def narrow(structure: Structure, n: int) -> list[int]:
+    """Resonances of a structure of n samples that are as narrow as lines."""
+    return [int(k) for k in structure.oscillators if structure.width(int(k)) < _LINE * np.pi / n]
+
+
+def _outline(structure: Structure, n: int) -> tuple[int, int, int]:
+    """Kind of the response, and numbers of Markov processes and of resonances that are no lines."""
+    wide = len(structure.oscillators) - len(narrow(structure, n))
+    return structure.kind, len(structure.markovs), wide
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
