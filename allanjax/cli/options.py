@@ -20,8 +20,8 @@ from allanjax.record.units import Sensor
 if TYPE_CHECKING:
     from allanjax.noise.model import Model
 
-# Options of reading that are numbers.
-_NUMBERS = ("rate", "start", "stop")
+# Options of reading that are numbers; the others are text.
+_NUMBERS = {"rate": float, "start": float, "stop": float, "instance": int}
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -71,7 +71,7 @@ _read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
             annotation=Annotated[
-                (float if option.name in _NUMBERS else str) | None, typer.Option(help=option.metadata["help"])
+                _NUMBERS.get(option.name, str) | None, typer.Option(help=option.metadata["help"])
             ],
         )
         for option in fields(ReadOptions)

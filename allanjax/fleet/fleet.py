@@ -142,7 +142,7 @@ def characterize_fleet(
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: samples; longer recordings are divided.
         progress: called with the numbers of recordings done, failed, and in all.
-        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop.
+        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, ...
 
     Returns:
         The table, with units marked that are unlike the others of their group, or of their grade where a

@@ -26,6 +26,8 @@ READING = ReadOptions(
     time_unit="ms",
     start=1.5,
     stop=99.5,
+    topic="/imu",
+    instance=2,
 )
 FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"), True, True)
 WRITTEN = {"model": "N + B", "regressors": "temperature, voltage"}

@@ -26,6 +26,8 @@ def read(
     time_unit: str | None = None,
     start: float | None = None,
     stop: float | None = None,
+    topic: str | None = None,
+    instance: int | None = None,
 ) -> Recording:
     """Read a static recording: text (CSV, TSV, ..., also gzip), NumPy, Parquet, HDF5 or MATLAB.
 
@@ -46,13 +48,16 @@ def read(
         time_unit: unit of the time stamps: s, ms, us or ns.
         start: first time to read, in s from the file's first sample.
         stop: time to stop before, in s from the file's first sample.
+        topic: topic of a ROS bag with several of sensor_msgs/Imu, or message of a flight log, e.g.
+            `sensor_gyro`; two with a comma between for gyros and accelerometers apart.
+        instance: number of the sensor in a flight log that has several; by default the first.
 
     Raises:
         RecordingError: the file or the arguments are not usable; the message says where and what to do.
         UnitError: a unit is missing, unknown or contradictory.
     """
     return read_recording(
-        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop)
+        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop, topic, instance)
     )
 
 
@@ -60,4 +65,4 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: st
     """Read a static recording with these options, as `read` does; messages name the file `label`."""
     path = Path(path)
     source = Source(label or str(path))
-    return assemble(format_of(path, source).open(path, source), name_of(path), options)
+    return assemble(format_of(path, source).table(path, source, options), name_of(path), options)

@@ -45,7 +45,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    return build(values, rate, layout.axes, options.units, auxiliary, name, notes, source)
+    return build(values, rate, layout.axes, table.units_with(options), auxiliary, name, notes, source)
 
 
 def no_rate_error(source: Source) -> RecordingError:

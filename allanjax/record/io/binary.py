@@ -178,12 +178,7 @@ def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:
     return tuple(array.T)
 
 
-PARQUET = Format("parquet", lambda magic, path: magic.startswith(b"PAR1"), open_parquet)
-NPY = Format("npy", lambda magic, path: magic.startswith(b"\x93NUMPY"), open_npy)
-NPZ = Format("npz", lambda magic, path: magic.startswith(b"PK\x03\x04"), read_npz, in_chunks=False)
-MAT = Format(
-    "mat",
-    lambda magic, path: magic.startswith(b"MATLAB") or path.suffix.lower() == ".mat",
-    read_mat,
-    in_chunks=False,
-)
+PARQUET = Format("parquet", lambda magic: magic.startswith(b"PAR1"), open_parquet, (".parquet",))
+NPY = Format("npy", lambda magic: magic.startswith(b"\x93NUMPY"), open_npy, (".npy",))
+NPZ = Format("npz", lambda magic: magic.startswith(b"PK\x03\x04"), read_npz, (".npz",), in_chunks=False)
+MAT = Format("mat", lambda magic: magic.startswith(b"MATLAB"), read_mat, (".mat",), in_chunks=False)

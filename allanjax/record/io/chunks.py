@@ -110,7 +110,8 @@ def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: 
     Args:
         path: the file.
         chunk: rows to read at a time.
-        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop.
+        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop,
+            topic, instance.
 
     Raises:
         RecordingError: the file or the arguments are not usable, as far as the first chunk shows.
@@ -133,14 +134,14 @@ def open_chunks(
             f"a file of this kind (.{kind.name}) can not be read in chunks; save it as .npy, Parquet, HDF5 "
             "or CSV, or read it as a whole by read()"
         )
-    table = kind.open(path, source)
+    table = kind.table(path, source, options)
     first = next(table.rows(chunk), None)
     if first is None:
         raise table.no_rows()
     layout = find_layout(table, first, options)
     notes = [*table.notes, *layout.notes]
     rate = stated_rate(table, options.rate)
-    axes, axis_notes = axes_of(layout.axes, options.units, source)
+    axes, axis_notes = axes_of(layout.axes, table.units_with(options), source)
     n, start, stop = table.n, options.start, options.stop
     stretch = _Stretch(table, layout, options.time_unit, start, stop, chunk)
     if layout.time:

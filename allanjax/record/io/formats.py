@@ -1,25 +1,31 @@
-"""Recognition of a file's format by its first bytes, whatever its suffix."""
+"""Recognition of a file's format by its first bytes, and where they do not tell by its name."""
 
 from pathlib import Path
 
 from allanjax.record.io.binary import MAT, NPY, NPZ, PARQUET
 from allanjax.record.io.hdf5 import HDF5
+from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
 from allanjax.record.io.text import TEXT
 from allanjax.record.validation import Source
 
 #: Formats in the order in which they are tried: the last one takes what no other knows.
-FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, TEXT)
+FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, TEXT)
 
 
 def format_of(path: Path, source: Source) -> Format:
-    """Format of a file.
+    """Format of a file, or of the folder of a ROS 2 bag.
 
     Raises:
         RecordingError: there is no such file, or it cannot be opened, or is empty.
     """
     if path.is_dir():
-        raise source.error(f"a folder; give a file, or a pattern such as '{path / '*.csv'}'")
+        if (path / "metadata.yaml").is_file():
+            return ROS
+        raise source.error(
+            f"a folder, and no ROS 2 bag, for want of a metadata.yaml; give a file, or a pattern such as "
+            f"'{path / '*.csv'}'"
+        )
     try:
         with path.open("rb") as stream:
             magic = stream.read(520)
@@ -31,7 +37,11 @@ def format_of(path: Path, source: Source) -> Format:
         ) from error
     if not magic:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
-    return next(kind for kind in FORMATS if kind.begins(magic, path))
+    found = next(kind for kind in FORMATS if kind.begins(magic))
+    if found is TEXT and b"\0" in magic:
+        suffix = path.suffix.lower()
+        return next((kind for kind in FORMATS if suffix in kind.suffixes), TEXT)
+    return found
 
 
 def name_of(path: Path) -> str:

@@ -91,9 +91,9 @@ def _row_axis(dataset: Any) -> int:
     return 1 - axis if dataset.shape[axis] == 1 else axis
 
 
-def _begins(magic: bytes, path: Path) -> bool:
+def _begins(magic: bytes) -> bool:
     # MATLAB's -v7.3 has a text header of 512 bytes before the HDF5 file.
     return b"\x89HDF\r\n\x1a\n" in (magic[:8], magic[512:520])
 
 
-HDF5 = Format("hdf5", _begins, open_hdf5)
+HDF5 = Format("hdf5", _begins, open_hdf5, (".h5", ".hdf5"))

@@ -35,6 +35,12 @@ class ReadOptions:
     time_unit: str | None = _option("Unit of the time stamps: s, ms, us or ns.")
     start: float | None = _option("Leave out what is before this time, in s.")
     stop: float | None = _option("Leave out what is from this time on, in s.")
+    topic: str | None = _option(
+        "Topic of a ROS bag, or message of a flight log, e.g. /imu/data or sensor_gyro; or two: a,b."
+    )
+    instance: int | None = _option(
+        "Number of the sensor in a flight log that has several; by default the first."
+    )
 
     def __post_init__(self) -> None:
         start, stop = self.start, self.stop

@@ -2,19 +2,24 @@
 
 import re
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Shaped
 
-from allanjax.base.errors import RecordingError
+from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.units import Sensor
 from allanjax.record.validation import Source, bad_cells
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
+#: Options of reading that choose among the recordings of a file.
+CHOICES = ("topic", "instance")
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,7 @@ class Table:
         n: number of rows in all, if the file states it.
         rate: sample rate in Hz that the file itself states, if any.
         notes: actions of the reader that the user should know.
+        units: unit of each sensor by the format's definition, where neither labels nor options give one.
     """
 
     rows: Callable[[int], Iterator[Columns]]
@@ -36,6 +42,7 @@ class Table:
     n: int | None = None
     rate: float | None = None
     notes: tuple[str, ...] = ()
+    units: Mapping[Sensor, str] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -66,6 +73,10 @@ class Table:
             raise self.no_rows()
         return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
+    def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
+        """Unit of each sensor's samples: that of the options, else that of the format."""
+        return {sensor: unit or self.units.get(sensor) for sensor, unit in options.units.items()}
+
     def no_rows(self) -> RecordingError:
         """RecordingError for a file without rows."""
         return self.source.error("the file has no rows; give a file with one row of numbers per sample")
@@ -77,15 +88,45 @@ class Format:
 
     Attributes:
         name: what messages call it, a usual suffix.
-        begins: whether a file with these first 520 bytes and this path is of the kind.
+        begins: whether a file with these first 520 bytes is of the kind.
         open: the table of a file, which messages name by the source; RecordingError if it is damaged.
+        suffixes: names by which a binary file is told that begins like none.
         in_chunks: whether the table is read some rows at a time, not as a whole.
+        choices: options of reading that `open` takes, too, because such files hold several recordings.
     """
 
     name: str
-    begins: Callable[[bytes, Path], bool]
-    open: Callable[[Path, Source], Table]
+    begins: Callable[[bytes], bool]
+    open: Callable[..., Table]
+    suffixes: tuple[str, ...] = ()
     in_chunks: bool = True
+    choices: tuple[str, ...] = ()
+
+    def table(self, path: Path, source: Source, options: ReadOptions) -> Table:
+        """Table of a file of this kind.
+
+        Raises:
+            RecordingError: the file is damaged, or an option chooses what such files do not have.
+        """
+        for name in CHOICES:
+            if name not in self.choices and getattr(options, name) is not None:
+                raise source.error(f"a {self.name} file has no {name}s; leave out {name}= (--{name})")
+        return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
+
+
+@contextmanager
+def damage_told(source: Source, kind: str, remedy: str) -> Iterator[None]:
+    """Context that turns whatever a library raises about a damaged file into a RecordingError.
+
+    Damaged files make libraries raise nearly anything: errors of indices, of memory, of arithmetic.
+    """
+    try:
+        yield
+    except AllanjaxError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise source.error(f"can not be read as {kind}: {reason}; {remedy}") from error
 
 
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:

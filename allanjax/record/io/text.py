@@ -273,4 +273,4 @@ def _is_number(text: str) -> bool:
     return True
 
 
-TEXT = Format("text", lambda magic, path: True, open_text)
+TEXT = Format("text", lambda magic: True, open_text)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import Column
@@ -12,8 +12,10 @@ from allanjax.record.io.table import as_float, is_numeric
 from allanjax.record.units import convert
 from allanjax.record.validation import Source
 
-# An interval longer than the median by this factor is a gap.
+# An interval longer than the median by this factor is a gap if the stamps after it are half an interval later
+# than those before it let expect; else a stamp is late. So many are looked at on either side.
 _GAP = 1.5
+_ABOUT = 8
 # Largest rms jitter of the other intervals, over their mean.
 _MAX_JITTER = 0.2
 #: Largest relative difference between two statements of the sample rate.
@@ -91,22 +93,20 @@ def rate_from_times(
             f"such in all); sort or repair the file, or {_IGNORE}"
         )
     typical = float(np.median(intervals))
-    long = intervals > _GAP * typical
+    long = _gaps(times)
     jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
     if jitter > _MAX_JITTER * regular or np.mean(long) > _MANY_GAPS:
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
-            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals exceed {_GAP} times "
-            f"the median; jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves are regular, "
-            f"{_IGNORE}"
+            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps, longer than "
+            f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves "
+            f"are regular, {_IGNORE}"
         )
     if np.any(long):
         gap = _gap(times, np.flatnonzero(long), typical, source, more)
         raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}")
     measured = (len(times) - 1) / float(times[-1] - times[0])
-    # Jitter below a nanosecond is due to the rounding of the stamps.
-    shaken = f"jitter {jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "jitter below 1 ns"
-    stamped = f"{measured:.9g} Hz from column {label!r}, {shaken}"
+    stamped = f"{measured:.9g} Hz from column {label!r}, jitter {told_jitter(jitter)}"
     if rate is None:
         return measured, f"sample rate {stamped}"
     if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
@@ -116,6 +116,30 @@ def rate_from_times(
             "(--time none)"
         )
     return rate, f"sample rate {rate:.9g} Hz as given; {stamped}"
+
+
+def regular_intervals(times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " intervals"]:
+    """Intervals between successive times that are no gaps."""
+    intervals = np.diff(times)
+    return intervals[~_gaps(times)] if intervals.size else intervals
+
+
+def told_jitter(jitter: float) -> str:
+    """Jitter [s] in words; below a nanosecond it is due to the rounding of the stamps."""
+    return f"{jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "below 1 ns"
+
+
+def _gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " intervals"]:
+    """Which of the intervals are gaps."""
+    intervals = np.diff(times)
+    typical = np.median(intervals)
+    gaps = intervals > _GAP * typical
+    rows = np.flatnonzero(gaps)[:, None]
+    # How much later than expected from that before the interval, in intervals, is each stamp about it?
+    about = np.clip(rows + np.arange(-_ABOUT, _ABOUT) + 1, 0, len(intervals))
+    delays = (times[about] - times[rows]) / typical - (about - rows)
+    gaps[rows[:, 0]] = np.median(delays[:, _ABOUT:], axis=1) - np.median(delays[:, :_ABOUT], axis=1) > 0.5
+    return gaps
 
 
 def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:

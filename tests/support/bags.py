@@ -1,0 +1,64 @@
+"""ROS 1 and ROS 2 bags of sensor_msgs/Imu, written message by message by rosbags."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+KINDS = ("ros1", "sqlite3", "mcap")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Messages of a topic: stamps of their headers [ns], samples [n, 6], times in the bag [ns], frames."""
+
+    stamps: Sequence[int]
+    samples: np.ndarray
+    arrivals: Sequence[int] | None = None
+    frames: Sequence[str] = ("imu_link",)
+
+
+def write_bag(path: Path, kind: str, topics: Mapping[str, Topic], other: bool = False) -> Path:
+    """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2; `other` adds a topic that is no Imu."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    serialize = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
+    types = store.types
+    messages = []
+    with (
+        Writer1(path)
+        if kind == "ros1"
+        else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()]) as bag
+    ):
+        for name, topic in topics.items():
+            connection = bag.add_connection(name, "sensor_msgs/msg/Imu", typestore=store)
+            arrivals = topic.stamps if topic.arrivals is None else topic.arrivals
+            for k, (stamp, arrival, sample) in enumerate(
+                zip(topic.stamps, arrivals, topic.samples, strict=True)
+            ):
+                time = types["builtin_interfaces/msg/Time"](int(stamp) // 10**9, int(stamp) % 10**9)
+                frame = topic.frames[k % len(topic.frames)]
+                number = {"seq": k} if kind == "ros1" else {}
+                vector, covariance = types["geometry_msgs/msg/Vector3"], np.arange(9.0)
+                message = types["sensor_msgs/msg/Imu"](
+                    types["std_msgs/msg/Header"](**number, stamp=time, frame_id=frame),
+                    types["geometry_msgs/msg/Quaternion"](0.1, 0.2, 0.3, 0.4),
+                    -covariance,
+                    vector(*sample[:3]),
+                    covariance,
+                    vector(*sample[3:]),
+                    covariance,
+                )
+                messages.append((int(arrival), connection, serialize(message, "sensor_msgs/msg/Imu")))
+        if other:
+            connection = bag.add_connection("/words", "std_msgs/msg/String", typestore=store)
+            words = types["std_msgs/msg/String"]("moving")
+            messages.append((1, connection, serialize(words, "std_msgs/msg/String")))
+        for arrival, connection, raw in sorted(messages, key=lambda message: message[0]):
+            bag.write(connection, arrival, raw)
+    return path
