@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.record.io.options import ReadOptions
@@ -134,6 +134,12 @@ def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
     return values.dtype.kind in "fiub"
 
 
+def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Numbers as float64; the bits of a damaged one may be a nan that may not be converted."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(float)
+
+
 def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
     """Column as floats; NaN stays, as does a column without a single value.
 
@@ -141,7 +147,7 @@ def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source)
         RecordingError: a cell is text that is no number.
     """
     if is_numeric(values):
-        return values.astype(float)
+        return floats(values)
     import pandas as pd
 
     numbers = np.asarray(pd.to_numeric(pd.Series(values, dtype=object), errors="coerce"), dtype=float)
