@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from allanjax.record.io.binary import MAT, NPY, NPZ, PARQUET
+from allanjax.record.io.dataflash import DATAFLASH
 from allanjax.record.io.hdf5 import HDF5
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
@@ -11,7 +12,7 @@ from allanjax.record.io.ulog import ULOG
 from allanjax.record.validation import Source
 
 #: Formats in the order in which they are tried: the last one takes what no other knows.
-FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, TEXT)
+FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, TEXT)
 
 
 def format_of(path: Path, source: Source) -> Format:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.record.io.series import Series, joined, seconds_between
+from allanjax.record.io.series import Series, recording_of, seconds_between
 from allanjax.record.io.table import Format, Table, damage_told
 from allanjax.record.io.timestamps import told_jitter
 from allanjax.record.validation import Source
@@ -213,14 +213,12 @@ def _table(messages: Mapping[str, _Messages], source: Source) -> Table:
         notes += _notes(series, given)
         found.append(series.in_order())
     clock = _clock(next(iter(messages.values())))[0]
-    if len(found) == 1:
-        return found[0].table(clock, source, notes)
-    if not _are_halves(found):
+    if len(found) > 1 and not _are_halves(found):
         raise source.error(
             f"{' and '.join(messages)} are not gyros and accelerometers apart; choose one by topic= (--topic)"
         )
-    gyro, accel = sorted(found, key=lambda series: series.gyro is None)
-    return joined(gyro, accel, source).table(clock, source, notes)
+    gyros_first = sorted(found, key=lambda series: series.gyro is None)
+    return recording_of(gyros_first, source).table(clock, source, notes)
 
 
 def _notes(series: Series, messages: _Messages) -> list[str]:

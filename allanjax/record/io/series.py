@@ -98,3 +98,59 @@ def joined(gyro: Series, accel: Series, source: Source) -> Series:
     one, other = gyro.taken(rows), accel.taken(partner[rows])
     both = f"{gyro.name} and {accel.name}"
     return replace(one, name=both, accel=other.accel, auxiliary={**other.auxiliary, **one.auxiliary})
+
+
+def choose(
+    found: Mapping[tuple[str, int], Series],
+    groups: Sequence[tuple[str, ...]],
+    topic: str | None,
+    instance: int | None,
+    source: Source,
+) -> list[Series]:
+    """Series of a flight log that are to be read: one, or that of the gyros and that of the accelerometers.
+
+    Args:
+        found: series by message and number of the sensor.
+        groups: messages that are one recording, gyros first.
+        topic: the message, or two with a comma between; without it the group whose rate is highest.
+        instance: number of the sensor; without it the first.
+        source: origin of the series.
+
+    Raises:
+        RecordingError: there is no such message or sensor.
+    """
+    kept = {key: series for key, series in found.items() if instance in (None, key[1])}
+    if not kept:
+        numbers = sorted({number for _, number in found})
+        raise source.error(
+            f"no instance {instance}; choose one of {', '.join(map(str, numbers))} by instance= (--instance)"
+        )
+    names = {name for name, _ in kept}
+    if topic is None:
+        fastest = max(kept, key=lambda key: kept[key].rate)[0]
+        wanted = next({*group} & names for group in groups if fastest in group)
+    else:
+        wanted = {name.strip() for name in topic.split(",")}
+        if not wanted <= names or not any(wanted <= {*group} for group in groups):
+            raise source.error(
+                f"topic {topic!r} is not one recording in the log; there are "
+                f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
+            )
+    first = (min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True))
+    return [kept[key] for key in first]
+
+
+def recording_of(chosen: Sequence[Series], source: Source) -> Series:
+    """The series that was chosen, or two that were, joined."""
+    return chosen[0] if len(chosen) == 1 else joined(chosen[0], chosen[1], source)
+
+
+def told_choice(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
+    """What was taken of a flight log, and what else there is, in words."""
+    words = {
+        id(series): f"{name} {number} at {series.rate:.4g} Hz" for (name, number), series in found.items()
+    }
+    taken = " and ".join(words.pop(id(series)) for series in chosen)
+    if not words:
+        return taken
+    return f"{taken}; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"

@@ -2,14 +2,14 @@
 
 import contextlib
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.record.io.series import Series, joined
+from allanjax.record.io.series import Series, choose, recording_of, told_choice
 from allanjax.record.io.table import Format, Table, damage_told, floats
 from allanjax.record.validation import Source
 
@@ -43,8 +43,8 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
     found = {key: series for key, series in found.items() if len(series.times)}
     if not found:
         raise source.error(f"no samples of an IMU ({', '.join(_READERS)}); {_LOG_MORE}")
-    chosen = _chosen(found, topic, instance, source)
-    notes = [_told(found, chosen)]
+    chosen = choose(found, _GROUPS, topic, instance, source)
+    notes = [told_choice(found, chosen)]
     if chosen[0].name == "sensor_combined":
         notes.append(
             "sensor_combined is what the autopilot has averaged and corrected; for the sensor's own noise "
@@ -55,44 +55,7 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
         notes.append(f"{len(log.dropouts)} dropouts of the log, of {lost} ms in all")
     if log.file_corruption:
         notes.append("damaged parts of the log are left out")
-    series = chosen[0] if len(chosen) == 1 else joined(chosen[0], chosen[1], source)
-    return series.table("timestamp", source, notes)
-
-
-def _chosen(
-    found: Mapping[tuple[str, int], Series], topic: str | None, instance: int | None, source: Source
-) -> list[Series]:
-    """The message of the highest rate, or that is chosen; or that of the gyros and that of accelerometers."""
-    numbers = sorted({number for _, number in found})
-    kept = {key: series for key, series in found.items() if instance in (None, key[1])}
-    if not kept:
-        raise source.error(
-            f"no instance {instance}; choose one of {', '.join(map(str, numbers))} by instance= (--instance)"
-        )
-    names = {name for name, _ in kept}
-    if topic is None:
-        fastest = max(kept, key=lambda key: kept[key].rate)[0]
-        wanted = next({*group} & names for group in _GROUPS if fastest in group)
-    else:
-        wanted = {name.strip() for name in topic.split(",")}
-        if not wanted <= names or not any(wanted <= {*group} for group in _GROUPS):
-            raise source.error(
-                f"topic {topic!r} is not one recording in the log; there are "
-                f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
-            )
-    first = (min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True))
-    return [kept[key] for key in first]
-
-
-def _told(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
-    """What was taken and what else there is, in words."""
-    words = {
-        id(series): f"{name} {number} at {series.rate:.4g} Hz" for (name, number), series in found.items()
-    }
-    taken = " and ".join(words.pop(id(series)) for series in chosen)
-    if not words:
-        return taken
-    return f"{taken}; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"
+    return recording_of(chosen, source).table("timestamp", source, notes)
 
 
 def _series(name: str, fields: Fields, source: Source) -> Series:
