@@ -281,6 +281,7 @@ def _expression(text: str) -> str:
     text = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda run: "^" + run[0].translate(_SUPERSCRIPTS), text)
     text = re.sub(r"(?:√|\bsqrt|\brt-?)\s*(?:\(\s*(\w+)\s*\)|(\w+))", r"(\1\2^0.5)", text)
     text = re.sub(r"\s+per\s+", "/", text)
+    text = re.sub(r"\b[gG]['’]s\b", "g", text)
     text = re.sub(r"\s*([/*^()])\s*", r"\1", text)
     text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])|(?<=[\w)])\s+(?=[\w(])", "*", text)
     text = re.sub(r"([A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"\1^\2", text)

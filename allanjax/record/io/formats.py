@@ -9,10 +9,11 @@ from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
 from allanjax.record.io.text import TEXT
 from allanjax.record.io.ulog import ULOG
+from allanjax.record.io.vectornav import VECTORNAV
 from allanjax.record.validation import Source
 
 #: Formats in the order in which they are tried: the last one takes what no other knows.
-FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, TEXT)
+FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TEXT)
 
 
 def format_of(path: Path, source: Source) -> Format:

@@ -248,8 +248,8 @@ def _split(line: str, delimiter: str | None) -> list[str]:
     """Fields of a line."""
     line = line.strip(" \r\n")
     if delimiter is None:
-        # A unit belongs to the name before it.
-        return re.split(r"\s+(?![\[(])", line.strip())
+        # A unit belongs to the name before it, and may itself have spaces.
+        return re.split(r"\s+(?![\[(]|[^\[\](]*[\])])", line.strip())
     fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     return [field.strip() for field in fields]
 
