@@ -18,8 +18,8 @@ _INCREMENTS: dict[Sensor, str] = {
     "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
     "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
 }
-# One letter is a sensor only when it stands alone before the axis: `gx`, but not `mag_x`; or as EuRoC writes it,
-# with the frames, `w_RS_S_x`.
+# One letter is a sensor only when it stands alone before the axis: `gx`, but not `mag_x`; or with the frames
+# that EuRoC writes, `w_RS_S_x`.
 _LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "a(?:_rs_s)?"}
 # Statistics of a sensor's samples are no axes.
 _NOT_A_SAMPLE = re.compile(r"(?:^|_)(?:bias|sigma|std|var|variance|cov|covariance)(?:_|$)")

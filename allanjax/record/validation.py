@@ -10,6 +10,8 @@ from allanjax.base.errors import RecordingError
 
 MIN_SAMPLES = 16
 """Fewest samples that make a recording."""
+LARGEST = 1e100
+"""Largest size of a sample, in any unit: what is larger overflows when it is scaled and squared."""
 
 
 @dataclass(frozen=True)
@@ -58,14 +60,14 @@ def check_values(
 ) -> Bool[np.ndarray, " axes"]:
     """Check samples, one column per label, and return which columns live; the others are dead.
 
-    A dead column never changes, or has no number throughout.
+    A dead column never changes, or has no usable number throughout.
 
     Raises:
-        RecordingError: too few samples, a value that is not finite in a column that has others, or no column
+        RecordingError: too few samples, a value that is not usable in a column that has others, or no column
             that lives; the message names the column, the first place and the remedy.
     """
     check_length(len(values), source)
-    living = np.array([bool(np.isfinite(x).any() and (x != x[0]).any()) for x in values.T], bool)
+    living = np.array([bool(usable(x).any() and (x != x[0]).any()) for x in values.T], bool)
     for label, column, lives in zip(labels, values.T, living, strict=True):
         if lives or not living.any():
             check_finite(column, label, source)
@@ -74,9 +76,14 @@ def check_values(
     return living
 
 
+def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+    """Which values are finite, and not beyond `LARGEST`."""
+    return np.abs(values) <= LARGEST
+
+
 def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
-    """Raise `RecordingError` if a value of the column is not finite; see `check_values`."""
-    bad = np.flatnonzero(~np.isfinite(column))
+    """Raise `RecordingError` if a value of the column is not usable; see `check_values`."""
+    bad = np.flatnonzero(~usable(column))
     if bad.size:
         value = column[bad[0]]
         raise bad_cells(label, bad.size, int(bad[0]), source, None if np.isnan(value) else str(value))
@@ -91,10 +98,11 @@ def constant_error(label: str, value: float, source: Source) -> RecordingError:
 
 
 def bad_cells(label: str, count: int, first: int, source: Source, text: str | None = None) -> RecordingError:
-    """RecordingError for `count` cells of a column that are not finite, the first of which holds `text`."""
-    cells = "1 value is not a finite number"
+    """RecordingError for `count` cells of a column that are not usable, the first of which holds `text`."""
+    limit = f"finite number{'s' * (count > 1)} within ±{LARGEST:.0e}"
+    cells = f"1 value is not a {limit}"
     if count > 1:
-        cells = f"{count} values are not finite numbers, the first"
+        cells = f"{count} values are not {limit}, the first"
     return source.error(
         f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; repair the file, or "
         "take a stretch without bad values by start= and stop= (--start, --stop)"

@@ -1,16 +1,16 @@
 """Readers of binary files: NumPy, Parquet, MATLAB up to -v7."""
 
+import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from allanjax.record.columns import split_unit
-from allanjax.record.io.table import Columns, Format, Table
+from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_told
 from allanjax.record.validation import Source
 
 # Names of scalars that state the sample rate, or the sample interval.
@@ -36,11 +36,8 @@ def open_npy(path: Path, source: Source) -> Table:
 
 def _npy_columns(path: Path, source: Source) -> tuple[Columns, tuple[str, ...] | None]:
     """Columns of an .npy file through a memory map, and their names if it has any."""
-    try:
+    with damage_told(source, ".npy", "save a plain array of numbers, and copy the whole file"):
         array = np.load(path, "r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        remedy = "save a plain array of numbers, and copy the whole file"
-        raise source.error(f"can not be read as .npy: {error}; {remedy}") from error
     names = array.dtype.names
     return tuple(array[name] for name in names) if names else _columns_of(array, "the array", source), names
 
@@ -49,28 +46,40 @@ def read_npz(path: Path, source: Source) -> Table:
     """Named arrays: columns, `gyro` and `accel` of shape [samples, 3], scalars `rate`, `fs` or `dt`."""
     if not zipfile.is_zipfile(path):
         raise source.error("a damaged .npz file; save it again")
-    with zipfile.ZipFile(path) as archive:
-        if not any(name.endswith(".npy") for name in archive.namelist()):
-            raise source.error("a zip archive without NumPy arrays (a spreadsheet?); save it as CSV")
-    try:
+    with damage_told(source, ".npz", "save plain arrays of numbers"):
+        with zipfile.ZipFile(path) as archive:
+            members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+            if not members:
+                raise source.error("a zip archive without NumPy arrays (a spreadsheet?); save it as CSV")
+            check_claim(sum(member.file_size for member in members), path, source)
+            for member in members:
+                _check_member(archive, member, source)
         with np.load(path, allow_pickle=False) as arrays:
             named = {name: arrays[name] for name in arrays.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise source.error(f"can not be read as .npz: {error}; save plain arrays of numbers") from error
     return from_named(named, source)
+
+
+def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Source) -> None:
+    """Raise RecordingError if an array in an .npz file is said to be larger than what is there."""
+    with archive.open(member) as stream:
+        old = np.lib.format.read_magic(stream) == (1, 0)
+        read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
+    if math.prod(shape) * dtype.itemsize > member.file_size:
+        raise source.error(
+            f"{member.filename!r} has the shape {shape} by its header, but {member.file_size} bytes; save it "
+            "again"
+        )
 
 
 def read_mat(path: Path, source: Source) -> Table:
     """Named arrays of a MATLAB file up to -v7, as of an .npz file; the fields of a struct count as arrays."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
+    from scipy.io import loadmat, whosmat
 
-    try:
+    with damage_told(source, "a MATLAB file", "save it again with -v7"):
+        claimed = sum(math.prod(shape) for _, shape, _ in whosmat(path))
+        check_claim(claimed, path, source)
         contents = loadmat(path, simplify_cells=True)
-    except NotImplementedError as error:
-        raise source.error("a MATLAB -v7.3 file without its header; save it again") from error
-    except (MatReadError, ValueError, TypeError, OSError) as error:
-        raise source.error(f"can not be read as a MATLAB file: {error}; save it with -v7") from error
     arrays = {key: value for key, value in contents.items() if not key.startswith("__")}
     return from_named(_flat(arrays), source)
 
@@ -79,26 +88,16 @@ def open_parquet(path: Path, source: Source) -> Table:
     """All columns of a Parquet file."""
     import pyarrow.parquet as pq
 
-    with _parquet_errors(source), pq.ParquetFile(path) as file:
+    with damage_told(source, "Parquet", "write the file again"), pq.ParquetFile(path) as file:
         n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
+        check_claim(n * len(labels), path, source)
 
     def rows(chunk: int) -> Iterator[Columns]:
-        with _parquet_errors(source), pq.ParquetFile(path) as file:
-            for batch in file.iter_batches(chunk):
+        with damage_told(source, "Parquet", "write the file again"), pq.ParquetFile(path) as file:
+            for batch in file.iter_batches(min(chunk, max(n, 1))):
                 yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
 
     return Table(rows, labels, source, n)
-
-
-@contextmanager
-def _parquet_errors(source: Source) -> Iterator[None]:
-    """Context that turns errors of pyarrow into RecordingErrors."""
-    import pyarrow as pa
-
-    try:
-        yield
-    except (pa.ArrowException, OSError) as error:
-        raise source.error(f"can not be read as Parquet: {error}; write the file again") from error
 
 
 def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:

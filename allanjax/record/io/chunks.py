@@ -24,6 +24,7 @@ from allanjax.record.validation import (
     check_finite,
     check_length,
     constant_error,
+    usable,
 )
 
 # Time stamps before a chunk that are checked together with those of the chunk.
@@ -76,7 +77,7 @@ class ChunkedRecording:
         for axes, _, source in self._stretch.pieces(self.rate):
             pairs = zip(axes, labels, strict=True)
             values = np.column_stack([as_float(x, label, source) for x, label in pairs])
-            numbers = np.isfinite(values)
+            numbers = usable(values)
             for k, label in enumerate(labels):
                 if silent[k] and not numbers[:, k].any():
                     values[:, k] = np.nan

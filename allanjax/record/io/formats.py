@@ -7,13 +7,14 @@ from allanjax.record.io.dataflash import DATAFLASH
 from allanjax.record.io.hdf5 import HDF5
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
+from allanjax.record.io.tdms import TDMS
 from allanjax.record.io.text import TEXT
 from allanjax.record.io.ulog import ULOG
 from allanjax.record.io.vectornav import VECTORNAV
 from allanjax.record.validation import Source
 
 #: Formats in the order in which they are tried: the last one takes what no other knows.
-FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TEXT)
+FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TDMS, TEXT)
 
 
 def format_of(path: Path, source: Source) -> Format:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from allanjax.record.io.binary import from_named
-from allanjax.record.io.table import Columns, Format, Table
+from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_told
 from allanjax.record.validation import Source
 
 # End of messages: other formats to save the data in.
@@ -20,6 +21,7 @@ def open_hdf5(path: Path, source: Source) -> Table:
     """Named datasets as the arrays of an .npz file; those in groups are named `group.dataset`."""
     with _opened(path, source) as file:
         datasets = _datasets(file)
+        check_claim(sum(dataset.nbytes for dataset in datasets.values()), path, source)
         table = from_named({name: _outline(dataset) for name, dataset in datasets.items()}, source)
         names = [name for name, dataset in datasets.items() if _is_samples(dataset)]
 
@@ -33,8 +35,9 @@ def open_hdf5(path: Path, source: Source) -> Table:
     return replace(table, rows=rows)
 
 
-def _opened(path: Path, source: Source) -> Any:
-    """Opened HDF5 file; RecordingError if it cannot be read."""
+@contextmanager
+def _opened(path: Path, source: Source) -> Iterator[Any]:
+    """Context of an opened HDF5 file; RecordingError if it cannot be read."""
     try:
         import h5py
     except ModuleNotFoundError as error:
@@ -42,10 +45,8 @@ def _opened(path: Path, source: Source) -> Any:
             'an HDF5 file (MATLAB -v7.3), for which h5py is needed: pip install "allanjax[hdf5]", '
             + _SAVE_AGAIN
         ) from error
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        raise source.error(f"can not be read as HDF5: {error}; copy it again, {_SAVE_AGAIN}") from error
+    with damage_told(source, "HDF5", f"copy it again, {_SAVE_AGAIN}"), h5py.File(path, "r") as file:
+        yield file
 
 
 def _datasets(file: Any) -> Mapping[str, Any]:

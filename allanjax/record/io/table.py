@@ -20,6 +20,8 @@ from allanjax.record.validation import Source, bad_cells
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
 #: Options of reading that choose among the recordings of a file.
 CHOICES = ("topic", "instance")
+# Largest factor by which a file may be compressed; that of deflate, which most use, is below 1033.
+_EXPANSION = 1100
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,15 @@ def damage_told(source: Source, kind: str, remedy: str) -> Iterator[None]:
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
     """Whether a column has a dtype of real numbers or booleans."""
     return values.dtype.kind in "fiub"
+
+
+def check_claim(claimed: int, path: Path, source: Source) -> None:
+    """Raise RecordingError if a file claims more bytes than it can hold, before memory is taken for them."""
+    size = path.stat().st_size
+    if claimed > _EXPANSION * size:
+        raise source.error(
+            f"it claims to hold {claimed} bytes, which its own {size} can not: it is damaged; copy it again"
+        )
 
 
 def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:

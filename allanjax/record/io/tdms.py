@@ -1,0 +1,51 @@
+"""Reader of LabVIEW's TDMS files; it needs nptdms."""
+
+from pathlib import Path
+
+import numpy as np
+
+from allanjax.record.columns import split_unit
+from allanjax.record.io.binary import from_named
+from allanjax.record.io.table import Format, Table, damage_told
+from allanjax.record.validation import Source
+
+
+def read_tdms(path: Path, source: Source) -> Table:
+    """Channels as the arrays of an .npz file, with their units and the interval of their samples.
+
+    Where several groups have channels, these are named `group.channel`.
+
+    Raises:
+        RecordingError: nptdms is not installed, the file is damaged, or the channels do not fit together.
+    """
+    try:
+        from nptdms import TdmsFile
+    except ModuleNotFoundError as error:
+        raise source.error('a TDMS file, for which nptdms is needed: pip install "allanjax[tdms]"') from error
+    arrays: dict[str, np.ndarray] = {}
+    intervals = set()
+    size = path.stat().st_size
+    with (
+        damage_told(source, "a TDMS file", "copy it again, or export it as CSV"),
+        TdmsFile.open(path) as file,
+    ):
+        groups = [group for group in file.groups() if any(len(channel) for channel in group.channels())]
+        for group in groups:
+            for channel in group.channels():
+                if len(channel) > size:
+                    raise source.error(
+                        f"{channel.name!r} has {len(channel)} samples by its header, and the file "
+                        f"{size} bytes; copy it again"
+                    )
+                name = channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"
+                unit = str(channel.properties.get("unit_string", "")).strip()
+                label = f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
+                if len(channel):
+                    arrays[label] = channel[:]
+                    intervals.add(float(channel.properties.get("wf_increment", 0.0)))
+    if len(intervals) == 1 and (interval := intervals.pop()) > 0.0:
+        arrays["dt"] = np.array(interval)
+    return from_named(arrays, source)
+
+
+TDMS = Format("TDMS", lambda magic: magic.startswith(b"TDSm"), read_tdms, (".tdms",), in_chunks=False)
