@@ -1,11 +1,10 @@
-"""Readers of binary files: NumPy, Parquet, MATLAB up to -v7."""
+"""Readers of binary files: NumPy, Parquet."""
 
 import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -38,7 +37,9 @@ def _npy_columns(path: Path, source: Source) -> tuple[Columns, tuple[str, ...] |
     """Columns of an .npy file through a memory map, and their names if it has any."""
     with damage_told(source, ".npy", "save a plain array of numbers, and copy the whole file"):
         array = np.load(path, "r", allow_pickle=False)
-    names = array.dtype.names
+        names = array.dtype.names
+        if names and (array.ndim != 1 or any(array[name].dtype.kind not in "fiubMSU" for name in names)):
+            raise source.error(f"an array of the dtype {array.dtype}; save columns of plain numbers")
     return tuple(array[name] for name in names) if names else _columns_of(array, "the array", source), names
 
 
@@ -72,18 +73,6 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Sou
         )
 
 
-def read_mat(path: Path, source: Source) -> Table:
-    """Named arrays of a MATLAB file up to -v7, as of an .npz file; the fields of a struct count as arrays."""
-    from scipy.io import loadmat, whosmat
-
-    with damage_told(source, "a MATLAB file", "save it again with -v7"):
-        claimed = sum(math.prod(shape) for _, shape, _ in whosmat(path))
-        check_claim(claimed, path, source)
-        contents = loadmat(path, simplify_cells=True)
-    arrays = {key: value for key, value in contents.items() if not key.startswith("__")}
-    return from_named(_flat(arrays), source)
-
-
 def open_parquet(path: Path, source: Source) -> Table:
     """All columns of a Parquet file."""
     import pyarrow.parquet as pq
@@ -98,17 +87,6 @@ def open_parquet(path: Path, source: Source) -> Table:
                 yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
 
     return Table(rows, labels, source, n)
-
-
-def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
-    """Arrays of nested structs by their dotted names."""
-    flat: dict[str, np.ndarray] = {}
-    for key, value in contents.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = np.asarray(value)
-    return flat
 
 
 def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
@@ -180,4 +158,3 @@ def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:
 PARQUET = Format("parquet", lambda magic: magic.startswith(b"PAR1"), open_parquet, (".parquet",))
 NPY = Format("npy", lambda magic: magic.startswith(b"\x93NUMPY"), open_npy, (".npy",))
 NPZ = Format("npz", lambda magic: magic.startswith(b"PK\x03\x04"), read_npz, (".npz",), in_chunks=False)
-MAT = Format("mat", lambda magic: magic.startswith(b"MATLAB"), read_mat, (".mat",), in_chunks=False)

@@ -140,7 +140,7 @@ def _series(
     """Series by message and number of the sensor, which is in a field or in the message's name."""
     match = _SAMPLES.fullmatch(name)
     assert match is not None
-    fields = rows.dtype.names or ()
+    fields = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"]
     clock = next((clock for clock in ("SampleUS", "TimeUS", "TimeMS") if clock in fields), None)
     halves = {
         sensor: np.column_stack([floats(rows[f"{label}{axis}"]) for axis in "XYZ"])

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from allanjax.record.io.binary import MAT, NPY, NPZ, PARQUET
+from allanjax.record.io.binary import NPY, NPZ, PARQUET
 from allanjax.record.io.dataflash import DATAFLASH
 from allanjax.record.io.hdf5 import HDF5
+from allanjax.record.io.matlab import MAT
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
 from allanjax.record.io.tdms import TDMS

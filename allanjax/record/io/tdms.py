@@ -1,5 +1,9 @@
 """Reader of LabVIEW's TDMS files; it needs nptdms."""
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +27,11 @@ def read_tdms(path: Path, source: Source) -> Table:
     except ModuleNotFoundError as error:
         raise source.error('a TDMS file, for which nptdms is needed: pip install "allanjax[tdms]"') from error
     arrays: dict[str, np.ndarray] = {}
+    warnings: list[str] = []
     intervals = set()
     size = path.stat().st_size
     with (
+        _warnings_kept(warnings),
         damage_told(source, "a TDMS file", "copy it again, or export it as CSV"),
         TdmsFile.open(path) as file,
     ):
@@ -45,7 +51,25 @@ def read_tdms(path: Path, source: Source) -> Table:
                     intervals.add(float(channel.properties.get("wf_increment", 0.0)))
     if len(intervals) == 1 and (interval := intervals.pop()) > 0.0:
         arrays["dt"] = np.array(interval)
-    return from_named(arrays, source)
+    table = from_named(arrays, source)
+    damage = (f"the file is damaged: {warnings[0]}",) if warnings else ()
+    return replace(table, notes=(*damage, *table.notes))
+
+
+@contextmanager
+def _warnings_kept(warnings: list[str]) -> Iterator[None]:
+    """Context in which nptdms adds its warnings to a list, and does not print them."""
+    from nptdms.log import log_manager
+
+    def kept(record: logging.LogRecord) -> bool:
+        warnings.append(record.getMessage()[:200])
+        return False
+
+    log_manager.console_handler.addFilter(kept)
+    try:
+        yield
+    finally:
+        log_manager.console_handler.removeFilter(kept)
 
 
 TDMS = Format("TDMS", lambda magic: magic.startswith(b"TDSm"), read_tdms, (".tdms",), in_chunks=False)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from allanjax.record.columns import recognise
-from allanjax.record.io.table import Columns, Format, Table
+from allanjax.record.io.table import Columns, Format, Table, damage_told
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # First bytes of a gzip-compressed file, and marks at the beginning of comments.
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
+_SAVE_AGAIN = "copy, save or compress it again"
 # Lines among which the first row of numbers is sought.
 _LINES_BEFORE_DATA = 1000
 # Lines of numbers with decimal commas.
@@ -48,7 +49,8 @@ def open_text(path: Path, source: Source) -> Table:
     """Text file, gzip-compressed or not."""
     import pandas as pd
 
-    layout = _layout(path, source)
+    with damage_told(source, "text", _SAVE_AGAIN):
+        layout = _layout(path, source)
     # Samples are located by the lines of the file.
     source = Source(
         source.label,
@@ -87,12 +89,11 @@ def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[Non
     """Context that turns errors of pandas into RecordingErrors that name the line."""
     import pandas as pd
 
-    try:
-        yield
-    except pd.errors.ParserError as error:
-        raise source.error(_ragged_row(path, layout) or f"can not be read: {error}") from error
-    except (EOFError, OSError, zlib.error) as error:
-        raise source.error(f"can not be read: {error}; copy or compress it again") from error
+    with damage_told(source, "text", _SAVE_AGAIN):
+        try:
+            yield
+        except pd.errors.ParserError as error:
+            raise source.error(_ragged_row(path, layout) or f"can not be read: {error}") from error
 
 
 def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> Columns:
