@@ -49,6 +49,12 @@ def test_what_was_written(tmp_path, samples, kind):
     assert read(path, topic="/imu", start=0.5).n == N - 100
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_compressed_bags(tmp_path, samples, kind):
+    recording = read(written(tmp_path, kind, {"/imu": Topic(regular(), samples)}, small=True))
+    np.testing.assert_array_equal(recording.values, samples)
+
+
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
 def test_the_file_of_a_ros_2_bag_alone(tmp_path, samples, kind):
     folder = written(tmp_path, kind, {"/imu": Topic(regular(), samples)})

@@ -19,10 +19,15 @@ class Topic:
     frames: Sequence[str] = ("imu_link",)
 
 
-def write_bag(path: Path, kind: str, topics: Mapping[str, Topic], other: bool = False) -> Path:
-    """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2; `other` adds a topic that is no Imu."""
+def write_bag(
+    path: Path, kind: str, topics: Mapping[str, Topic], other: bool = False, small: bool = False
+) -> Path:
+    """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2.
+
+    `other` adds a topic that is no Imu; `small` compresses, by LZ4 or Zstandard.
+    """
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
 
@@ -30,11 +35,16 @@ def write_bag(path: Path, kind: str, topics: Mapping[str, Topic], other: bool = 
     serialize = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
     types = store.types
     messages = []
-    with (
-        Writer1(path)
-        if kind == "ros1"
-        else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()]) as bag
-    ):
+    if kind == "ros1":
+        bag = Writer1(path)
+        if small:
+            bag.set_compression(Writer1.CompressionFormat.LZ4)
+    else:
+        bag = Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
+        if small:
+            mode = CompressionMode.STORAGE if kind == "mcap" else CompressionMode.MESSAGE
+            bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
         for name, topic in topics.items():
             connection = bag.add_connection(name, "sensor_msgs/msg/Imu", typestore=store)
             arrivals = topic.stamps if topic.arrivals is None else topic.arrivals

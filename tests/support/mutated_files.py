@@ -149,10 +149,10 @@ def _tdms(folder: Path) -> Sample:
     return Sample(path, path)
 
 
-def _bag(kind: str, name: str, part: str = "") -> Callable[[Path], Sample]:
+def _bag(kind: str, name: str, part: str = "", small: bool = False) -> Callable[[Path], Sample]:
     def write(folder: Path) -> Sample:
         stamps = 1_700_000_000 * 10**9 + np.round(np.arange(N) * 1e9 / RATE).astype(np.int64)
-        path = write_bag(folder / name, kind, {"/imu": Topic(stamps, _values())}, other=True)
+        path = write_bag(folder / name, kind, {"/imu": Topic(stamps, _values())}, other=True, small=small)
         if kind == "ros1":
             return Sample(path, path)
         file = next(file for file in path.iterdir() if file.name.endswith(part))
@@ -199,8 +199,10 @@ WRITERS: dict[str, Callable[[Path], Sample]] = {
     "Parquet": _parquet,
     "TDMS": _tdms,
     "ROS 1 bag": _bag("ros1", "imu.bag"),
+    "ROS 1 bag, LZ4": _bag("ros1", "lz4.bag", small=True),
     "ROS 2 .db3": _bag("sqlite3", "sqlite", ".db3"),
     "ROS 2 .mcap": _bag("mcap", "mcap", ".mcap"),
+    "ROS 2 .mcap, Zstandard": _bag("mcap", "small", ".mcap", small=True),
     "ROS 2 metadata.yaml": _bag("sqlite3", "folder", "metadata.yaml"),
     "ULog": _ulog,
     "DataFlash": _dataflash,
