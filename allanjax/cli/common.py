@@ -28,8 +28,9 @@ INTERRUPTED = 130
 Files = Annotated[
     list[str],
     typer.Argument(
-        help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5 or .mat; patterns of them in quotes, "
-        "* for any name, ** for any folders; - for standard input.",
+        help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5, .mat, TDMS, ROS bags (.bag, .db3, "
+        ".mcap, or a folder), PX4 .ulg, ArduPilot .bin; patterns of them in quotes, * for any name, ** for "
+        "any folders; - for standard input.",
         metavar="FILE",
     ),
 ]

@@ -29,16 +29,17 @@ def read(
     topic: str | None = None,
     instance: int | None = None,
 ) -> Recording:
-    """Read a static recording: text (CSV, TSV, ..., also gzip), NumPy, Parquet, HDF5 or MATLAB.
+    """Read a static recording: text, NumPy, Parquet, HDF5, MATLAB, TDMS, a ROS bag or a flight log.
 
-    HDF5 and MATLAB -v7.3 need h5py (`pip install "allanjax[hdf5]"`).
+    Text may be gzip-compressed; a ROS 2 bag may be a folder; flight logs are PX4's .ulg and ArduPilot's .bin.
+    Where a package is needed that is not there, the message names the extra to install, e.g. `allanjax[ros]`.
 
     Columns are recognised by their names (`gyro_x`, `angular_velocity.x`, `ax`, `time`, ...), with units in
     brackets (`gyro_x [deg/s]`); other columns of numbers become `auxiliary`. `notes` of the recording say
     what was assumed.
 
     Args:
-        path: the file.
+        path: the file, or the folder of a ROS 2 bag.
         rate: sample rate in Hz; needed without time stamps, and checked against them if there are any.
         gyro_unit: unit of the gyros, e.g. `deg/s`, where the header has none.
         accel_unit: unit of the accelerometers, e.g. `g`, where the header has none.

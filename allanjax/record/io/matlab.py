@@ -2,6 +2,7 @@
 
 import math
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,7 +28,9 @@ def read_mat(path: Path, source: Source) -> Table:
     """Named arrays of a MATLAB file up to -v7, as of an .npz file; the fields of a struct count as arrays."""
     from scipy.io import loadmat, whosmat
 
-    with damage_told(source, "a MATLAB file", "save it again with -v7"):
+    with damage_told(source, "a MATLAB file", "save it again with -v7"), warnings.catch_warnings():
+        # What is warned of is damage, too.
+        warnings.simplefilter("error", UserWarning)
         content = memoryview(path.read_bytes())
         # Files up to -v4 have no header, but a number, which has a zero.
         if 0 not in content[:4]:

@@ -24,7 +24,7 @@ _GYRO, _ACCEL = slice(13, 16), slice(25, 28)
 _BLOCK = 1 << 15
 _FIRST = 1000
 _BEGINNINGS = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
-_REMEDY = "copy it again, or repair it by `rosbag reindex` (ROS 1) or `ros2 bag reindex` (ROS 2)"
+_REMEDY = "copy it again, or repair it by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
 
 class _Messages(NamedTuple):
