@@ -234,6 +234,15 @@ def test_one_lost_sample_is_a_gap(text, noise):
     assert read(late).n == N
 
 
+def test_late_stamps_are_no_gaps(text, noise):
+    """The stamps after them are where those before let expect; where they are not, there is one, late or not."""
+    times = np.arange(N) / 100
+    late = np.isin(np.arange(N), [10, 30, 33]) * 0.0075
+    assert read(text(_timed(noise, times + late))).n == N
+    times[32:] += 0.01
+    _fails(text(_timed(noise, times + late)), "gap of 0.02 s (2 intervals)", "line 34", "the only gap")
+
+
 @pytest.mark.parametrize(("time", "said"), [(0.09, "repeats"), (0.02, "is earlier than")])
 def test_stamps_that_do_not_increase(text, noise, time, said):
     times = np.arange(N) / 100

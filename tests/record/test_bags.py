@@ -95,7 +95,7 @@ def test_several_topics_are_listed(tmp_path, samples):
     }
     path = written(tmp_path, "mcap", topics)
     front, rear = "/front/imu (400 messages at 200 Hz, frame 'imu_link')", "/rear/imu (100 messages at 50 Hz"
-    refused(path, "3 topics", "topic= (--topic)", front, rear, "frame 'rear'")
+    refused(path, "3 topics of sensor_msgs/Imu", "topic= (--topic)", front, rear, "frame 'rear'")
     refused(path, "'/imu' is not", front, topic="/imu")
     refused(path, "/front/imu and /rear/imu are not gyros", topic="/front/imu,/rear/imu")
     refused(path, "has no messages", topic="/spare/imu")
@@ -116,6 +116,7 @@ def test_two_halves_are_one_recording(tmp_path, samples, kind):
         recording = read(path, topic=chosen)
         np.testing.assert_array_equal(recording.values, samples[3:-2])
         assert recording.names == NAMES
+    refused(path, "/camera/gyro (398 messages at 200 Hz, frame 'imu_link', gyros alone)", topic="/camera")
     half = read(path, topic="/camera/gyro")
     assert half.names == NAMES[:3]
     assert any("accelerations are zero throughout" in note for note in half.notes)
@@ -182,7 +183,7 @@ def test_rosbags_is_not_there(tmp_path, samples, monkeypatch):
 def test_options_that_a_file_does_not_have(tmp_path, samples):
     path = tmp_path / "imu.npy"
     np.save(path, samples)
-    refused(path, "a npy file has no topics", "leave out topic= (--topic)", topic="/imu")
+    refused(path, "(npy) has no topics", "leave out topic= (--topic)", topic="/imu")
     bag = written(tmp_path, "ros1", {"/imu": Topic(regular(), samples)})
     refused(bag, "has no instances", "--instance", instance=1)
     with pytest.raises(RecordingError, match="can not be read in chunks"):

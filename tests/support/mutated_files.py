@@ -172,6 +172,28 @@ def _ulog(folder: Path) -> Sample:
     return Sample(path, path)
 
 
+def _fifo(folder: Path) -> Sample:
+    """Messages of eight samples each; every half has messages of its own."""
+    fields = [
+        ("timestamp", "u8"),
+        ("timestamp_sample", "u8"),
+        ("dt", "f4"),
+        ("scale", "f4"),
+        ("samples", "u1"),
+    ]
+    dtype = np.dtype([*fields, *((axis, "i2", 32) for axis in "xyz")])
+    messages = {}
+    for name, first in (("sensor_gyro_fifo", 0), ("sensor_accel_fifo", 3)):
+        rows = np.zeros(N // 8, dtype)
+        rows["timestamp_sample"] = rows["timestamp"] = 5_000_000 + np.arange(N // 8) * 80_000
+        rows["dt"], rows["scale"], rows["samples"] = 10_000.0, 1e-4, 8
+        for k, axis in enumerate("xyz"):
+            rows[axis][:, :8] = np.round(_values()[:, first + k] * 1e3).reshape(-1, 8)
+        messages[name, 0] = rows
+    path = write_ulog(folder / "fifo.ulg", messages)
+    return Sample(path, path)
+
+
 def _dataflash(folder: Path) -> Sample:
     times = (5_000_000 + np.arange(N) * 10_000).astype("u8")
     names = [f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ"]
@@ -205,6 +227,7 @@ WRITERS: dict[str, Callable[[Path], Sample]] = {
     "ROS 2 .mcap, Zstandard": _bag("mcap", "small", ".mcap", small=True),
     "ROS 2 metadata.yaml": _bag("sqlite3", "folder", "metadata.yaml"),
     "ULog": _ulog,
+    "ULog, FIFO": _fifo,
     "DataFlash": _dataflash,
 }
 

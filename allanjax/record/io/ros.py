@@ -116,8 +116,10 @@ def _told(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> str:
     for name, connections in topics.items():
         count = sum(connection.msgcount for connection in connections)
         first = _messages(bag, connections, source, _FIRST)
-        rate = Series(name, _clock(first)[1]).rate
-        told.append(f"{name} ({count} messages at {rate:.4g} Hz, frame {first.frame!r})")
+        series = _series(name, first)
+        alone = {(False, True): ", gyros alone", (True, False): ", accelerometers alone"}
+        half = alone.get((series.gyro is None, series.accel is None), "")
+        told.append(f"{name} ({count} messages at {series.rate:.4g} Hz, frame {first.frame!r}{half})")
     return ", ".join(told)
 
 

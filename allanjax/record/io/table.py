@@ -112,7 +112,9 @@ class Format:
         """
         for name in CHOICES:
             if name not in self.choices and getattr(options, name) is not None:
-                raise source.error(f"a {self.name} file has no {name}s; leave out {name}= (--{name})")
+                raise source.error(
+                    f"a file of this kind ({self.name}) has no {name}s; leave out {name}= (--{name})"
+                )
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 
 

@@ -134,6 +134,8 @@ def _gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " intervals"
     intervals = np.diff(times)
     typical = np.median(intervals)
     gaps = intervals > _GAP * typical
+    if typical <= 0.0:
+        return gaps
     rows = np.flatnonzero(gaps)[:, None]
     # How much later than expected from that before the interval, in intervals, is each stamp about it?
     about = np.clip(rows + np.arange(-_ABOUT, _ABOUT) + 1, 0, len(intervals))

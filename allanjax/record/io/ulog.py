@@ -36,8 +36,9 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
         from pyulog import ULog
     except ModuleNotFoundError as error:
         raise source.error('a PX4 log, for which pyulog is needed: pip install "allanjax[px4]"') from error
-    # It prints what it finds damaged.
-    with damage_told(source, "a ULog file", _REMEDY), contextlib.redirect_stdout(io.StringIO()):
+    # It prints what it finds damaged; damaged numbers are found later.
+    quiet = contextlib.redirect_stdout(io.StringIO())
+    with damage_told(source, "a ULog file", _REMEDY), quiet, np.errstate(all="ignore"):
         log = ULog(str(path), list(_READERS))
         found = {(data.name, data.multi_id): _series(data.name, data.data, source) for data in log.data_list}
     found = {key: series for key, series in found.items() if len(series.times)}
@@ -117,7 +118,8 @@ def _fifo(name: str, fields: Fields) -> Series:
     interval = np.where(np.abs(measured - told) < _WHOLE * told, measured, told)
     number = np.arange(size)
     valid = number < count[:, None]
-    times = ends[:, None] - np.round((count[:, None] - 1 - number) * interval[:, None]).astype(np.int64)
+    ages = np.nan_to_num((count[:, None] - 1 - number) * interval[:, None])
+    times = ends[:, None] - np.round(ages).astype(np.int64)
     scale = floats(fields["scale"])[:, None]
     values = np.stack([_array(fields, axis, size) * scale for axis in "xyz"], axis=-1)
     return _half(name, times[valid], values[valid], {})
