@@ -55,6 +55,12 @@ def test_compressed_bags(tmp_path, samples, kind):
     np.testing.assert_array_equal(recording.values, samples)
 
 
+def test_numbers_with_their_largest_byte_first(tmp_path, samples):
+    topic = Topic(regular(), samples, frames=["", "a", "imu_link"])
+    recording = read(written(tmp_path, "mcap", {"/imu": topic}, big=True))
+    np.testing.assert_array_equal(recording.values, samples)
+
+
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
 def test_the_file_of_a_ros_2_bag_alone(tmp_path, samples, kind):
     folder = written(tmp_path, kind, {"/imu": Topic(regular(), samples)})

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,17 @@ class Topic:
 
 
 def write_bag(
-    path: Path, kind: str, topics: Mapping[str, Topic], other: bool = False, small: bool = False
+    path: Path,
+    kind: str,
+    topics: Mapping[str, Topic],
+    other: bool = False,
+    small: bool = False,
+    big: bool = False,
 ) -> Path:
     """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2.
 
-    `other` adds a topic that is no Imu; `small` compresses, by LZ4 or Zstandard.
+    `other` adds a topic that is no Imu; `small` compresses, by LZ4 or Zstandard; `big`
+    writes numbers with their largest byte first.
     """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -32,7 +39,8 @@ def write_bag(
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
-    serialize = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
+    cdr = partial(store.serialize_cdr, little_endian=not big)
+    serialize = store.serialize_ros1 if kind == "ros1" else cdr
     types = store.types
     messages = []
     if kind == "ros1":

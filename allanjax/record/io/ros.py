@@ -184,11 +184,8 @@ def _decoded(
 def _clock(messages: _Messages) -> tuple[str, Int[np.ndarray, " n"], str]:
     """Stamps [ns] to use, what they are called, and a note if they are not those of the headers."""
     if len(messages.stamps) and (messages.stamps == messages.stamps[0]).all():
-        return (
-            "bag_time",
-            messages.arrivals,
-            "header.stamp is always the same: the bag's time is used",
-        )
+        note = "header.stamp is always the same: the bag's time is used"
+        return "bag_time", messages.arrivals, note
     return "header.stamp", messages.stamps, ""
 
 
