@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.record.io.formats import name_of
+from allanjax.record.io.formats import is_bag, name_of
 
 
 def matching_files(
@@ -24,8 +24,13 @@ def matching_files(
         else:
             names = map(Path, sorted(glob.glob(text, recursive=True)))
             matches = [
-                path for path in names if path.is_file() and out.resolve() not in path.resolve().parents
+                path
+                for path in names
+                if (path.is_file() or is_bag(path)) and out.resolve() not in path.resolve().parents
             ]
+            # The files of a bag are not recordings of their own beside it.
+            bags = {path for path in matches if path.is_dir()}
+            matches = [path for path in matches if path.parent not in bags]
         if not matches:
             raise AllanjaxError(f"no file matches {text!r}: check the pattern, and the folder it starts from")
         for path in matches:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from allanjax.fleet.options import FitOptions
+from allanjax.record.io.formats import is_bag
 
 Key = dict[str, Any]
 
@@ -18,13 +19,13 @@ Key = dict[str, Any]
 def key_of(path: Path, options: FitOptions) -> Key | None:
     """Key of a result: all that it depends on; None if there is no such file."""
     try:
-        status = path.stat()
+        status = [part.stat() for part in (path.iterdir() if is_bag(path) else (path,))]
     except OSError:
         return None
     return {
         "path": str(path.resolve()),
-        "size": status.st_size,
-        "modified_ns": status.st_mtime_ns,
+        "size": sum(part.st_size for part in status),
+        "modified_ns": max(part.st_mtime_ns for part in status),
         "options": options.to_dict(),
         "allanjax_version": version("allanjax"),
     }

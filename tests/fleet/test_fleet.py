@@ -24,6 +24,8 @@ from allanjax.fleet import fleet
 from allanjax.fleet.cluster import connected, outcomes
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.fleet import characterize_fleet
+from allanjax.fleet.options import FitOptions
+from allanjax.fleet.store import key_of
 from allanjax.fleet.summary import cells, judged
 from allanjax.fleet.table import table_of, table_schema
 from allanjax.noise.notation import parse_model
@@ -274,6 +276,22 @@ def test_patterns_find_each_file_once_and_no_results(tmp_path, monkeypatch):
     found = matching_files(["b/*.csv", "**/*.csv", "log[1].csv", "gone.csv"], Path("out"))
     names = [path.as_posix() for path in found]
     assert names == ["b/imu.csv", "a/deeper/x.csv", "a/imu.csv", "log[1].csv", "gone.csv"]
+
+
+def test_the_folder_of_a_bag_is_one_recording(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("bags/one/metadata.yaml", "bags/one/one_0.mcap", "bags/imu.csv", "bags/notes/a.csv"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    for pattern, names in (
+        ("bags/*", ["bags/imu.csv", "bags/one"]),
+        ("**/*", ["bags/imu.csv", "bags/notes/a.csv", "bags/one"]),
+        ("**/*.mcap", ["bags/one/one_0.mcap"]),
+    ):
+        assert [path.as_posix() for path in matching_files(pattern, Path("out"))] == names
+    before = key_of(Path("bags/one"), FitOptions())
+    Path("bags/one/one_0.mcap").write_text("more")
+    assert key_of(Path("bags/one"), FitOptions()) != before
 
 
 def test_names_of_recordings_tell_them_apart():

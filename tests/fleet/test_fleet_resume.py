@@ -27,6 +27,8 @@ READING = {
     "time_unit": "ms",
     "start": 1.0,
     "stop": 9.0,
+    "topic": "/imu",
+    "instance": 1,
 }
 OTHER = {
     "model": parse_model("N + B"),

@@ -25,7 +25,7 @@ def format_of(path: Path, source: Source) -> Format:
         RecordingError: there is no such file, or it cannot be opened, or is empty.
     """
     if path.is_dir():
-        if (path / "metadata.yaml").is_file():
+        if is_bag(path):
             return ROS
         raise source.error(
             f"a folder, and no ROS 2 bag, for want of a metadata.yaml; give a file, or a pattern such as "
@@ -47,6 +47,11 @@ def format_of(path: Path, source: Source) -> Format:
         suffix = path.suffix.lower()
         return next((kind for kind in FORMATS if suffix in kind.suffixes), TEXT)
     return found
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is the folder of a ROS 2 bag."""
+    return (path / "metadata.yaml").is_file()
 
 
 def name_of(path: Path) -> str:
