@@ -257,9 +257,9 @@ def _parse(text: str) -> _Unit | None:
     registry = _registry()
     try:
         unit = registry.parse_units(expression)
-    except pint.PintError:
+        factor = registry.Quantity(1.0, unit).to_root_units().magnitude
+    except (pint.PintError, ValueError, ArithmeticError):
         return None
-    factor = registry.Quantity(1.0, unit).to_root_units().magnitude
     powers = cast(Mapping[str, float], unit.dimensionality)
     dimension = {name: round(power, 9) for name, power in powers.items()}
     return _Unit(factor, {name: power for name, power in dimension.items() if power})

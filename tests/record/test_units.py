@@ -104,6 +104,9 @@ def test_every_accepted_unit_has_its_own_name_and_quantity():
         "gs",
         "2*deg/s",
         "1",
+        "nan",
+        "rad nan^-1",
+        "g^400",
     ],
 )
 def test_unknown_and_ambiguous_units_are_refused(sensor, text):
