@@ -111,6 +111,10 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
     found = []
     for rows in _halves(view):
         c = centred(view.samples[rows])
+        if not c.any():
+            # A half that is silent predicts no drift at all.
+            found.append(np.zeros(len(m)))
+            continue
         noise = mask.evidence(c).approximate_map(view.allowed, view.model_evidence)
         v = noise.variance if factor is None else noise.variance * factor
         ramp = family.slope(c, v)[0] if noise.ramp else 0.0

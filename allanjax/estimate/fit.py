@@ -161,7 +161,7 @@ def _extended(
     """Results and selection in which axes that no set of terms follows have their extension."""
 
     def of(k: int) -> Extension | None:
-        incomplete = results[k].converged and results[k].discrepancy > 0.0
+        incomplete = not results[k].converged or results[k].discrepancy > 0.0
         return extended(recording.values[:, k], recording.rate, results[k], curve, k) if incomplete else None
 
     with ThreadPoolExecutor() as pool:

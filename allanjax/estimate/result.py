@@ -175,7 +175,7 @@ class AxisFit(ByValue, AxisEstimates):
         """What the plain terms were corrected for and by how much, in words; "" if they suffice."""
         if self.own_template is None or not self.converged:
             return ""
-        before = None if self.plain is None else self.plain["angle_random_walk"]
+        before = self.plain["angle_random_walk"] if self.plain is not None and self.plain.converged else None
         return correction_of(self.own_template, self.model, self["angle_random_walk"], before)
 
     @property

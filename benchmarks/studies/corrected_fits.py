@@ -1,6 +1,6 @@
 """Are coefficients of filtered sensors right, and their intervals, when `fit` corrects for what it finds?
 
-    python benchmarks/studies/corrected_fits.py [--first-seed 3000000] [--count 200] [--workers 2]
+    python benchmarks/studies/corrected_fits.py [--first-seed 4000000] [--count 200] [--workers 2]
 
 Records of one gyro, made by NumPy and SciPy alone: white noise with a walk, flicker or a Gauss–Markov process
 behind a filter of one of five kinds (two of which no model of allanjax's has), with up to two resonances and
@@ -141,6 +141,10 @@ def of_record(seed: int) -> dict[str, object]:
     label = {"random walk": "rate_random_walk", "flicker": "bias_instability", "Markov": "markov_amplitude"}
     found = {"truth": truth, "seconds": seconds, "extended": result.own_template is not None}
     for name, of in (("fit", result), ("plain", plain)):
+        if not of.converged:
+            nothing = dict.fromkeys(("N", "N inside", "slow inside", "T inside"), np.nan)
+            found[name] = {**nothing, "measured": False, "Allan": False}
+            continue
         N = of["angle_random_walk"]
         time_, curve = fit.curve.cluster_time, fit.curve
         model = np.sqrt(np.asarray(of.model.sampled(RATE).allan_variance(time_)))
@@ -165,7 +169,7 @@ def share(values: list[float]) -> str:
 
 def row(name: str, rows: list[dict], which: str) -> list[str]:
     each = [r[which] for r in rows]
-    error = np.array([e["N"] for e in each])
+    error = np.array([e["N"] for e in each if np.isfinite(e["N"])])
     return [
         name,
         which,
@@ -184,7 +188,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--first-seed", type=int, default=3_000_000)
+    parser.add_argument("--first-seed", type=int, default=4_000_000)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "corrected_fits.md")

@@ -129,3 +129,12 @@ def test_a_users_own_cause_is_looked_for():
     assert finding.cause == "hump"
     deviation = 1.0 / np.sqrt(np.sum(hump(n) ** 2))
     assert finding.parameters["amplitude"].value == pytest.approx(0.3, abs=4.0 * deviation)
+
+
+def test_a_record_of_which_half_is_silent_is_criticized():
+    """Repeated samples are said, and no error of NumPy; nothing can be predicted from a silent half."""
+    samples = 1e-3 * np.random.default_rng(0).standard_normal(20_000)
+    samples[:10_000] = 0.0
+    recording = aj.Recording.from_array(samples, 100.0, gyro_unit="rad/s", names=["gyro_x"])
+    found = critique(recording).findings
+    assert "repeated_samples" in {finding.cause for finding in found}

@@ -73,7 +73,7 @@ def extended(
         ):
             break
         content = tidied
-    if not result.converged or result.discrepancy > _LESS * plain.discrepancy:
+    if not result.converged or (plain.converged and result.discrepancy > _LESS * plain.discrepancy):
         return None
     inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]
     model = extended_model(template.model, result.coefficients, inactive)
