@@ -51,6 +51,12 @@ class Content(NamedTuple):
         return own + [-1 - k for k in range(len(self.lines))]
 
     @property
+    def plain_terms(self) -> list[int]:
+        """Components with some power that are basic terms or Markov processes."""
+        markovs = range(FULL.first_markov, FULL.first_oscillator)
+        return [k for k in self.structure.there if k < OUTSIDE or k in markovs]
+
+    @property
     def is_plain(self) -> bool:
         """Whether there is nothing besides plain terms."""
         of = self.structure

@@ -23,7 +23,7 @@ from allanjax.estimate.selection import AxisSelection
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import response_of, term_of
 from allanjax.estimate.structure.search import TIMES, Record
-from allanjax.estimate.structure.structure import FIXED, LINE, OUTSIDE, Structure
+from allanjax.estimate.structure.structure import FIXED, LINE, Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.recording import Axis
@@ -59,7 +59,8 @@ def extended(
     if len(x) < _SHORTEST:
         return None
     content = content_of(x, rate)
-    if content.is_plain:
+    # Without plain terms there is nothing to correct.
+    if content.is_plain or not content.plain_terms:
         return None
     selection = _selection(content, axis)
     content = content._replace(structure=_with_terms(content, selection))
@@ -96,7 +97,7 @@ def _selection(content: Content, axis: Axis) -> AxisSelection:
     for k in structure.there:
         density = np.asarray(term_of(structure, k, fine.rate).sampled_psd(f, fine.rate))
         total += density * (passed if structure.inside[k] else 1.0)
-        terms += density if k < OUTSIDE or FULL.first_markov <= k < FULL.first_oscillator else 0.0
+        terms += density if k in content.plain_terms else 0.0
     every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
     # A ramp is not divided: it is in the lowest coefficients, where nothing is changed.
     corrected = content.c / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
