@@ -1,6 +1,6 @@
 """Are coefficients of filtered sensors right, and their intervals, when `fit` corrects for what it finds?
 
-    python benchmarks/studies/corrected_fits.py [--first-seed 4000000] [--count 200] [--workers 2]
+    python benchmarks/studies/corrected_fits.py [--first-seed 5000000] [--count 200] [--workers 2]
 
 Records of one gyro, made by NumPy and SciPy alone: white noise with a walk, flicker or a Gauss–Markov process
 behind a filter of one of five kinds (two of which no model of allanjax's has), with up to two resonances and
@@ -188,7 +188,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--first-seed", type=int, default=4_000_000)
+    parser.add_argument("--first-seed", type=int, default=5_000_000)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "corrected_fits.md")
