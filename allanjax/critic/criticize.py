@@ -68,7 +68,8 @@ def criticize(
     with ThreadPoolExecutor(_WORKERS) as pool:
         fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
         searches = list(pool.map(searched, range(len(recording.axes))))
-    fit = fitting.result()
+    # It looks for filters, resonances and lines itself.
+    fit = fitting.result().without_extensions()
     tell("comparing measurement and simulation")
     stages = [_stages(s) for s in searches]
 

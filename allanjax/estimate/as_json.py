@@ -128,6 +128,7 @@ def _extension(result: AxisFit) -> dict[str, Any]:
     return {
         "model": [_term(term) for term in template],
         "response": None if template.response is None else _response(template),
+        "further": list(result.further),
         "correction": result.correction,
         "plain": _axis(plain, None),
     }

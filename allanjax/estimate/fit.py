@@ -147,7 +147,8 @@ def _fitted(
         axes = range(len(recording.axes))
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
         results, curve = with_curve(curve, template, results)
-    if selection is not None and not plain:
+    # Regressors are part of a model that is given, or of the plain terms.
+    if selection is not None and not (plain or given):
         results, selection = _extended(recording, results, curve, selection)
     if selection is not None:
         results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)

@@ -251,6 +251,13 @@ class Fit(ByValue, PerAxis[AxisFit]):
         own = self[axis].own_template
         return self if own is None else dataclasses.replace(self, template=own, objective="whittle")
 
+    def without_extensions(self) -> Fit:
+        """The fit in which axes with a model of their own have the fit of the plain terms."""
+        plain = [r if r.plain is None else r.plain for r in self.results]
+        levels = zip(plain, self.results, strict=True)
+        results = tuple(dataclasses.replace(p, mean=r.mean, rms=r.rms, moving=r.moving) for p, r in levels)
+        return dataclasses.replace(self, results=results)
+
     @property
     def chosen(self) -> bool:
         """Whether the fit chose the terms itself."""

@@ -59,7 +59,8 @@ def table_schema() -> pa.Schema:
 def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
     """Rows of one recording, from its fit as `as_json.to_dict` gives it.
 
-    Axes without result have no rows. Outlying units are marked later.
+    Axes without result have no rows, and neither have filters, resonances and lines for which an axis was
+    corrected. Outlying units are marked later.
     """
     start, stop = fit["stretch_s"] or (None, None)
     of_all = {
@@ -85,6 +86,8 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
         | of_all
         for axis in fit["axes"]
         for c in axis["coefficients"]
+        # Filters, resonances and lines are numbered by their strength: units do not compare in them.
+        if c["term"] not in (axis["extension"] or {"further": ()})["further"]
     ]
 
 

@@ -267,7 +267,7 @@ def _entry(c: _Curve, name: str) -> KeyEntry:
     if c.fit is not None and result is None:
         text += ": no result"
     elif result is not None:
-        found = [x for x in result.coefficients.values() if x.detected]
+        found = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
         values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in found)
         text += f": {values or 'nothing detected'}"
     style = {"color": c.colour, "marker": c.marker, "markevery": [1], "markersize": 3.5, "linewidth": 1.2}

@@ -1,5 +1,6 @@
 """Fits of axes that the plain terms do not follow, of records by NumPy and SciPy alone."""
 
+import dataclasses
 import json
 from importlib.resources import files
 
@@ -8,7 +9,9 @@ import pytest
 from scipy.signal import butter, lfilter, sosfilt
 
 import allanjax as aj
+from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.whittle import fit_axis
+from allanjax.fleet.table import rows_of
 from allanjax.noise.notation import parse_model
 
 RATE, N = 100.0, 60_000
@@ -168,3 +171,28 @@ def test_intervals_of_a_response_do_not_need_the_first_term(recording):
     bandwidth = found.coefficients.values["low_pass1_bandwidth"]
     # Four standard deviations; one of three axes in 16,000 is farther off.
     assert abs(bandwidth.value - 15.0) < 4.0 * bandwidth.std < 2.0
+
+
+def test_without_extensions_it_is_the_plain_fit(fitted, recording):
+    plain, again = fitted.without_extensions(), aj.fit(recording, plain=True)
+    assert all(result.own_template is None for result in plain.results)
+    for name in fitted.axes:
+        assert plain[name].mean == fitted[name].mean
+        assert plain[name]["N"].value == again[name]["N"].value
+
+
+def test_a_fleet_compares_the_plain_terms(fitted):
+    """Resonances are numbered by their strength, so that units do not compare in them."""
+    rows = rows_of(to_dict(fitted), "unit", "unit.csv")
+    named = {row["coefficient"] for row in rows if row["axis"] == "gyro_x"}
+    assert "angle_random_walk" in named
+    assert not any("resonance" in name or "sinusoid" in name or "low_pass" in name for name in named)
+
+
+def test_regressors_leave_the_terms_plain(recording):
+    """A fit with regressors has no extension, which would be without them."""
+    with_channel = dataclasses.replace(
+        recording, auxiliary={"temperature": np.sin(np.arange(N) / 5000.0) + np.arange(N) / N}
+    )
+    found = aj.fit(with_channel, objective="whittle", regressors=["temperature"], as_is=True)
+    assert all(result.own_template is None and result.regression for result in found.results)
