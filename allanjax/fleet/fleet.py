@@ -134,8 +134,7 @@ def characterize_fleet(
         files: paths and patterns such as `logs/**/*.parquet`; on a cluster of several machines, in a place
             that all see under the same path. Files below `out` are left out.
         out: folder for the results.
-        model, objective, regressors, as_is, vibrating, plain: as for `fit`; recordings read in pieces get the
-            plain terms.
+        model, objective, regressors, as_is, vibrating, plain: as for `fit`; a recording in pieces: plain.
         group: which units are alike: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
             file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
         workers: processes of a local cluster that lives as long as this call; one a core by default.
@@ -150,14 +149,13 @@ def characterize_fleet(
 
     Raises:
         AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
-            scheduler does not answer; `workers` is less than one or given with `scheduler`; a `piece` of less
-            than 10⁵ samples.
+            scheduler does not answer; `workers` below one or with `scheduler`; a `piece` below 10⁵ samples.
     """
     _check_arguments(workers, scheduler, piece)
     out = Path(out)
     paths = matching_files(files, out)
-    added = None if model is None else as_model(model)
-    options = FitOptions(ReadOptions(**reading), added, objective, tuple(regressors), as_is, vibrating, plain)
+    model = None if model is None else as_model(model)
+    options = FitOptions(ReadOptions(**reading), model, objective, tuple(regressors), as_is, vibrating, plain)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
     done = _Done(recordings, group_names(group, recordings))
     folder = out / _RECORDINGS

@@ -29,7 +29,7 @@ READING = ReadOptions(
     topic="/imu",
     instance=2,
 )
-FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"), True, True)
+FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"), True, True, True)
 WRITTEN = {"model": "N + B", "regressors": "temperature, voltage"}
 NAMES = {"model": "--terms"}
 LOOKING = {"as_is": True, "vibrating": True}
@@ -90,9 +90,9 @@ def test_characterize(seen):
     result = run("characterize", "a.csv", *arguments(READING), *arguments(FITTING))
     assert result.exit_code == 1, result.output
     assert seen["read"].args[1] == READING
-    _, _, model, objective, regressors = seen["fit"].args
+    _, _, model, objective, regressors, plain = seen["fit"].args
     assert (str(model), objective) == (str(FITTING.model), FITTING.objective)
-    assert regressors == FITTING.regressors
+    assert (regressors, plain) == (FITTING.regressors, FITTING.plain)
     assert seen["inspected"].args[1:] == (model, FITTING.regressors, True, True)
 
 
@@ -121,9 +121,10 @@ def test_fleet(seen):
     reading = ReadOptions(**{option.name: passed.pop(option.name) for option in fields(ReadOptions)})
     assert reading == READING
     assert passed.pop("model").terms == FITTING.model.terms
-    assert {name: passed[name] for name in ("objective", "regressors", *LOOKING)} == {
+    assert {name: passed[name] for name in ("objective", "regressors", "plain", *LOOKING)} == {
         "objective": FITTING.objective,
         "regressors": FITTING.regressors,
+        "plain": FITTING.plain,
         **LOOKING,
     }
 
@@ -138,7 +139,7 @@ def test_a_worker_of_a_fleet(monkeypatch):
     assert seen == [
         ("a.csv", READING),
         (recording, FITTING.model, FITTING.regressors, *LOOKING.values()),
-        (recording, "what was seen", FITTING.model, FITTING.objective, FITTING.regressors),
+        (recording, "what was seen", FITTING.model, FITTING.objective, FITTING.regressors, FITTING.plain),
     ]
 
 

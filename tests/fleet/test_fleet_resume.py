@@ -85,7 +85,7 @@ def made_up(name, *, failed=False):
     coefficient |= {"interval_95": [0.8, 1.2], "unit": "deg/√h", "detected": True, "upper_limit_95": None}
     coefficient |= {"measured": True}
     axis = {"name": "gyro_x", "sensor": "gyro", "converged": True, "reason": "", "p_value": 0.5}
-    axis |= {"coefficients": [coefficient], "selection": None}
+    axis |= {"coefficients": [coefficient], "selection": None, "extension": None}
     bad = {**axis, "name": "gyro_y", "converged": False, "reason": "constant", "coefficients": []}
     axes = [axis, bad] if failed else [axis]
     return {"axes": axes, "name": name, "warnings": [], "stretch_s": None}

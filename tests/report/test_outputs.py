@@ -306,7 +306,7 @@ def test_patterns(small_recording, fitted):
         (["characterize", "small.csv", "--start", "9", "--stop", "5"], 2, "9 s is not before 5 s"),
         (["characterize", "small.csv", "--start", "nan"], 2, "must be a time in s, not nan"),
         (["characterize", "small.csv", "--start", "300"], 1, "nothing is left of its 199.99 s"),
-        (["characterize", ".", "--rate", "1"], 1, "a folder; give a file, or a pattern such as '*.csv'"),
+        (["characterize", ".", "--rate", "1"], 1, "a folder, and no ROS 2 bag"),
         (["simulate", "--terms", "N=1 deg/√h", "--out", "none/a.csv"], 1, "there is no folder none"),
         (
             ["simulate", "--terms", "N=1 deg/√h", "--out", "a.csv", "--duration", "nan"],

@@ -16,7 +16,7 @@ from allanjax.estimate.spectral.design import SpectralDesign
 from allanjax.estimate.stream_fits import fit_stream, select_stream_terms
 from allanjax.estimate.whittle import fit_axis
 from allanjax.noise.exponential import exponential_density
-from allanjax.spectrum.cosine import SpectralStatistics
+from allanjax.spectrum.cosine import Bins, SpectralStatistics
 from allanjax.spectrum.segments import SegmentSpectra
 
 RATE = 100.0
@@ -254,8 +254,11 @@ def test_fit_of_a_stream_finds_the_truth(drifting):
     assert plain["drift_ramp"].upper_limit > 0.0
 
 
-def test_streams_of_all_lengths_share_compiled_functions():
-    """What a program is compiled for, shapes and structure, is the same for streams and records."""
+def test_streams_share_compiled_functions():
+    """What a program is compiled for, shapes and structure: one for streams in segments, one for records.
+
+    A stream that was not cut into segments is transformed as a record is, all of it at once.
+    """
     model = aj.AngleRandomWalk() + aj.BiasInstability() + aj.Markov()
 
     def shapes(n):
@@ -263,7 +266,9 @@ def test_streams_of_all_lengths_share_compiled_functions():
         leaves, structure = jax.tree.flatten(SpectralDesign.of(model, bins))
         return [np.shape(leaf) for leaf in leaves], structure
 
-    assert shapes(KEPT + 100) == shapes(8 * KEPT - 12_345) == shapes(KEPT) == shapes(1000)
+    leaves, structure = jax.tree.flatten(SpectralDesign.of(model, Bins.of(1000, RATE)))
+    assert shapes(KEPT) == shapes(1000) == ([np.shape(leaf) for leaf in leaves], structure)
+    assert shapes(KEPT + 100) == shapes(8 * KEPT - 12_345) != shapes(KEPT)
 
 
 # --- What is refused ----------------------------------------------------------------------------------------
