@@ -35,6 +35,7 @@ from allanjax.noise.butterworth import Butterworth as Butterworth
 from allanjax.noise.estimate import Coefficient as Coefficient
 from allanjax.noise.estimate import Estimate as Estimate
 from allanjax.noise.model import Model as Model
+from allanjax.noise.moving_average import MovingAverage as MovingAverage
 from allanjax.noise.response import LowPass1 as LowPass1
 from allanjax.noise.response import LowPass2 as LowPass2
 from allanjax.noise.response import Response as Response

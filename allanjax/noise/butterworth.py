@@ -23,7 +23,7 @@ from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.parameter import Value, option, parameter
 from allanjax.noise.recursion import linear_recurrence
-from allanjax.noise.response import Poles, Response
+from allanjax.noise.response import Poles, RecursiveFilter
 
 #: Largest bandwidth, in units of half the sample rate: at 1 the filter would let all pass.
 LARGEST_BANDWIDTH = 0.995
@@ -32,7 +32,7 @@ LARGEST_BANDWIDTH = 0.995
 _NEAR_ONE = 1e-5
 
 
-class Butterworth(Response):
+class Butterworth(RecursiveFilter):
     """Digital Butterworth low-pass filter, bilinear: SciPy's `butter(order, f_c, fs=rate)`.
 
     Its power response is 1/(1 + [tan(πf/rate)/tan(πf_c/rate)]^{2·order}). `bandwidth` f_c in Hz, at which the

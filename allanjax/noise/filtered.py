@@ -35,8 +35,7 @@ class Filtered(Process):
         return self.process.power_scatter(duration)
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        change = self.response.change(self.process.parts(self._known_rate), self.rate)
-        return self.process.phase_covariance(lag) + change.phase_covariance(lag, self.rate)
+        return self.response.phase_covariance(self.process, lag, self._known_rate)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return self.response.power(frequency, self._known_rate) * self.process.psd(frequency)

@@ -11,6 +11,7 @@ from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.noise import terms as all_terms
 from allanjax.noise.butterworth import Butterworth
 from allanjax.noise.model import Model
+from allanjax.noise.moving_average import MovingAverage
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.response import LowPass1, LowPass2, Response
 from allanjax.noise.terms import NoiseTerm
@@ -38,7 +39,7 @@ _Kind = TypeVar("_Kind", bound=Parametrized)
 
 def response_classes() -> dict[str, type[Response]]:
     """Classes of responses by name, e.g. `low_pass1`."""
-    return {c.name(): c for c in (LowPass1, LowPass2, Butterworth)}
+    return {c.name(): c for c in (LowPass1, LowPass2, Butterworth, MovingAverage)}
 
 
 @functools.cache

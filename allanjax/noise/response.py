@@ -72,21 +72,21 @@ class Parts(NamedTuple):
 class Response(Parametrized):
     """A filter that noise passes, written as a factor: `LowPass1(28.0) * (AngleRandomWalk() + Markov())`.
 
-    It is that of the samples: recursive, 1 at frequency zero, so that coefficients of slow noise are those of
+    It is that of the samples: 1 at frequency zero, so that coefficients of slow noise are those of
     the sensor without it.
     """
 
     @abc.abstractmethod
-    def poles(self, rate: float) -> Poles:
-        """Poles of the power response for samples at `rate` [Hz]."""
+    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
+
+    @abc.abstractmethod
+    def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+        """Phase covariance G of a `Process` after the filter, at lags [s] for samples at `rate` [Hz]."""
 
     @abc.abstractmethod
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         """Samples after the filter, which starts at rest."""
-
-    def constant(self, rate: float) -> Float[ArrayLike, ""]:
-        """What the power response is beside its poles; 0 unless a filter says otherwise."""
-        return 0.0
 
     @property
     def half_power(self) -> float:
@@ -97,6 +97,18 @@ class Response(Parametrized):
         """The filter for samples at `rate` [Hz]; AllanjaxError if there is none."""
         return self
 
+
+class RecursiveFilter(Response):
+    """A response that has poles."""
+
+    @abc.abstractmethod
+    def poles(self, rate: float) -> Poles:
+        """Poles of the power response for samples at `rate` [Hz]."""
+
+    def constant(self, rate: float) -> Float[ArrayLike, ""]:
+        """What the power response is beside its poles; 0 unless a filter says otherwise."""
+        return 0.0
+
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
         xp = namespace(self, frequency, rate)
@@ -104,6 +116,11 @@ class Response(Parametrized):
         w, c = self.poles(rate)
         of_poles = xp.sum(c * (1.0 - w**2) / ((1.0 - w) ** 2 + 4.0 * w * s), axis=-1)
         return xp.real(of_poles) + self.constant(rate)
+
+    def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+        """Phase covariance G after the filter of a process that says what it consists of by `parts(rate)`."""
+        change = self.change(process.parts(rate), rate)
+        return process.phase_covariance(lag) + change.phase_covariance(lag, rate)
 
     def change(self, parts: Parts, rate: float) -> Parts:
         """What the filter adds to a density: the density after it less that before."""
@@ -124,7 +141,7 @@ class Response(Parametrized):
         )
 
 
-class LowPass1(Response):
+class LowPass1(RecursiveFilter):
     """Low-pass filter of one pole, y_k = w·y_{k−1} + (1 − w)·x_k with w = exp(−2πf_c/rate).
 
     `bandwidth` f_c in Hz, at which the power of slow noise is halved if f_c is far below the sample rate.
@@ -142,7 +159,7 @@ class LowPass1(Response):
         return linear_recurrence(w, (1.0 - w) * x)
 
 
-class LowPass2(Response):
+class LowPass2(RecursiveFilter):
     """Low-pass filter of two poles, a damped oscillator that is read at the instants of the samples.
 
     `bandwidth` f_c = ω_c/2π in Hz; `quality_factor` Q_c above ½, 1/√2 of a Butterworth filter.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,9 @@ _TERMS, _SHAPES, _LEVELS = 24, 32, 1024
 # Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
 # its widths: judgements.
 _FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
+# Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
+# shown to be the oscillator's shape: a judgement.
+_SHAPED, _AROUND = 0.05, 1.5
 # Correlation time [samples] below which a Markov process is filtered white noise.
 _SHORT = 20.0
 
@@ -94,7 +98,8 @@ def fit_jointly(
     template = Template.of(content._replace(structure=found.structure), ramp)
     mean, per_octave = found.mean[:rows], base.bins.per_octave()
     degrees = 2.0 * np.asarray(base.levels.shape)
-    design, solution = _tangent(template, found, rate, degrees, per_octave)
+    unshaped = _unshaped(found.structure, base, projection.level / mean)
+    design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
     left = max(
         float(np.sum(np.minimum(projection.dof, 1.0))) - np.sum(template.active) - len(solution.shape), 1.0
     )
@@ -131,8 +136,9 @@ def _tangent(
     rate: float,
     degrees: Float[np.ndarray, " capacity"],
     per_octave: Float[np.ndarray, " m"],
+    unshaped: Container[int],
 ) -> tuple[TangentDesign, Solution]:
-    """Levels around a fit, linear in all shapes, and the solution."""
+    """Levels around a fit, linear in all shapes, and the solution; see `_fillers` for the unshaped."""
     random = [k for k, term in enumerate(template.model.terms) if not term.deterministic]
     noise = template.model.without(
         [label for k, label in enumerate(template.model.term_labels) if k not in random]
@@ -165,7 +171,8 @@ def _tangent(
             place = _parameter(p.parameter.name, int(component[k]))
             by_shape[k, :, s] = slope[place] / power[k] + (unit[k] if is_markov[k] else 0.0)
     levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
-    for i, (plateau, by_own) in _fillers(noise, rate).items():
+    fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])
+    for i, (plateau, by_own) in fillers.items():
         # Powers are counted anew: what it has at low frequencies is that of white noise.
         power[WHITE] += plateau * power[i]
         unit[i] -= plateau * levels_of_white
@@ -190,10 +197,24 @@ def _tangent(
     return design, Solution(*values)
 
 
-def _fillers(noise: Model, rate: float) -> dict[int, tuple[float, dict[str, float]]]:
+def _unshaped(structure: Structure, spectrum: Spectrum, ratio: Float[np.ndarray, " m"]) -> frozenset[int]:
+    """Components that are resonances around which the levels are not those of the model."""
+    f, rows, hertz = spectrum.bins.frequency, len(ratio), spectrum.bins.rate / (2.0 * np.pi)
+    weight, found = np.asarray(spectrum.levels.shape)[:rows], set[int]()
+    for k in structure.oscillators:
+        apart = abs(np.log(f / (structure.frequency(k) * hertz)))
+        w = np.where(apart < np.log(_AROUND), weight, 0.0)
+        by_chance = np.count_nonzero(w)
+        if (w @ (ratio - 1.0) ** 2 - by_chance) > _SHAPED**2 * w.sum():
+            found.add(FULL.first_oscillator + int(k))
+    return frozenset(found)
+
+
+def _fillers(noise: Model, rate: float, unshaped: Sequence[int]) -> dict[int, tuple[float, dict[str, float]]]:
     """Terms that are white at low frequencies, which nothing tells from white noise there.
 
-    By index: their density there for unit amplitude, and its logarithmic derivatives by ln(shape − bound).
+    So are resonances that are not shown to have an oscillator's shape. By index: their density there for unit
+    amplitude, and its logarithmic derivatives by ln(shape − bound).
     """
     found: dict[int, tuple[float, dict[str, float]]] = {}
     for i, term in enumerate(noise.terms):
@@ -205,7 +226,7 @@ def _fillers(noise: Model, rate: float) -> dict[int, tuple[float, dict[str, floa
                 found[i] = T**2, {"correlation_time": 2.0}
         elif isinstance(term, Resonance):
             f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
-            if Q < WIDE:
+            if Q < WIDE or i in unshaped:
                 found[i] = 1.0 / (np.pi * f * Q), {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
     return found
 

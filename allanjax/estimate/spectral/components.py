@@ -13,6 +13,9 @@ filter are of one form, and no lag is ever summed.
 
 from __future__ import annotations
 
+import math
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num
@@ -20,6 +23,7 @@ from jaxtyping import Array, Float, Num
 from allanjax.estimate.spectral.levels import Levels
 from allanjax.noise.butterworth import LARGEST_BANDWIDTH
 from allanjax.noise.exponential import averaged_lags, mean_lags
+from allanjax.noise.moving_average import HALF_POWER, LONGEST
 
 
 def geometric(
@@ -93,13 +97,23 @@ def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -
     return jnp.where(band_limited, density, read)
 
 
-#: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited; and
-#: digital Butterworth filters of order 1 to 4.
+#: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited; a
+#: moving average; and digital Butterworth filters of order 1 to 4.
 NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range(5)
-BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(5, 9)
+MOVING_AVERAGE = 5
+BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(6, 10)
 
-#: Largest bandwidth of a Butterworth filter [radians per sample interval]: at π it would let all pass.
-BUTTERWORTH_LIMIT = LARGEST_BANDWIDTH * np.pi
+# Largest bandwidth of a Butterworth filter [radians per sample interval], and the bandwidth of a moving
+# average times its duration.
+_BUTTERWORTH_LIMIT = LARGEST_BANDWIDTH * np.pi
+_MEAN = 2.0 * np.pi * HALF_POWER
+
+
+def bandwidths(kind: int) -> tuple[float, float]:
+    """Least and largest bandwidth of a kind of response [radians per sample interval]."""
+    if kind == MOVING_AVERAGE:
+        return _MEAN / LONGEST, _MEAN
+    return math.exp(-20.0), _BUTTERWORTH_LIMIT if kind >= BUTTERWORTH_1 else math.exp(5.0)
 
 
 def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
@@ -127,9 +141,49 @@ def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Ar
     two = two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
     u = (a / wc) ** 2
     limited = [1.0 / (1.0 + u), 1.0 / ((1.0 - u) ** 2 + u / Q**2)]
-    found = [jnp.ones_like(a), one, two, *limited]
+    found = [jnp.ones_like(a), one, two, *limited, _mean(a, wc)]
     which = [kind == k for k in range(len(found))]
     return jnp.select(which, found, _butterworth(a, wc, kind))
+
+
+def _samples(wc: Array) -> tuple[Array, Array, Array]:
+    """Whole samples of a moving average's duration, the rest, and the sum of their weights."""
+    duration = jnp.clip(_MEAN / wc, 1.0, LONGEST)
+    m = jax.lax.stop_gradient(jnp.floor(duration))
+    rest = duration - m
+    return m, rest, (1.0 - rest) * m**2 + rest * (m + 1.0) ** 2
+
+
+def _mean(angle: Float[Array, "nodes m"], wc: Array) -> Float[Array, "nodes m"]:
+    """Power response of a moving average, see `noise.moving_average`."""
+    m, rest, norm = _samples(wc)
+    s = jnp.sin(angle / 2.0) ** 2
+    means = [jnp.sin(k * angle / 2.0) ** 2 / s for k in (m, m + 1.0)]
+    return ((1.0 - rest) * means[0] + rest * means[1]) / norm
+
+
+def _ends_of_mean(levels: Levels, wc: Array) -> Float[Array, "nodes m"]:
+    """What `response_ends` says, of a moving average: −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
+
+    The sum over the r_d = m − d of a mean of m samples is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s. The
+    transform of a stream's means sees no ends of a filter that is shorter than those.
+    """
+    m, rest, norm = _samples(wc)
+    small = levels.angle * LONGEST < _NEARLY_CONSTANT
+    a = jnp.where(small, 1.0, levels.angle)
+    s = jnp.sin(a / 2.0) ** 2
+
+    def total(m: Array) -> Array:
+        apart = m * jnp.sin(a) - jnp.sin(m * a)
+        slope = m * (jnp.cos(a) - jnp.cos(m * a)) / (4.0 * s) - apart * jnp.sin(a) / (8.0 * s**2)
+        return jnp.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * jnp.sin(a)))
+
+    both = (1.0 - rest) * total(m) + rest * total(m + 1.0)
+    return jnp.where(levels.interval == 1.0, -2.0 * both / (norm * levels.length), 0.0)
+
+
+# Longest duration, in radians of a level's frequency, below which the ends of a moving average add the same.
+_NEARLY_CONSTANT = 0.01
 
 
 def _butterworth(angle: Float[Array, "nodes m"], wc: Array, kind: Array) -> Float[Array, "nodes m"]:
@@ -137,7 +191,7 @@ def _butterworth(angle: Float[Array, "nodes m"], wc: Array, kind: Array) -> Floa
 
     Powers of sines and cosines, neither of which is infinite at half the sample rate.
     """
-    half = jnp.minimum(wc, BUTTERWORTH_LIMIT) / 2.0
+    half = jnp.minimum(wc, _BUTTERWORTH_LIMIT) / 2.0
     passed = (jnp.cos(angle / 2.0) * jnp.sin(half)) ** 2
     stopped = (jnp.sin(angle / 2.0) * jnp.cos(half)) ** 2
     high, low = passed, stopped
@@ -161,6 +215,7 @@ def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Flo
         kind: the kind of response.
     """
     poles, weights = _poles_of_response(shape, kind)
+    wc = jnp.exp(shape[0])
     M, n = jnp.asarray(levels.interval), jnp.asarray(levels.length)
     s = jnp.sin(levels.angle * M / 2.0) ** 2
     total = jnp.zeros_like(s)
@@ -175,7 +230,7 @@ def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Flo
         u = jnp.real(y**2) + 4.0 * jnp.real(last_of_mean) * s
         v = jnp.imag(y**2) + 4.0 * jnp.imag(last_of_mean) * s
         total = total + (even * (u**2 - v**2) + 2.0 * odd * u * v) / (u**2 + v**2) ** 2
-    return -4.0 * (1.0 - s) * total
+    return jnp.where(kind == MOVING_AVERAGE, _ends_of_mean(levels, wc), -4.0 * (1.0 - s) * total)
 
 
 # Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one of each pair, and
@@ -193,9 +248,9 @@ def _poles_of_response(shape: Float[Array, " 2"], kind: Array) -> tuple[Num[Arra
     one, two = jnp.exp(-wc), jnp.exp(-decay + 1j * wd)
     c = 1.0 - 1j * decay / wd
     c = c / jnp.real(c * (1.0 + two) / (1.0 - two))
-    q = jnp.tan(jnp.minimum(wc, BUTTERWORTH_LIMIT) / 2.0) * np.exp(1j * _ANGLES)
+    q = jnp.tan(jnp.minimum(wc, _BUTTERWORTH_LIMIT) / 2.0) * np.exp(1j * _ANGLES)
     # By kind; a pole of weight 0 is idle.
-    idle = jnp.full((5, 2), 0.5 + 0j)
+    idle = jnp.full((BUTTERWORTH_1, 2), 0.5 + 0j)
     poles = idle.at[ONE_POLE, 0].set(one).at[TWO_POLES, 0].set(two)
     weights = (0.0 * idle).at[ONE_POLE, 0].set(one * (1.0 - one) / (1.0 + one)).at[TWO_POLES, 0].set(two * c)
     poles = jnp.concatenate([poles, (1.0 - q) / (1.0 + q)])

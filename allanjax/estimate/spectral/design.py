@@ -11,10 +11,10 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from allanjax.estimate.design import free_shapes
 from allanjax.estimate.spectral.arrangement import Arrangement
+from allanjax.estimate.spectral.components import bandwidths
 from allanjax.estimate.spectral.level_design import LevelDesign
 from allanjax.estimate.spectral.levels import Levels, padded
 from allanjax.estimate.spectral.model import Slots, units
-from allanjax.noise.butterworth import LARGEST_BANDWIDTH, Butterworth
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.spectrum.cosine import Bins
 
@@ -62,7 +62,10 @@ class SpectralDesign(LevelDesign):
         terms = _room(len(model), _TERMS) - len(model)
         more = _room(len(shapes), _SHAPES) - len(shapes)
         owner = [p.term if p.term < len(model) else model.inside.index(True) for p in shapes]
-        top = [np.log(_upper(model, p, bins.rate) - p.parameter.lower) - _INSIDE for p in shapes]
+        top = [
+            np.log(_upper(found.slots.kind, p, len(model), bins.rate) - p.parameter.lower) - _INSIDE
+            for p in shapes
+        ]
 
         def with_room(values: Any, fill: float) -> Shaped[np.ndarray, " shapes"]:
             return np.append(values, np.full(more, fill)).astype(type(fill))
@@ -129,8 +132,8 @@ def _room(count: int, rooms: tuple[int, ...]) -> int:
     return next((room for room in rooms if room >= count), -(-count // rooms[-1]) * rooms[-1])
 
 
-def _upper(model: Model, p: ModelParameter, rate: float) -> float:
-    """Upper bound of a shape for samples at `rate` [Hz]."""
-    if p.term == len(model) and isinstance(model.response, Butterworth):
-        return LARGEST_BANDWIDTH * rate / 2.0
+def _upper(kind: int, p: ModelParameter, terms: int, rate: float) -> float:
+    """Upper bound of a shape, of a term or of this kind of response, for samples at `rate` [Hz]."""
+    if p.term == terms and p.parameter.name == "bandwidth":
+        return bandwidths(kind)[1] * rate / (2.0 * np.pi)
     return p.parameter.upper

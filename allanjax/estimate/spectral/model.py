@@ -21,9 +21,8 @@ from jaxtyping import Array, Bool, Float
 
 from allanjax.estimate.spectral.columns import Place
 from allanjax.estimate.spectral.components import (
-    BUTTERWORTH_1,
-    BUTTERWORTH_LIMIT,
     NONE,
+    bandwidths,
     markov,
     oscillator,
     response,
@@ -186,7 +185,8 @@ class Slots(eqx.Module):
         others: Others | None = None,
     ) -> Slots:
         """Slots with the widest bounds, powers in units of 1 and no prior; see `Slots` for the arguments."""
-        bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, _BANDWIDTH, _QUALITY, _SHAPE)
+        bandwidth = tuple(np.log(bandwidths(kind)))
+        bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, bandwidth, _QUALITY, _SHAPE)
         counts = (
             layout.components,
             layout.markovs,
@@ -197,8 +197,6 @@ class Slots(eqx.Module):
             layout.shapes,
         )
         lower, upper = np.repeat(np.array(bounds), counts, axis=0).T.copy()
-        if kind >= BUTTERWORTH_1:
-            upper[layout.response] = np.log(BUTTERWORTH_LIMIT)
         scale, nothing = np.ones(layout.components), np.zeros(layout.parameters)
         kind_of, limited = np.asarray(kind), np.asarray(band_limited)
         return cls(layout, scale, inside, limited, kind_of, free, lower, upper, nothing, nothing, others)
@@ -212,14 +210,13 @@ class Slots(eqx.Module):
         return theta
 
 
-# Bounds of powers, correlation times [samples], frequencies [radians per sample], Q − ½, bandwidths, and the
-# shapes of other terms [SI], in ln.
-_POWER, _TIME, _FREQUENCY, _QUALITY, _BANDWIDTH, _SHAPE = (
+# Bounds of powers, correlation times [samples], frequencies [radians per sample], Q − ½, and the shapes of
+# other terms [SI], in ln.
+_POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE = (
     (0.0, 80.0),
     (-3.0, 40.0),
     (-30.0, np.log(np.pi)),
     (-7.0, 14.0),
-    (-20.0, 5.0),
     (-60.0, 60.0),
 )
 

@@ -12,6 +12,7 @@ import allanjax as aj
 from allanjax.estimate.spectral import components
 from allanjax.estimate.spectral.columns import columns_of
 from allanjax.estimate.spectral.levels import levels_of
+from allanjax.noise.moving_average import HALF_POWER
 from allanjax.spectrum.cosine import Bins, Part
 
 N = 300
@@ -134,12 +135,13 @@ def test_butterworth_is_the_filter_that_scipy_designs(kind, bandwidth):
     """Also near half the sample rate, where the power of the fourth order is 10⁻⁴⁰ of what it was."""
     levels, m = single_coefficients(N)
     a = np.asarray(levels.angle)[0, :m]
-    _, H = freqz_sos(butter(kind - 4, bandwidth, fs=1.0, output="sos"), a)
+    _, H = freqz_sos(butter(kind - components.BUTTERWORTH_1 + 1, bandwidth, fs=1.0, output="sos"), a)
     shape = jnp.array([np.log(2.0 * np.pi * bandwidth), 0.0])
     found = np.asarray(components.response(levels, shape, jnp.asarray(kind)))[0, :m]
     np.testing.assert_allclose(found, abs(H) ** 2, rtol=1e-7, atol=1e-24)
     t = np.tan(a / 2.0) / np.tan(np.pi * bandwidth)
-    np.testing.assert_allclose(found, 1.0 / (1.0 + t ** (2 * kind - 8)), rtol=1e-10)
+    order = kind - components.BUTTERWORTH_1 + 1
+    np.testing.assert_allclose(found, 1.0 / (1.0 + t ** (2 * order)), rtol=1e-10)
 
 
 @pytest.mark.parametrize("kind", BUTTERWORTH)
@@ -173,7 +175,7 @@ def test_one_program_serves_all_kinds_of_response():
         traced.append(kind)
         return components.response(levels, jnp.array([-1.0, 0.0]), kind)
 
-    for kind in range(9):
+    for kind in range(10):
         of(jnp.asarray(kind))
     assert len(traced) == 1
 
@@ -183,7 +185,7 @@ def pulse_of(kind, bandwidth, Q, n):
     pulse = np.zeros(n)
     pulse[0] = 1.0
     if kind >= components.BUTTERWORTH_1:
-        return sosfilt(butter(kind - 4, bandwidth, fs=1.0, output="sos"), pulse)
+        return sosfilt(butter(kind - components.BUTTERWORTH_1 + 1, bandwidth, fs=1.0, output="sos"), pulse)
     wc = 2.0 * np.pi * bandwidth
     if kind == components.ONE_POLE:
         return lfilter([1.0 - np.exp(-wc)], [1.0, -np.exp(-wc)], pulse)
@@ -220,7 +222,7 @@ def test_ends_of_filtered_white_noise_are_what_is_beside_the_response(kind, band
     np.testing.assert_allclose(density + ends, expected, rtol=1e-6, atol=1e-13)
 
 
-@pytest.mark.parametrize("kind", range(9))
+@pytest.mark.parametrize("kind", range(10))
 def test_ends_are_differentiable_and_add_nothing_without_a_response(kind):
     levels, _ = single_coefficients(N)
 
@@ -260,3 +262,44 @@ def test_means_of_segments_are_averages_of_readings():
     shape = jnp.array([np.log(w0), np.log(Q - 0.5)])
     found = np.asarray(components.oscillator(levels, shape, jnp.asarray(False)))[0, :m]
     np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("duration", [1.0, 1.3, 2.0, 2.85, 7.0, 16.4])
+def test_a_moving_average_is_that_of_white_noise_read_at_the_instants(duration):
+    """E c² by the dense covariance (τ − |d|)+ of 200 values: the overlap of two means of length τ."""
+    n = 200
+    d = np.arange(n)
+    expected = by_all_pairs(toeplitz(np.maximum(duration - d, 0.0)))
+    total = duration + 2.0 * np.maximum(duration - d[1:], 0.0).sum()
+    levels, m = single_coefficients(n)
+    shape = jnp.array([np.log(2.0 * np.pi * HALF_POWER / duration), 0.0])
+    kind = jnp.asarray(components.MOVING_AVERAGE)
+    within = np.asarray(components.response(levels, shape, kind))[0, :m]
+    ends = np.asarray(components.response_ends(levels, shape, kind))[0, :m]
+    np.testing.assert_allclose(within + ends, expected / total, rtol=1e-9, atol=1e-14)
+    # Beside the zeros of the response the ends are what is left.
+    if duration == 7.0:
+        k = np.argmin(within)
+        assert within[k] < 0.5 * ends[k]
+    if duration > 1.0:
+        assert np.all(
+            np.isfinite(jax.jacfwd(lambda shape: components.response_ends(levels, shape, kind))(shape))
+        )
+
+
+def test_the_ends_of_a_moving_average_are_steady_at_low_frequencies():
+    """Where the closed form loses its digits, it is its limit: compared with sums over lags."""
+    n, duration = 4_000_000, 37.6
+    j = np.array([1, 50, 120, 130, 1000])
+    a = np.pi * j / n
+    d = np.arange(1, 38)
+    r = np.maximum(duration - d, 0.0)
+    total = duration + 2.0 * r.sum()
+    expected = (
+        -2.0 / n * (r * (d * np.cos(a[:, None] * d) + np.sin(a[:, None] * d) / np.sin(a[:, None]))).sum(1)
+    )
+    levels, _ = single_coefficients(200)
+    levels = levels._replace(angle=np.stack([a, a]), length=np.asarray(float(n)), parity=np.zeros(5))
+    shape = jnp.array([np.log(2.0 * np.pi * HALF_POWER / duration), 0.0])
+    found = components.response_ends(levels, shape, jnp.asarray(components.MOVING_AVERAGE))[0]
+    np.testing.assert_allclose(found, expected / total, rtol=2e-5)
