@@ -31,6 +31,7 @@ from allanjax.fleet.stream import accumulate as accumulate
 from allanjax.inspection import Inspection as Inspection
 from allanjax.inspection import inspect as inspect
 from allanjax.noise import terms as terms
+from allanjax.noise.butterworth import Biquad as Biquad
 from allanjax.noise.butterworth import Butterworth as Butterworth
 from allanjax.noise.estimate import Coefficient as Coefficient
 from allanjax.noise.estimate import Estimate as Estimate

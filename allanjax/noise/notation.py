@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.noise import terms as all_terms
-from allanjax.noise.butterworth import Butterworth
+from allanjax.noise.butterworth import Biquad, Butterworth
 from allanjax.noise.model import Model
 from allanjax.noise.moving_average import MovingAverage
 from allanjax.noise.parameter import Parameter, Parametrized
@@ -39,7 +39,7 @@ _Kind = TypeVar("_Kind", bound=Parametrized)
 
 def response_classes() -> dict[str, type[Response]]:
     """Classes of responses by name, e.g. `low_pass1`."""
-    return {c.name(): c for c in (LowPass1, LowPass2, Butterworth, MovingAverage)}
+    return {c.name(): c for c in (LowPass1, LowPass2, Biquad, Butterworth, MovingAverage)}
 
 
 @functools.cache

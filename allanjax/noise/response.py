@@ -141,6 +141,12 @@ class RecursiveFilter(Response):
         )
 
 
+def second_order_half_power(bandwidth: float, quality_factor: float) -> float:
+    """Frequency at which an analog filter of two poles has lost half of the power: |1 − x² + ix/Q|² = 2."""
+    middle = 1.0 - 0.5 / quality_factor**2
+    return bandwidth * math.sqrt(middle + math.hypot(middle, 1.0))
+
+
 class LowPass1(RecursiveFilter):
     """Low-pass filter of one pole, y_k = w·y_{k−1} + (1 − w)·x_k with w = exp(−2πf_c/rate).
 
@@ -180,9 +186,7 @@ class LowPass2(RecursiveFilter):
 
     @property
     def half_power(self) -> float:
-        # |1 − x² + ix/Q|² = 2 for x = f/f_c.
-        middle = 1.0 - 0.5 / float(self.quality_factor) ** 2
-        return float(self.bandwidth) * math.sqrt(middle + math.hypot(middle, 1.0))
+        return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
 
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         w = self.poles(rate).pole[0]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.signal import butter, freqz, freqz_sos, lfilter, sosfilt
+from scipy.signal import bessel, butter, freqz, freqz_sos, lfilter, sosfilt
 
 import allanjax as aj
 from allanjax.noise.notation import parse_model
@@ -13,8 +13,9 @@ RATE = 50.0
 ONE, TWO = aj.LowPass1(4.0), aj.LowPass2(5.0, 0.9)
 # The third at a quarter of the sample rate, where a pole is 0, the fourth above it.
 BUTTERWORTH = [aj.Butterworth(f, m) for f, m in [(4.0, 1), (6.0, 2), (12.5, 3), (17.0, 4)]]
-FILTERS = [ONE, TWO, *BUTTERWORTH]
-FILTER_IDS = ["one pole", "two poles", *(f"Butterworth {k}" for k in range(1, 5))]
+BIQUAD = aj.Biquad(7.0, 0.577)
+FILTERS = [ONE, TWO, BIQUAD, *BUTTERWORTH]
+FILTER_IDS = ["one pole", "two poles", "biquad", *(f"Butterworth {k}" for k in range(1, 5))]
 TERMS = [
     aj.AngleRandomWalk(1e-3),
     aj.Quantization(2e-4),
@@ -93,6 +94,22 @@ def test_butterworth_is_the_filter_that_scipy_designs(order, bandwidth):
     np.testing.assert_allclose(
         of_poles.real + filter_.constant(RATE), abs(H) ** 2, atol=3e-5 if moved else 1e-9
     )
+
+
+@pytest.mark.parametrize("bandwidth", [0.01, 4.0, 12.5, 24.0])
+def test_a_biquad_is_the_bessel_filter_that_scipy_designs(bandwidth):
+    """Bessel's filter of two poles has Q = 1/√3, and with this norm the same asymptote as Butterworth's."""
+    x = np.random.default_rng(1).normal(size=500)
+    filter_ = aj.Biquad(bandwidth, 1.0 / np.sqrt(3.0))
+    design = bessel(2, bandwidth, fs=RATE, output="sos", norm="phase")
+    np.testing.assert_allclose(
+        filter_.filtered(jnp.asarray(x), RATE), sosfilt(design, x), rtol=1e-9, atol=1e-12
+    )
+    f = np.linspace(0.0, 24.9, 100)
+    H = freqz_sos(design, 2.0 * np.pi * f / RATE)[1]
+    np.testing.assert_allclose(filter_.power(f, RATE), abs(H) ** 2, rtol=1e-9, atol=1e-24)
+    slow = aj.Biquad(0.01, 0.8)
+    assert slow.power(slow.half_power, RATE) == pytest.approx(0.5, rel=1e-5)
 
 
 @pytest.mark.parametrize("filter_", FILTERS, ids=FILTER_IDS)

@@ -9,13 +9,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.estimate.spectral.columns import columns_of
-from allanjax.estimate.spectral.components import BUTTERWORTH_1, MOVING_AVERAGE, NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.components import (
+    BIQUAD,
+    BUTTERWORTH_1,
+    MOVING_AVERAGE,
+    NONE,
+    ONE_POLE,
+    TWO_POLES,
+)
 from allanjax.estimate.spectral.levels import Levels, levels_of
 from allanjax.estimate.spectral.model import FULL, PLAIN, Layout, Others, Slots
-from allanjax.noise.butterworth import Butterworth
+from allanjax.noise.butterworth import Biquad, Butterworth
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.moving_average import MovingAverage
-from allanjax.noise.response import LowPass1
+from allanjax.noise.response import LowPass1, LowPass2
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
@@ -131,6 +138,5 @@ def _response(model: Model) -> int:
         return NONE
     if isinstance(model.response, Butterworth):
         return BUTTERWORTH_1 + model.response.order - 1
-    if isinstance(model.response, MovingAverage):
-        return MOVING_AVERAGE
-    return ONE_POLE if isinstance(model.response, LowPass1) else TWO_POLES
+    kinds = {LowPass1: ONE_POLE, LowPass2: TWO_POLES, MovingAverage: MOVING_AVERAGE, Biquad: BIQUAD}
+    return kinds[type(model.response)]

@@ -98,14 +98,14 @@ def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -
 
 
 #: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited; a
-#: moving average; and digital Butterworth filters of order 1 to 4.
+#: moving average; digital filters of two poles; and Butterworth's of order 1 to 4.
 NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range(5)
-MOVING_AVERAGE = 5
-BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(6, 10)
+MOVING_AVERAGE, BIQUAD = 5, 6
+BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(7, 11)
 
-# Largest bandwidth of a Butterworth filter [radians per sample interval], and the bandwidth of a moving
+# Largest bandwidth of a digital filter [radians per sample interval], and the bandwidth of a moving
 # average times its duration.
-_BUTTERWORTH_LIMIT = LARGEST_BANDWIDTH * np.pi
+_DIGITAL_LIMIT = LARGEST_BANDWIDTH * np.pi
 _MEAN = 2.0 * np.pi * HALF_POWER
 
 
@@ -113,7 +113,7 @@ def bandwidths(kind: int) -> tuple[float, float]:
     """Least and largest bandwidth of a kind of response [radians per sample interval]."""
     if kind == MOVING_AVERAGE:
         return _MEAN / LONGEST, _MEAN
-    return math.exp(-20.0), _BUTTERWORTH_LIMIT if kind >= BUTTERWORTH_1 else math.exp(5.0)
+    return math.exp(-20.0), _DIGITAL_LIMIT if kind >= BIQUAD else math.exp(5.0)
 
 
 def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
@@ -141,7 +141,7 @@ def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Ar
     two = two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
     u = (a / wc) ** 2
     limited = [1.0 / (1.0 + u), 1.0 / ((1.0 - u) ** 2 + u / Q**2)]
-    found = [jnp.ones_like(a), one, two, *limited, _mean(a, wc)]
+    found = [jnp.ones_like(a), one, two, *limited, _mean(a, wc), _biquad(a, wc, Q)]
     which = [kind == k for k in range(len(found))]
     return jnp.select(which, found, _butterworth(a, wc, kind))
 
@@ -186,14 +186,24 @@ def _ends_of_mean(levels: Levels, wc: Array) -> Float[Array, "nodes m"]:
 _NEARLY_CONSTANT = 0.01
 
 
+def _shares(angle: Float[Array, "nodes m"], wc: Array) -> tuple[Array, Array]:
+    """Shares of tan²(ω_c/2) and tan²(a/2) in their sum, up to a common factor."""
+    half = jnp.minimum(wc, _DIGITAL_LIMIT) / 2.0
+    return (jnp.cos(angle / 2.0) * jnp.sin(half)) ** 2, (jnp.sin(angle / 2.0) * jnp.cos(half)) ** 2
+
+
+def _biquad(angle: Float[Array, "nodes m"], wc: Array, Q: Array) -> Float[Array, "nodes m"]:
+    """Power response of a digital filter of two poles, see `noise.butterworth`."""
+    passed, stopped = _shares(angle, wc)
+    return passed**2 / ((passed - stopped) ** 2 + passed * stopped / Q**2)
+
+
 def _butterworth(angle: Float[Array, "nodes m"], wc: Array, kind: Array) -> Float[Array, "nodes m"]:
     """Power response 1/(1 + [tan(a/2)/tan(ω_c/2)]^{2m}) of the digital Butterworth filter of order m.
 
     Powers of sines and cosines, neither of which is infinite at half the sample rate.
     """
-    half = jnp.minimum(wc, _BUTTERWORTH_LIMIT) / 2.0
-    passed = (jnp.cos(angle / 2.0) * jnp.sin(half)) ** 2
-    stopped = (jnp.sin(angle / 2.0) * jnp.cos(half)) ** 2
+    passed, stopped = _shares(angle, wc)
     high, low = passed, stopped
     for order in (BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4):
         high = high * jnp.where(kind >= order, passed, 1.0)
@@ -248,11 +258,17 @@ def _poles_of_response(shape: Float[Array, " 2"], kind: Array) -> tuple[Num[Arra
     one, two = jnp.exp(-wc), jnp.exp(-decay + 1j * wd)
     c = 1.0 - 1j * decay / wd
     c = c / jnp.real(c * (1.0 + two) / (1.0 - two))
-    q = jnp.tan(jnp.minimum(wc, _BUTTERWORTH_LIMIT) / 2.0) * np.exp(1j * _ANGLES)
+    t = jnp.tan(jnp.minimum(wc, _DIGITAL_LIMIT) / 2.0)
+    q = t * np.exp(1j * _ANGLES)
+    real = 0.5 / Q
+    of_two = t * (real + 1j * jnp.sqrt(1.0 - real**2))
+    share = 2.0 / (1.0 - (of_two / jnp.conj(of_two)) ** 2)
     # By kind; a pole of weight 0 is idle.
     idle = jnp.full((BUTTERWORTH_1, 2), 0.5 + 0j)
     poles = idle.at[ONE_POLE, 0].set(one).at[TWO_POLES, 0].set(two)
+    poles = poles.at[BIQUAD, 0].set((1.0 - of_two) / (1.0 + of_two))
     weights = (0.0 * idle).at[ONE_POLE, 0].set(one * (1.0 - one) / (1.0 + one)).at[TWO_POLES, 0].set(two * c)
+    weights = weights.at[BIQUAD, 0].set(share * of_two / (1.0 + of_two) ** 2)
     poles = jnp.concatenate([poles, (1.0 - q) / (1.0 + q)])
     weights = jnp.concatenate([weights, _COUNTS / _ORDERS * q / (1.0 + q) ** 2])
     return poles[kind], weights[kind]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.estimate.spectral.components import BUTTERWORTH_1, MOVING_AVERAGE, NONE, ONE_POLE, TWO_POLES
+from allanjax.estimate.spectral.components import BIQUAD, BUTTERWORTH_1, MOVING_AVERAGE, NONE, ONE_POLE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Structure
-from allanjax.noise.butterworth import Butterworth
+from allanjax.noise.butterworth import Biquad, Butterworth
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.moving_average import MovingAverage
 from allanjax.noise.response import LowPass1, LowPass2, Response
@@ -43,14 +43,16 @@ def response_of(structure: Structure, rate: float) -> Response | None:
         return Butterworth(bandwidth, order_of(structure))
     if structure.kind == MOVING_AVERAGE:
         return MovingAverage(bandwidth)
-    return LowPass1(bandwidth) if structure.kind == ONE_POLE else LowPass2(bandwidth, quality)
+    if structure.kind == ONE_POLE:
+        return LowPass1(bandwidth)
+    return (Biquad if structure.kind == BIQUAD else LowPass2)(bandwidth, quality)
 
 
 def order_of(structure: Structure) -> int:
     """Order of the response: its number of poles, 1 of a moving average."""
     if structure.kind >= BUTTERWORTH_1:
         return structure.kind - BUTTERWORTH_1 + 1
-    return 2 if structure.kind == TWO_POLES else 1
+    return 1 if structure.kind in (ONE_POLE, MOVING_AVERAGE) else 2
 
 
 def resonance_of(structure: Structure, k: int, rate: float) -> Resonance:

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.estimate.spectral.components import (
+    BIQUAD,
     BUTTERWORTH_1,
     BUTTERWORTH_2,
-    BUTTERWORTH_3,
     BUTTERWORTH_4,
     MOVING_AVERAGE,
     NONE,
@@ -51,7 +51,7 @@ _NARROWEST = 8
 _BANDWIDTHS = (0.06, 0.25)
 # Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts
 # from [radians per sample].
-_KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4)
+_KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD, *range(BUTTERWORTH_1, BUTTERWORTH_4 + 1))
 _FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
 #: Correlation times that a Markov process starts from, in powers of the number of samples.

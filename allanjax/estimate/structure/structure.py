@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from allanjax.estimate.spectral.columns import columns_of
-from allanjax.estimate.spectral.components import NONE, TWO_POLES
+from allanjax.estimate.spectral.components import BIQUAD, NONE, TWO_POLES
 from allanjax.estimate.spectral.levels import Levels, levels_of, padded
 from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales, units_by_response
 from allanjax.estimate.spectral.scoring import Maximum, maximize
@@ -372,7 +372,7 @@ def _free(structure: Structure) -> Bool[np.ndarray, " parameters"]:
     of_oscillators = structure.active[at.first_oscillator : at.first_other]
     free[at.frequencies : at.qualities] = free[at.qualities : at.response] = of_oscillators
     free[at.response] = structure.kind != NONE
-    free[at.response + 1] = structure.kind == TWO_POLES
+    free[at.response + 1] = structure.kind in (TWO_POLES, BIQUAD)
     return free
 
 

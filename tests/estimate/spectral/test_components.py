@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.linalg import toeplitz
-from scipy.signal import butter, freqz, freqz_sos, lfilter, sosfilt
+from scipy.signal import bilinear_zpk, butter, freqz, freqz_sos, lfilter, sosfilt, zpk2sos
 
 import allanjax as aj
 from allanjax.estimate.spectral import components
@@ -175,9 +175,15 @@ def test_one_program_serves_all_kinds_of_response():
         traced.append(kind)
         return components.response(levels, jnp.array([-1.0, 0.0]), kind)
 
-    for kind in range(10):
+    for kind in range(11):
         of(jnp.asarray(kind))
     assert len(traced) == 1
+
+
+def analog_two_poles(bandwidth, Q):
+    """Zeros, poles and gain of the analog filter whose bilinear transform has this bandwidth."""
+    w = 2.0 * np.tan(np.pi * bandwidth)
+    return [], np.roots([1.0, w / Q, w**2]), w**2
 
 
 def pulse_of(kind, bandwidth, Q, n):
@@ -187,12 +193,15 @@ def pulse_of(kind, bandwidth, Q, n):
     if kind >= components.BUTTERWORTH_1:
         return sosfilt(butter(kind - components.BUTTERWORTH_1 + 1, bandwidth, fs=1.0, output="sos"), pulse)
     wc = 2.0 * np.pi * bandwidth
+    if kind == components.BIQUAD:
+        z, p, k = analog_two_poles(bandwidth, Q)
+        return sosfilt(zpk2sos(*bilinear_zpk(z, p, k, 1.0)), pulse)
     if kind == components.ONE_POLE:
         return lfilter([1.0 - np.exp(-wc)], [1.0, -np.exp(-wc)], pulse)
     return np.asarray(aj.LowPass2(bandwidth, Q).filtered(jnp.asarray(pulse), 1.0))
 
 
-@pytest.mark.parametrize("kind", [components.ONE_POLE, components.TWO_POLES, *BUTTERWORTH])
+@pytest.mark.parametrize("kind", [components.ONE_POLE, components.TWO_POLES, components.BIQUAD, *BUTTERWORTH])
 @pytest.mark.parametrize("bandwidth", [0.01, 0.1, 0.25, 0.4])
 @pytest.mark.parametrize("M", [1, 3])
 def test_ends_of_filtered_white_noise_are_what_is_beside_the_response(kind, bandwidth, M):
@@ -222,7 +231,7 @@ def test_ends_of_filtered_white_noise_are_what_is_beside_the_response(kind, band
     np.testing.assert_allclose(density + ends, expected, rtol=1e-6, atol=1e-13)
 
 
-@pytest.mark.parametrize("kind", range(10))
+@pytest.mark.parametrize("kind", range(11))
 def test_ends_are_differentiable_and_add_nothing_without_a_response(kind):
     levels, _ = single_coefficients(N)
 
