@@ -6,7 +6,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
-from scipy.signal import butter, lfilter, sosfilt
+from scipy.signal import bessel, butter, lfilter, sosfilt
 
 import allanjax as aj
 from allanjax.allan.covariance import AllanCovariance
@@ -165,6 +165,55 @@ def test_a_butterworth_filter_is_written_loaded_sampled_and_drawn(butterworth, t
     assert c.std == pytest.approx(butterworth["gyro_x"]["butterworth_bandwidth"].std, rel=0.2)
     figure = butterworth.plot(path=tmp_path / "fit.png")
     assert any("butterworth" in text for text in texts_of(figure))
+
+
+def filtered_record(passed):
+    """White noise and a walk through a filter of NumPy or SciPy, which settles first."""
+    rng, n = np.random.default_rng(21), N + 1000
+    x = 1e-2 * rng.standard_normal(n) + 2e-4 / np.sqrt(RATE) * np.cumsum(rng.standard_normal(n))
+    return aj.Recording.from_array(passed(x)[1000:, None], RATE, gyro_unit="rad/s", names=["gyro_x"])
+
+
+# Means of four samples, and Bessel's digital filter of two poles, of which Q is 1/√3.
+FILTERS = {
+    "moving_average": (lambda x: lfilter(np.full(4, 0.25), [1.0], x), {"bandwidth": 0.4429465 * RATE / 4.0}),
+    "biquad": (
+        lambda x: sosfilt(bessel(2, 20.0, fs=RATE, output="sos", norm="phase"), x),
+        {"bandwidth": 20.0, "quality_factor": 3.0**-0.5},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_moving_average_and_a_biquad_are_found(name, tmp_path):
+    """Within four standard deviations each; nothing is left over, and the result is written and loaded."""
+    from allanjax.report.files import write_json
+
+    passed, truth = FILTERS[name]
+    fit = aj.fit(filtered_record(passed), f"{name} * (N + K)", objective="whittle", as_is=True)
+    (result,) = fit.results
+    values = {f"{name}_{label}": value for label, value in truth.items()}
+    for label, value in {"angle_random_walk": 1e-3, "rate_random_walk": 2e-4, **values}.items():
+        assert abs(result[label].value - value) < 4.0 * result[label].std, label
+        assert result[label].std < 0.1 * value
+    assert result.misfit is None
+    path = tmp_path / "fit.json"
+    write_json(fit, path)
+    assert repr(aj.load(path)["gyro_x"].model) == repr(result.model)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_fit_without_a_model_finds_them(name):
+    """N is inside its interval and the Allan deviation within 5 % where there are a thousand clusters."""
+    fit = aj.fit(filtered_record(FILTERS[name][0]), as_is=True)
+    (result,) = fit.results
+    low, high = result["angle_random_walk"].interval
+    assert low < 1e-3 < high
+    assert high / low < 1.05
+    T = fit.curve.cluster_time
+    often = N / RATE / T > 1000.0
+    ratio = fit.curve.deviation[often, 0] / result.model.sampled(RATE).allan_variance(T[often]) ** 0.5
+    assert np.max(abs(ratio - 1.0)) < 0.05
 
 
 def test_a_butterworth_filter_stays_below_half_the_sample_rate():

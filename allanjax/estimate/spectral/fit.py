@@ -141,7 +141,7 @@ def _maximum(
         slots,
         scale=scale,
         free=estimated,
-        lower=jnp.asarray(slots.lower).at[design.parameter].set(centre - design.reach, mode="drop"),
+        lower=jnp.asarray(slots.lower).at[design.parameter].max(centre - design.reach, mode="drop"),
         upper=jnp.asarray(slots.upper).at[design.parameter].set(top, mode="drop"),
     )
     found = maximize(start, slots, less)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from allanjax.estimate.spectral.columns import columns_of
-from allanjax.estimate.spectral.components import BIQUAD, NONE, TWO_POLES
+from allanjax.estimate.spectral.components import BIQUAD, NONE, TWO_POLES, bandwidths
 from allanjax.estimate.spectral.levels import Levels, levels_of, padded
 from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales, units_by_response
 from allanjax.estimate.spectral.scoring import Maximum, maximize
@@ -341,8 +341,9 @@ class Spectrum:
         lower[at.qualities : at.response] = np.log(LEAST_QUALITY - 0.5)
         widest = np.exp(started) / (LINE * spacing)
         upper[at.qualities : at.response] = np.log(np.maximum(widest, 2.0) - 0.5)
-        lower[at.response] = np.log(max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH))
-        upper[at.response] = np.log(4.0)
+        least, most = bandwidths(structure.kind)
+        lower[at.response] = np.log(max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least))
+        upper[at.response] = np.log(min(4.0, most))
         lower[at.response + 1], upper[at.response + 1] = np.log(0.02), np.log(20.0)
         return lower, np.maximum(upper, lower)
 
