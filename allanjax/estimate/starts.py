@@ -153,6 +153,8 @@ def shape_candidates(
             choices.append(np.array([p.start]))
         elif p.parameter.kind == "time":
             choices.append(correlation_times(duration, rate))
+        elif p.parameter.starts:
+            choices.append(rate * np.array(p.parameter.starts))
         elif p.parameter.name == "bandwidth":
             choices.append(np.geomspace(rate / 200.0, rate / 3.0, 8))
         elif p.parameter.kind == "frequency":

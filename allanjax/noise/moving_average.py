@@ -30,6 +30,8 @@ HALF_POWER = 0.44294647068945237
 LONGEST = 64
 
 _LARGEST = HALF_POWER * (1.0 + 1e-9)
+# Zeros of the response make a maximum of the likelihood of every number of samples [samples].
+_STARTS = (1.5, 2, 2.5, 3, 3.5, *range(4, LONGEST))
 
 
 class MovingAverage(Response):
@@ -39,7 +41,7 @@ class MovingAverage(Response):
     It is between 0.443/64 and 0.443 of the sample rate: from 64 samples to one, which changes nothing.
     """
 
-    bandwidth: Value = parameter("f_c", "frequency")
+    bandwidth: Value = parameter("f_c", "frequency", starts=tuple(HALF_POWER / m for m in _STARTS))
 
     @classmethod
     def of(cls, duration: float) -> Self:

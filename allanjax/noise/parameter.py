@@ -32,6 +32,7 @@ class Parameter:
             spectrum) or "number" (dimensionless).
         time_exponent: p in the SI unit (rate)·s^p of an amplitude, rate being rad/s or m/s².
         lower, upper: the open bounds of the admissible values.
+        starts: values to start a fit from, in sample rates, of a frequency; none for the usual grid.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Parameter:
     time_exponent: float
     lower: float
     upper: float
+    starts: tuple[float, ...] = ()
 
     @property
     def is_amplitude(self) -> bool:
@@ -55,6 +57,7 @@ def parameter(
     lower: float = 0.0,
     upper: float = math.inf,
     default: float | None = None,
+    starts: tuple[float, ...] = (),
 ) -> Any:
     """Declare a parameter of a noise term (a dataclass field; see `Parameter` for the arguments).
 
@@ -62,7 +65,7 @@ def parameter(
     start, unless the term holds it (`NoiseTerm.hold`).
     """
     declared: dict[str, Any] = {"symbol": symbol, "kind": kind, "time_exponent": time_exponent}
-    declared |= {"lower": lower, "upper": upper}
+    declared |= {"lower": lower, "upper": upper, "starts": starts}
     return eqx.field(default=default, metadata={"parameter": declared})
 
 

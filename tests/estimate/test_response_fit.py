@@ -186,7 +186,10 @@ FILTERS = {
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_moving_average_and_a_biquad_are_found(name, tmp_path):
-    """Within four standard deviations each; nothing is left over, and the result is written and loaded."""
+    """Within four standard deviations each; nothing is left over, and the result is written and loaded.
+
+    In 300 s the walk crosses the white noise below the tenth frequency: it is known to a sixth only.
+    """
     from allanjax.report.files import write_json
 
     passed, truth = FILTERS[name]
@@ -195,7 +198,7 @@ def test_a_moving_average_and_a_biquad_are_found(name, tmp_path):
     values = {f"{name}_{label}": value for label, value in truth.items()}
     for label, value in {"angle_random_walk": 1e-3, "rate_random_walk": 2e-4, **values}.items():
         assert abs(result[label].value - value) < 4.0 * result[label].std, label
-        assert result[label].std < 0.1 * value
+        assert result[label].std < (0.25 if label == "rate_random_walk" else 0.02) * value
     assert result.misfit is None
     path = tmp_path / "fit.json"
     write_json(fit, path)
@@ -204,16 +207,35 @@ def test_a_moving_average_and_a_biquad_are_found(name, tmp_path):
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_fit_without_a_model_finds_them(name):
-    """N is inside its interval and the Allan deviation within 5 % where there are a thousand clusters."""
+    """N is inside its interval and the Allan deviation within 5 % where there are a thousand clusters.
+
+    The 1,400 coefficients below a quarter of the bandwidth, 4.7 Hz, give N to 1.3 % without the filter.
+    """
     fit = aj.fit(filtered_record(FILTERS[name][0]), as_is=True)
     (result,) = fit.results
     low, high = result["angle_random_walk"].interval
     assert low < 1e-3 < high
-    assert high / low < 1.05
+    assert high / low < np.exp(2 * 1.96 / np.sqrt(2 * 2 * 1400))
     T = fit.curve.cluster_time
     often = N / RATE / T > 1000.0
     ratio = fit.curve.deviation[often, 0] / result.model.sampled(RATE).allan_variance(T[often]) ** 0.5
     assert np.max(abs(ratio - 1.0)) < 0.05
+
+
+@pytest.mark.parametrize("samples", [2.6, 28.0])
+def test_a_mean_of_any_duration_is_found(samples):
+    """White noise, twenty times as fast as the samples, is averaged; each zero of the response is a trap.
+
+    The record tells the duration to a thousandth of a sample; 0.05 is a tenth of the way to the next maximum.
+    """
+    fine, rng = 20, np.random.default_rng(5)
+    total = np.cumsum(rng.standard_normal(20_000 * fine))
+    width = round(samples * fine)
+    x = (total[width:] - total[:-width])[::fine, None] / width
+    record = aj.Recording.from_array(x, RATE, gyro_unit="rad/s", names=["gyro_x"])
+    (result,) = aj.fit(record, "moving_average * N", objective="whittle", as_is=True).results
+    assert abs(0.4429465 * RATE / result["moving_average_bandwidth"].value - samples) < 0.05
+    assert result.misfit is None
 
 
 def test_a_butterworth_filter_stays_below_half_the_sample_rate():
