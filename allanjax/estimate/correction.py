@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from allanjax.base.wording import plain, significant
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -21,15 +23,18 @@ def further_terms(template: Model) -> tuple[str, ...]:
     return (*(label for label, term in labels if type(term) not in kinds), *response)
 
 
-def correction_of(template: Model, found: Model, after: Estimate, before: Estimate | None) -> str:
+def correction_of(
+    template: Model, found: Model, after: Estimate, before: Estimate | None, bandwidth: Estimate | None
+) -> str:
     """Words such as "corrected for a 28 Hz bandwidth and a resonance at 20 Hz: … 2.41 → 2.27 deg/√h".
 
     Args:
         template: the model that was fitted.
         found: the model with its values.
         after, before: N of this fit and of the fit without correction.
+        bandwidth: of the response, if there is one.
     """
-    causes = [] if found.response is None else [f"a {plain(found.response.half_power, 3)} Hz bandwidth"]
+    causes = _bandwidth(found, bandwidth)
     causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "line")
     if not causes:
         several = sum(isinstance(term, Markov) for term in template.terms) > 1
@@ -39,6 +44,18 @@ def correction_of(template: Model, found: Model, after: Estimate, before: Estima
         return text
     new, old = after.in_unit(), before.in_unit()
     return f"{text}: {new.title} {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
+
+
+def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
+    """The response in words: a limit is no bandwidth, and a value that the data do not determine is none."""
+    if found.response is None or estimate is None:
+        return []
+    if np.isfinite(estimate.std) or estimate.held:
+        return [f"a {plain(found.response.half_power, 3)} Hz bandwidth"]
+    for side, limit in (("above", estimate.lower_limit), ("below", estimate.upper_limit)):
+        if limit is not None:
+            return [f"a bandwidth {side} {plain(limit, 3)} Hz"]
+    return ["a filter of undetermined bandwidth"]
 
 
 def _places(found: Model, kind: type[Resonance] | type[Sinusoid], name: str) -> list[str]:

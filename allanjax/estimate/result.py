@@ -176,7 +176,9 @@ class AxisFit(ByValue, AxisEstimates):
         if self.own_template is None or not self.converged:
             return ""
         before = self.plain["angle_random_walk"] if self.plain is not None and self.plain.converged else None
-        return correction_of(self.own_template, self.model, self["angle_random_walk"], before)
+        response = self.own_template.response
+        bandwidth = None if response is None else self[f"{response.name()}_bandwidth"]
+        return correction_of(self.own_template, self.model, self["angle_random_walk"], before, bandwidth)
 
     @property
     def term_labels(self) -> tuple[str, ...]:

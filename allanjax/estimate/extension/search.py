@@ -32,7 +32,7 @@ from allanjax.spectrum.cosine import Bins, ramp_column
 # Least distance of two lines [coefficients].
 _APART = 1.5
 # Joint fits, until all that is in the model is seen.
-_ROUNDS = 3
+_ROUNDS = 6
 # Share of the discrepancy that must be gone, and samples that a search needs.
 _LESS, _SHORTEST = 0.5, 1024
 
@@ -132,6 +132,12 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
     return structure
 
 
+def _overlap(structure: Structure, k: int, other: int) -> bool:
+    """Whether two components are resonances with overlapping peaks."""
+    first = FULL.first_oscillator
+    return min(k, other) >= first and structure.are_close(k - first, other - first)
+
+
 def _tidied(content: Content, template: Template, result: AxisFit) -> Content | None:
     """Content without resonances and lines that the joint fit does not show; None if it shows all.
 
@@ -155,7 +161,15 @@ def _tidied(content: Content, template: Template, result: AxisFit) -> Content | 
         if "quality_factor" in own and own["frequency"].value < own["quality_factor"].value * LINE * spacing
     }
     # What is too narrow spoils its neighbours, which are judged once it is a line.
-    gone = list(narrow) or [label for label, own in found.items() if not own["amplitude"].detected]
+    unseen = sorted(
+        (label for label, own in found.items() if not own["amplitude"].detected),
+        key=lambda label: found[label]["amplitude"].value,
+    )
+    gone = list(narrow)
+    # Of resonances that overlap none may be seen, but all together are: the weakest goes first.
+    for label in unseen if not narrow else ():
+        if not any(_overlap(structure, further[label], further[other]) for other in gone):
+            gone.append(label)
     if not gone:
         return None
     for label in gone:
