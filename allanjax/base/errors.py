@@ -10,7 +10,14 @@ class UnitError(AllanjaxError):
 
 
 class RecordingError(AllanjaxError):
-    """A file or an array that is not a usable recording."""
+    """A file or an array that is not a usable recording.
+
+    `about` says what of it is wrong: "gaps", "jitter", "rate" or "dead axis"; "" for anything else.
+    """
+
+    def __init__(self, message: str, about: str = "") -> None:
+        super().__init__(message)
+        self.about = about
 
 
 class FitError(AllanjaxError):

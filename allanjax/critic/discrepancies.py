@@ -11,11 +11,12 @@ from scipy.stats import binom
 
 from allanjax.allan.clusters import cluster_sizes
 from allanjax.critic import profiles
-from allanjax.critic.causes.rounding import HARMLESS, lattice
+from allanjax.critic.causes.rounding import HARMLESS
 from allanjax.critic.comparison import StageResiduals, allan_laws
 from allanjax.critic.finding import Discrepancy
 from allanjax.critic.noise import centred
 from allanjax.critic.profiles import TINY
+from allanjax.inspection.levels import lattice
 
 
 def discrepancies(

@@ -35,7 +35,9 @@ class Inspection:
         mean, rms: mean and rms about it of each axis, over the stretch [rad/s or m/s²].
         stretch: start and end [s from the first sample] of the part to estimate from; None for all of it.
         refusal: why coefficients cannot be given; "" if they can.
-        warnings: sentences for the user, the most important first.
+        findings: what the user should know, the most important first: the subject of each and a sentence.
+            Subjects are "accel" and "gyro" (units), "rate", "motion", "events", "length", "resolution" and
+            "repeats".
         notes: sentences of less weight.
         moving: indices of the axes that are not at rest; one alone may be broken, two are a moving platform,
             and then all of its axes are.
@@ -51,11 +53,20 @@ class Inspection:
     rms: Float[np.ndarray, " axes"]
     stretch: tuple[float, float] | None
     refusal: str
-    warnings: tuple[str, ...]
+    findings: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     moving: tuple[int, ...]
     events: tuple[Event, ...]
     said: str
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(line for _, line in self.findings)
+
+    def about(self, subject: str) -> tuple[str, ...]:
+        """Sentences of the findings on one subject."""
+        return tuple(line for of, line in self.findings if of == subject)
 
     @property
     def at_rest(self) -> bool:
@@ -71,10 +82,11 @@ class Inspection:
         if self.stretch is None:
             return self
         refusal = cannot_cut(self.said, span(*self.stretch, grid(self.n / self.rate)), self.stretch)
-        warnings = tuple(
-            f"no coefficients: {refusal}" if line.startswith(self.said) else line for line in self.warnings
+        findings = tuple(
+            (about, f"no coefficients: {refusal}" if line.startswith(self.said) else line)
+            for about, line in self.findings
         )
-        return dataclasses.replace(self, stretch=None, refusal=refusal, warnings=warnings)
+        return dataclasses.replace(self, stretch=None, refusal=refusal, findings=findings)
 
     def __str__(self) -> str:
         length = duration(self.n / self.rate)
@@ -171,7 +183,12 @@ def look(
         refusal = unclear(said) if unlikely_rest else refused(said, where, LEAST_SHARE)
         happened = f"no coefficients: {refusal}"
     motion = said_of_motion(moving, axes) if moving else ""
-    warnings = (*units.values(), motion, happened, *coarse(windows, axes, rate, values))
+    findings = (
+        *units.items(),
+        ("motion", motion),
+        ("events", happened),
+        *coarse(windows, axes, rate, values),
+    )
     note = said_of_events(harmless, axes, rate, n / rate)
     shown = {m.axis: m for m in moving}
     return Inspection(
@@ -183,7 +200,7 @@ def look(
         rms,
         stretch,
         refusal,
-        tuple(line for line in warnings if line),
+        tuple((about, line) for about, line in findings if line),
         (f"{note}: too little to change a coefficient by more than its error",) if note else (),
         # Two axes that show motion mean that all move.
         tuple(range(len(axes)) if len(shown) > 1 else shown),

@@ -170,17 +170,18 @@ def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
 
 def coarse(
     windows: Windows, axes: Sequence[Axis], rate: float, values: Float[np.ndarray, "n axes"] | None
-) -> list[str]:
+) -> list[tuple[str, str]]:
     """Warnings about a recording of this rate [Hz] that is too short, too coarse, or has held samples.
 
-    `values` are its samples, where they are in memory.
+    `values` are its samples, where they are in memory. Each comes with its subject: "length", "resolution" or
+    "repeats".
     """
     lines, n = [], windows.n
     if n < _FEW_SAMPLES or n / rate < SHORT:
         line = f"{n / rate:.3g} s: too short for B and K, which show over tens of seconds and more"
         if n < _FEW_SAMPLES:
             line += f"; of {n} samples, N is known to {100.0 / np.sqrt(n):.0f} % at best"
-        lines.append(line)
+        lines.append(("length", line))
     scales = scales_of(axes, rate)
     repeated = np.average(windows.repeated, axis=0, weights=windows.count)
     # Share of equal neighbours that rounding makes of Gaussian noise with this rms difference.
@@ -191,14 +192,15 @@ def coarse(
         few = None if values is None else _distinct(values[:, k])
         if repeated[k] > _HIDDEN and (few is not None or chance[k] > _HIDDEN):
             values_ = f"has {few} distinct values" if few is not None else "hardly changes"
-            lines.append(
-                f"{axis.name} {values_}: its noise is below its resolution of {step}, and coefficients are "
-                "those of the rounding"
-            )
+            said = f"{axis.name} {values_}: its noise is below its resolution of {step}"
+            lines.append(("resolution", f"{said}, and coefficients are those of the rounding"))
         elif repeated[k] > _HELD + 2.0 * chance[k]:
+            said = f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before"
             lines.append(
-                f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before: the sensor "
-                "gives fewer than the rate says, and what is faster is not its own"
+                (
+                    "repeats",
+                    f"{said}: the sensor gives fewer than the rate says, and what is faster is not its own",
+                )
             )
     return lines
 

@@ -39,6 +39,7 @@ class Recording(ByValue):
         name: name for display, e.g. that of the file without its suffix.
         notes: assumptions and findings of the reader that the user should know.
         dead: axes that were left out because they have no noise, and why.
+        jitter: rms jitter of the time stamps [s]; None without any.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -50,6 +51,7 @@ class Recording(ByValue):
     name: str = ""
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
+    jitter: float | None = None
 
     @classmethod
     def from_array(
@@ -249,6 +251,7 @@ def build(
     name: str,
     notes: Sequence[str],
     source: Source,
+    jitter: float | None = None,
 ) -> Recording:
     """Check samples in their own units and make a recording of the axes that are not dead.
 
@@ -268,6 +271,7 @@ def build(
         name,
         (*notes, *own_notes, *left_out),
         dead,
+        jitter,
     )
 
 

@@ -32,9 +32,9 @@ class Source:
         """Source of the samples that are left when the first `rows` are dropped."""
         return replace(self, locate=lambda row: self.locate(row + rows))
 
-    def error(self, message: str) -> RecordingError:
-        """RecordingError whose message begins with the label."""
-        return RecordingError(f"{self.label}: {message}")
+    def error(self, message: str, about: str = "") -> RecordingError:
+        """RecordingError whose message begins with the label; see there for what it is `about`."""
+        return RecordingError(f"{self.label}: {message}", about)
 
 
 def check_rate(rate: float, source: Source) -> float:
@@ -93,7 +93,8 @@ def constant_error(label: str, value: float, source: Source) -> RecordingError:
     """RecordingError for a column that has this value throughout."""
     return source.error(
         f"column {label!r} is constant ({value:g} from {source.locate(0)} on): a sensor that is stuck "
-        "or not connected has no noise to fit; leave it out by columns= (--columns)"
+        "or not connected has no noise to fit; leave it out by columns= (--columns)",
+        "dead axis",
     )
 
 

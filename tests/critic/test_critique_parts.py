@@ -14,7 +14,6 @@ from allanjax.critic.bank import Bank, extrapolated, step_coefficients
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.common_mode import _error, _Link, common_mode
 from allanjax.critic.causes.imputation import draw_between
-from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.causes.saturation import Saturation
 from allanjax.critic.causes.sinusoid import refined
 from allanjax.critic.causes.telegraph import Telegraph, _chain, _noise, two_levels
@@ -25,6 +24,7 @@ from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import BUTTERWORTH_2
 from allanjax.estimate.structure.structure import Structure
+from allanjax.inspection.levels import lattice
 from allanjax.record.recording import Axis
 from allanjax.record.units import UnitError
 

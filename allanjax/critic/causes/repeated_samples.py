@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import norm
 
-from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.view import Candidate, Cause, View
+from allanjax.inspection.levels import lattice
 
 # Fewest repeats that are reported: a judgement.
 _LEAST = 3

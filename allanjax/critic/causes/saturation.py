@@ -5,14 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from allanjax.critic.causes.imputation import draw_between
-from allanjax.critic.causes.rounding import lattice
 from allanjax.critic.view import Candidate, Cause, View
+from allanjax.inspection.levels import is_piled_up, lattice
 from allanjax.noise.estimate import Estimate
-
-# Fewest runs of samples at the largest value, or fewest such samples, that are not by chance: judgements.
-_LEAST, _MANY = 4, 100
-# Fewest steps of a rounded output between its extremes for it to have a tail.
-_FEW_LEVELS = 4
 
 
 class Saturation(Cause):
@@ -24,7 +19,7 @@ class Saturation(Cause):
     def detect(self, view: View) -> Candidate | None:
         raw = view.raw
         q = lattice(raw)
-        sides = [side for side in (1.0, -1.0) if _piled_up(side * raw, q)]
+        sides = [side for side in (1.0, -1.0) if is_piled_up(side * raw, q)]
         if not sides:
             return None
         lower, upper = view.samples.copy(), view.samples.copy()
@@ -53,17 +48,3 @@ class Saturation(Cause):
             lambda: float("nan"),
             bound=float(np.exp(-min(odds, 700.0))),
         )
-
-
-def _piled_up(raw: np.ndarray, q: float | None) -> bool:
-    """Whether more samples are at the largest value than a tail would leave there."""
-    top = raw.max()
-    at_top = int(np.sum(raw == top))
-    if q is None:
-        clipped = np.concatenate([[0], (raw == top).astype(int), [0]])
-        # Copies of one extreme sample are another matter.
-        return int(np.sum(np.diff(clipped) == 1)) >= _LEAST or at_top >= _MANY
-    if np.ptp(raw) < _FEW_LEVELS * q:
-        return False
-    below = int(np.sum(abs(raw - (top - q)) < q / 2.0))
-    return at_top > below + 6.0 * np.sqrt(below + 1.0) and at_top >= 5 * _LEAST

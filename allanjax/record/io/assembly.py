@@ -18,6 +18,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     layout = find_layout(table, columns, options)
     notes = [*table.notes, *layout.notes]
     rate = stated_rate(table, options.rate)
+    jitter: float | None = None
     samples = len(columns[0])
     check_length(samples, source)
     if layout.time:
@@ -28,7 +29,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         check_stretch(rows, float(times[-1]), source)
         source = source.after(rows.start)
         check_length(rows.stop - rows.start, source)
-        rate, note = rate_from_times(times[rows], layout.time_label, rate, source)
+        rate, note, jitter = rate_from_times(times[rows], layout.time_label, rate, source)
         notes.append(note)
     elif rate is None:
         raise no_rate_error(source)
@@ -45,7 +46,8 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    return build(values, rate, layout.axes, table.units_with(options), auxiliary, name, notes, source)
+    units = table.units_with(options)
+    return build(values, rate, layout.axes, units, auxiliary, name, notes, source, jitter)
 
 
 def no_rate_error(source: Source) -> RecordingError:

@@ -152,7 +152,7 @@ def open_chunks(
         stretch = dataclasses.replace(stretch, time_unit=unit or options.time_unit)
         times, place = stretch.first_times()
         check_length(len(times), place)
-        rate, note = rate_from_times(times, layout.time_label, rate, place, more=True)
+        rate, note, _ = rate_from_times(times, layout.time_label, rate, place, more=True)
         notes.append(note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
         n = n if start is None and stop is None else None
     elif rate is None:

@@ -69,14 +69,22 @@ def seconds_from_first(
     return Times(convert(times, unit, "s"), unit, notes)
 
 
+class Rate(NamedTuple):
+    """Sample rate [Hz], a note on where it comes from, and the rms jitter [s] of the intervals."""
+
+    rate: float
+    note: str
+    jitter: float
+
+
 def rate_from_times(
     times: Float[np.ndarray, " samples"],
     label: str,
     rate: float | None,
     source: Source,
     more: bool = False,
-) -> tuple[float, str]:
-    """Sample rate in Hz from times in s, and a note on it; a given `rate` is used if they agree with it.
+) -> Rate:
+    """Sample rate from times in s; a given `rate` [Hz] is used if they agree with it.
 
     `more` says that the times are not all that there are: which stretch is the longest is not known then.
 
@@ -90,7 +98,8 @@ def rate_from_times(
         what = "repeats" if intervals[first - 1] == 0 else "is earlier than"
         raise source.error(
             f"column {label!r} {what} the time before it at {source.locate(first)} ({backwards.size} "
-            f"such in all); sort or repair the file, or {_IGNORE}"
+            f"such in all); sort or repair the file, or {_IGNORE}",
+            "jitter",
         )
     typical = float(np.median(intervals))
     long = _gaps(times)
@@ -100,22 +109,24 @@ def rate_from_times(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
             f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps, longer than "
             f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves "
-            f"are regular, {_IGNORE}"
+            f"are regular, {_IGNORE}",
+            "jitter",
         )
     if np.any(long):
         gap = _gap(times, np.flatnonzero(long), typical, source, more)
-        raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}")
+        raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}", "gaps")
     measured = (len(times) - 1) / float(times[-1] - times[0])
     stamped = f"{measured:.9g} Hz from column {label!r}, jitter {told_jitter(jitter)}"
     if rate is None:
-        return measured, f"sample rate {stamped}"
+        return Rate(measured, f"sample rate {stamped}", jitter)
     if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
             f"rate {rate:g} Hz contradicts column {label!r}, whose stamps give {measured:.6g} Hz; leave "
             "out rate= (--rate), correct time_unit= (--time-unit), or ignore the stamps by time='none' "
-            "(--time none)"
+            "(--time none)",
+            "rate",
         )
-    return rate, f"sample rate {rate:.9g} Hz as given; {stamped}"
+    return Rate(rate, f"sample rate {rate:.9g} Hz as given; {stamped}", jitter)
 
 
 def regular_intervals(times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " intervals"]:
