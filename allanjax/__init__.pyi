@@ -16,6 +16,8 @@ from allanjax.critic.critique import critique as critique
 from allanjax.estimate.as_json import to_dict as to_dict
 from allanjax.estimate.bulk import BulkFit as BulkFit
 from allanjax.estimate.bulk import fit_many as fit_many
+from allanjax.estimate.check import Check as Check
+from allanjax.estimate.check import check as check
 from allanjax.estimate.fit import fit as fit
 from allanjax.estimate.loading import load as load
 from allanjax.estimate.ranking import select_terms as select_terms

@@ -72,13 +72,14 @@ def work_through(
     as_json: bool,
     work: Callable[[Input, Path | None], Outcome],
     document: Callable[[list[dict[str, Any]], int], dict[str, Any]],
+    writes: bool = True,
 ) -> None:
     """Do a command's `work` on files, of which bad ones do not stop the others, and print what comes of it.
 
     As JSON that is what `document` makes of the files' documents and of how many files there were. Ends the
-    program if files failed.
+    program if files failed. A command that writes no files has no folder for them.
     """
-    directory = out if as_json else out or RESULTS
+    directory = out if as_json or not writes else out or RESULTS
     prepare(directory)
     documents: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []

@@ -1,0 +1,227 @@
+"""Whether a recording is fit for its purpose, line by line, and how long it would have to be."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.base.tables import html_table, text_table
+from allanjax.base.wording import duration, finite_or_none, plain
+from allanjax.estimate.fit import fit_inspected
+from allanjax.estimate.needed_length import TARGET, NeededLength, needed_lengths
+from allanjax.estimate.result import Fit
+from allanjax.inspection import Inspection, inspect
+from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
+from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.recording import Recording
+
+SCHEMA_VERSION = 1
+# Sample rate over bandwidth: from three to five, after Hou (2004) section 5.3, figure 5.10.
+_LEAST_RATIO, _MOST_RATIO = 3.0, 5.0
+_HEADINGS = ("check", "verdict", "reason")
+_SYMBOLS = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Check(ByValue):
+    """Whether a recording is fit for the estimation of noise coefficients.
+
+    Attributes:
+        name, n, rate: the recording's name, number of samples and sample rate [Hz]; 0 if it cannot be read.
+        lines: the checks, each with its name, a verdict "fine", "look" or "stop", and the reason in words.
+        lengths: how long to record for N, B and K of each axis to be known to ± 20 %.
+    """
+
+    name: str
+    n: int
+    rate: float
+    lines: tuple[Line, ...]
+    lengths: tuple[NeededLength, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst verdict of the lines."""
+        return worst(self.lines)
+
+    @property
+    def stops(self) -> tuple[Line, ...]:
+        """The lines that say stop."""
+        return tuple(line for line in self.lines if line.verdict == "stop")
+
+    def __getitem__(self, name: str) -> Line:
+        """The line of this name; AllanjaxError if there is none."""
+        for line in self.lines:
+            if line.name == name:
+                return line
+        raise AllanjaxError(f"no line {name!r}; there are {', '.join(line.name for line in self.lines)}")
+
+    def summary(self) -> str:
+        """One line of text: which checks say stop or look, and how many are fine."""
+        parts = []
+        for verdict in ("stop", "look"):
+            names = [line.name for line in self.lines if line.verdict == verdict]
+            parts += [f"{verdict}: {', '.join(names)}"] if names else []
+        fine = sum(line.verdict == "fine" for line in self.lines)
+        return "; ".join([*parts, f"{fine} of {len(self.lines)} checks are fine"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The check as plain dictionaries, lists, numbers and strings, for JSON."""
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "recording": {
+                "name": self.name,
+                "n": self.n,
+                "rate_hz": self.rate,
+                "duration_s": self.n / self.rate if self.rate else 0.0,
+            },
+            "verdict": self.verdict,
+            "lines": [dataclasses.asdict(line) for line in self.lines],
+            "lengths": [_length(length) for length in self.lengths],
+        }
+
+    def _title(self) -> str:
+        name = f"{self.name}: " if self.name else ""
+        if not self.rate:
+            return f"{name}cannot be read as a recording"
+        return f"{name}{self.n:,} samples at {self.rate:g} Hz ({duration(self.n / self.rate)})"
+
+    def _cells(self) -> list[tuple[str, str, str]]:
+        return [(line.name, line.verdict, line.reason) for line in self.lines]
+
+    def __str__(self) -> str:
+        return text_table(self._title(), _HEADINGS, self._cells())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), _HEADINGS, self._cells())
+
+
+def check(
+    recording: RecordingLike,
+    *,
+    vibrating: bool = False,
+    rate: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> Check:
+    """Say line by line whether a recording is fit for the estimation of noise coefficients.
+
+    Looked at are time stamps, repeated samples, resolution, saturation, dead axes, motion, disturbances,
+    units by their plausibility, temperature, bandwidth, and the length that N, B and K need. For the last two
+    the recording is fitted, as by `fit`.
+
+    Args:
+        recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
+        vibrating: whether the platform moves or vibrates, and is to: motion is no reason to stop then.
+        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
+            and a file may state their own.
+
+    Returns:
+        The lines. A file whose time stamps, or whose axes, allow no recording has one line, which says why.
+
+    Raises:
+        RecordingError, UnitError: what is given cannot be read for another reason, such as a missing unit.
+    """
+    try:
+        given = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    except RecordingError as error:
+        name = Path(recording).name if isinstance(recording, str | os.PathLike) else ""
+        return unreadable(error, name)
+    seen = inspect(given, vibrating=vibrating)
+    try:
+        fit = fit_inspected(given, seen, None, "allan")
+    except FitError as error:
+        return check_of(given, seen, None, str(error))
+    return check_of(given, seen, fit)
+
+
+def unreadable(error: RecordingError, name: str) -> Check:
+    """Check of what cannot be read because of its samples or time stamps; other errors are raised again."""
+    if not error.about:
+        raise error
+    return Check(name, 0, 0.0, (Line(error.about, "stop", str(error)),))
+
+
+def check_of(recording: Recording, seen: Inspection, fit: Fit | None, reason: str = "") -> Check:
+    """Check of a recording that was inspected and fitted; or not fitted, for some reason."""
+    lines = [*lines_of(recording, seen)]
+    lengths: tuple[NeededLength, ...] = ()
+    if fit is None:
+        lines.append(Line("length", "look", f"how long to record cannot be said: {reason}"))
+    else:
+        n, rate = fit.curve.n, fit.curve.rate
+        lengths = tuple(length for r in fit.results for length in needed_lengths(r, n, rate))
+        lines.append(_bandwidth(fit))
+        lines += _of_length(seen, fit, lengths)
+    return Check(recording.name, recording.n, recording.rate, tuple(lines), lengths)
+
+
+def _bandwidth(fit: Fit) -> Line:
+    """Sample rate compared with the bandwidth of the filters that were found."""
+    name, rate, wanted = "bandwidth", fit.curve.rate, "three to five times the bandwidth is right"
+    measured = [r for r in fit.results if r.measured]
+    if not measured:
+        return Line(name, "look", "cannot be said: the fit is no measurement of this sensor")
+    found = [(r.model.response.half_power, r.axis.name) for r in measured if r.model.response is not None]
+    if not found:
+        return Line(
+            name,
+            "look",
+            f"no filter is seen below {plain(rate / 2.0, 4)} Hz, half the rate: if the sensor has more "
+            f"bandwidth, N has noise from beyond folded into it; {wanted}",
+        )
+    widest, axis = max(found)
+    said = f"{plain(widest, 3)} Hz ({axis}), the rate is {plain(rate / widest, 2)} times that"
+    if rate < _LEAST_RATIO * widest:
+        return Line(name, "look", f"{said}: {wanted}; noise from beyond half the rate is folded into N")
+    if rate > _MOST_RATIO * widest:
+        return Line(name, "fine", f"{said}: more than it takes, {wanted}")
+    return Line(name, "fine", f"{said}: {wanted}")
+
+
+def _of_length(seen: Inspection, fit: Fit, lengths: Sequence[NeededLength]) -> Iterator[Line]:
+    """Lines on the length: whether it is too short for anything, then what N, B and K need."""
+    if short := seen.about("length"):
+        yield Line("length", "look", "; ".join(short))
+    for label, symbol in _SYMBOLS.items():
+        own = [length for length in lengths if length.coefficient.label == label]
+        name = f"length for {symbol}"
+        if not own:
+            why = next((r.reason for r in fit.results if not r.converged), "the fit has no such term")
+            told = "there are no coefficients, see disturbances" if seen.refusal else why
+            yield Line(name, "look", f"cannot be said: {told}")
+        elif all(length.known for length in own):
+            poorest = max(own, key=lambda length: length.relative_std)
+            yield Line(name, "fine", f"{poorest}, other axes better" if len(own) > 1 else str(poorest))
+        else:
+            yield Line(name, "look", _together([length for length in own if not length.known]))
+
+
+def _together(lengths: Sequence[NeededLength]) -> str:
+    """Lengths in words, axes of which the same is told together."""
+    axes: dict[str, list[str]] = {}
+    for length in lengths:
+        axes.setdefault(length.told(), []).append(length.coefficient.axis.name)
+    return "; ".join(f"{', '.join(names)} {told}" for told, names in axes.items())
+
+
+def _length(length: NeededLength) -> dict[str, Any]:
+    """A needed length as a dictionary."""
+    c = length.coefficient
+    return {
+        "axis": c.axis.name,
+        "coefficient": c.label,
+        "detected": c.detected,
+        "relative_std": finite_or_none(length.relative_std),
+        "target": TARGET,
+        "needed_s": length.seconds,
+        "of_size_si": c.value if c.detected else c.upper_limit,
+        "reason": length.reason,
+    }
