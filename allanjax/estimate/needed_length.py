@@ -80,7 +80,7 @@ class NeededLength(ByValue):
         c = self.coefficient.in_unit()
         below = f"not detected, below {significant(c.upper_limit or 0.0)} {c.unit} (95 %)"
         if self.seconds is not None and self.seconds <= self.now:
-            return f"{below}: one so large would show by now"
+            return f"{below}: one so large would usually show by now"
         return f"{below}: {takes} if it is so large"
 
 
@@ -105,7 +105,7 @@ def _needed(result: AxisFit, c: Estimate, n: int, rate: float) -> NeededLength:
         if std <= TARGET:
             return NeededLength(c, std, now, now)
         if result.discrepancy > 0.0:
-            why = "how long ± 20 % takes cannot be said: the noise terms do not follow the data, see allanjax critique"
+            why = "the noise terms do not follow the data: how long ± 20 % takes cannot be said"
             return NeededLength(c, std, now, None, why)
         # The fit cannot do better than the bound, and at longer lengths is as much worse as here.
         target = TARGET * min(relative_std(result.model, n, rate)[c.label] / std, 1.0)
