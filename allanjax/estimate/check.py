@@ -154,7 +154,7 @@ def check_of(recording: Recording, seen: Inspection, fit: Fit | None, reason: st
     lines = [*lines_of(recording, seen)]
     lengths: tuple[NeededLength, ...] = ()
     if fit is None:
-        lines.append(Line("length", "look", f"how long to record cannot be said: {reason}"))
+        lines.append(Line("length for N, B and K", "look", f"cannot be said: {reason}"))
     else:
         n, rate = fit.curve.n, fit.curve.rate
         lengths = tuple(length for r in fit.results for length in needed_lengths(r, n, rate))
@@ -187,9 +187,7 @@ def _bandwidth(fit: Fit) -> Line:
 
 
 def _of_length(seen: Inspection, fit: Fit, lengths: Sequence[NeededLength]) -> Iterator[Line]:
-    """Lines on the length: whether it is too short for anything, then what N, B and K need."""
-    if short := seen.about("length"):
-        yield Line("length", "look", "; ".join(short))
+    """Lines on the length that N, B and K need."""
     for label, symbol in _SYMBOLS.items():
         own = [length for length in lengths if length.coefficient.label == label]
         name = f"length for {symbol}"

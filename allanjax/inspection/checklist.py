@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.base.wording import plain
+from allanjax.base.wording import duration, plain
 from allanjax.inspection.first_look import Inspection
 from allanjax.inspection.levels import is_piled_up, lattice
 from allanjax.inspection.words import amount
@@ -64,6 +64,8 @@ def lines_of(recording: Recording, seen: Inspection) -> Iterator[Line]:
         bias = f"a bias of up to {amount(abs(seen.mean[k]), seen.axes[k])} ({seen.axes[k].name})"
         yield _told("gyro unit", "stop", seen.about("gyro"), f"{bias} and the noise are those of a gyro")
     yield _temperature(recording)
+    length = f"{recording.n:,} samples, {duration(recording.duration)}"
+    yield _told("length", "look", seen.about("length"), length)
 
 
 def _told(name: str, verdict: Verdict, sentences: Sequence[str], otherwise: str) -> Line:
