@@ -15,6 +15,7 @@ from allanjax.record.io import read_recording
 from allanjax.record.io.chunks import open_chunks
 
 if TYPE_CHECKING:
+    from allanjax.estimate.check import Check
     from allanjax.estimate.result import Fit
     from allanjax.record.recording import Recording
     from allanjax.spectrum.psd import PowerSpectrum
@@ -50,31 +51,39 @@ def command(
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
 ) -> None:
-    from allanjax.estimate.as_json import SCHEMA_VERSION, to_dict
-    from allanjax.report.files import write_results
+    from allanjax.estimate.as_json import SCHEMA_VERSION
+    from allanjax.report.files import with_check, write_results
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        spectrum, fit = (None, _accumulate_and_fit(file, options)) if stream else read_and_fit(file, options)
+        check, spectrum = None, None
+        if stream:
+            fit = _accumulate_and_fit(file, options)
+        else:
+            check, spectrum, fit = read_and_fit(file, options)
         paths: tuple[Path, ...] = ()
         if directory is not None:
             with stage(f"{file.label}: writing results"):
                 drawn = None if spectrum is None else spectrum.result()
-                paths = write_results(fit, drawn, directory, file.name)
-        told = "\n".join([str(fit), *(f"note: {note}" for note in fit.notes)])
+                paths = write_results(fit, drawn, directory, file.name, check)
+        first = [] if check is None else [f"check: {check.summary()}"]
+        told = "\n".join([*first, str(fit), *(f"note: {note}" for note in fit.notes)])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
-        return Outcome(told, to_dict(fit), paths, missing)
+        return Outcome(told, with_check(fit, check), paths, missing)
 
     work_through(files, out, as_json, work, lambda fits, _: {"schema_version": SCHEMA_VERSION, "fits": fits})
 
 
-def read_and_fit(file: Input, options: FitOptions) -> "tuple[Future[PowerSpectrum], Fit]":
-    """Spectrum and fit of a file's recording; the spectrum is estimated while the fit compiles."""
+def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[PowerSpectrum], Fit]":
+    """Check, spectrum and fit of a file's recording; the spectrum is estimated while the fit compiles."""
+    from allanjax.estimate.check import check_of
+
     with stage(f"{file.label}: reading"):
         recording = read_recording(file.path, options.reading, file.label)
     with fitting(file, recording), ThreadPoolExecutor(1) as pool:
         seen = options.inspect(recording)
         spectrum = pool.submit(_spectrum, seen.quiet(recording))
-        return spectrum, options.fit(recording, seen)
+        fit = options.fit(recording, seen)
+        return check_of(recording, seen, fit), spectrum, fit
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":

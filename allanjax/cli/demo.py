@@ -30,9 +30,9 @@ def command(
             recording = demo_recording()
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+        check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
         with stage("writing results"):
-            paths = write_results(fit, spectrum.result(), out, file.stem)
+            paths = write_results(fit, spectrum.result(), out, file.stem, check)
     table, inside, count = compare(fit)
     print(table)
     print(f"{inside} of {count} intervals hold the truth; of 95 % ones, one in twenty should not.")

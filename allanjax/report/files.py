@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from allanjax.estimate.as_json import to_dict
+from allanjax.estimate.check import Check
 from allanjax.estimate.result import Fit
 from allanjax.record.units import rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum
@@ -23,13 +24,18 @@ _COEFFICIENT_COLUMNS = (
 )
 
 
-def write_json(fit: Fit, path: str | os.PathLike[str]) -> None:
-    """Write `to_dict(fit)` to a file of JSON."""
-    text = json.dumps(to_dict(fit), indent=2, ensure_ascii=False, allow_nan=False)
+def write_json(fit: Fit, path: str | os.PathLike[str], check: Check | None = None) -> None:
+    """Write `to_dict(fit)` to a file of JSON, with the check of its recording if there is one."""
+    text = json.dumps(with_check(fit, check), indent=2, ensure_ascii=False, allow_nan=False)
     # Numbers of a list side by side: in texts there are no line breaks.
     text = _NUMBERS.sub(lambda match: f"[{', '.join(match[1].split()).replace(',,', ',')}]", text)
     # A name may come from a file name that is no text.
     Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def with_check(fit: Fit, check: Check | None) -> dict[str, Any]:
+    """The fit as plain dictionaries, with the check of its recording if there is one."""
+    return to_dict(fit) if check is None else {**to_dict(fit), "check": check.to_dict()}
 
 
 def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
@@ -72,9 +78,8 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     _write_csv(path, _COEFFICIENT_COLUMNS, rows)
 
 
-#: What is written of every fit: the end of the file's name, and what writes it.
+#: What is written of every fit beside its JSON: the end of the file's name, and what writes it.
 FILES: tuple[tuple[str, Callable[[Fit, Path], object]], ...] = (
-    (".json", write_json),
     ("_allan.csv", write_curve_csv),
     ("_coefficients.csv", write_coefficients_csv),
     ("_allan.png", lambda fit, path: fit.plot(path=path)),
@@ -82,7 +87,11 @@ FILES: tuple[tuple[str, Callable[[Fit, Path], object]], ...] = (
 
 
 def write_results(
-    fit: Fit, spectrum: PowerSpectrum | None, directory: str | os.PathLike[str], name: str
+    fit: Fit,
+    spectrum: PowerSpectrum | None,
+    directory: str | os.PathLike[str],
+    name: str,
+    check: Check | None = None,
 ) -> tuple[Path, ...]:
     """Write NAME.json, NAME_{allan,coefficients}.csv and NAME_{allan,psd}.png; returns their paths.
 
@@ -92,9 +101,11 @@ def write_results(
 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    paths = [directory / f"{name}{suffix}" for suffix, _ in FILES]
-    for path, (_, write) in zip(paths, FILES, strict=True):
-        write(fit, path)
+    paths = [directory / f"{name}.json"]
+    write_json(fit, paths[0], check)
+    for suffix, write in FILES:
+        paths.append(directory / f"{name}{suffix}")
+        write(fit, paths[-1])
     if spectrum is not None:
         paths.append(directory / f"{name}_psd.png")
         plot_psd(spectrum, fit, path=paths[-1])

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from allanjax.fleet.options import FitOptions
 
-Name = Literal["fit", "critique", "fleet"]
+Name = Literal["check", "fit", "critique", "fleet"]
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _FILE = {"type": "string", "description": "The file that was read, as it was given; stdin for -."}
@@ -27,16 +27,20 @@ _ERRORS = {
 
 
 def schema(name: Name) -> dict[str, Any]:
-    """JSON schema, draft 2020-12, of what `characterize` ("fit"), `critique` or `fleet` writes.
+    """JSON schema, draft 2020-12, of what `check`, `characterize` ("fit"), `critique` or `fleet` writes.
 
-    "fit": NAME.json, and the document of `--json`. "critique": NAME_critique.json, and the document of
-    `--json`. "fleet": recordings/NAME.json.
+    "check": the document of `--json`. "fit": NAME.json, and the document of `--json`. "critique":
+    NAME_critique.json, and the document of `--json`. "fleet": recordings/NAME.json.
     """
     if name == "fleet":
         return _of_fleet()
-    path = files(__package__).joinpath(f"{name}.schema.json")
+    # A fit holds the check of its recording.
+    path = files(__package__).joinpath(f"{'fit' if name == 'check' else name}.schema.json")
     document, plural = json.loads(path.read_text(encoding="utf-8")), f"{name}s"
     definitions = document.pop("$defs")
+    if name == "check":
+        document = definitions["check"]
+        definitions = {"verdict": definitions["verdict"]}
     single = {key: value for key, value in document.items() if key not in ("$schema", "title")}
     properties = single["properties"]
     own = {key: value for key, value in properties.items() if key != "errors"}

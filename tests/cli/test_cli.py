@@ -46,6 +46,7 @@ def test_characterize_prints_the_table_and_writes_the_results(recorded, small_fi
                 assert c["si"]["value"] == pytest.approx(expected.value, rel=1e-5)
     walk = small_fit["gyro_x"]["angle_random_walk"].in_unit().describe()
     assert walk in result.stdout
+    assert result.stdout.startswith("check: look: ")
     assert str(Path("allanjax-results") / "small_allan.png") in result.stdout
     assert result.stderr == ""
 

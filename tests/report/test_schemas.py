@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
 from commands import run
 
@@ -45,6 +46,7 @@ def test_of_characterize(recorded):
         assert len(bundle["errors"]) == len(words)
     written = json.loads(Path("there/small.json").read_text("utf-8"))
     of_fit.validate(written)
+    assert written["check"]["recording"]["n"] == 20_000
     # The entries of a bundle are closed: their file is named, and nothing else is in them.
     bundle = json.loads(run("characterize", recorded, "--json").stdout)
     (entry,) = bundle["fits"]
@@ -52,6 +54,21 @@ def test_of_characterize(recorded):
         assert not of_fit.is_valid({**bundle, "fits": [wrong]})
     assert not of_fit.is_valid(entry)
     assert not of_fit.is_valid({**bundle, "errors": [{"file": "a.csv"}]})
+
+
+def test_of_check(recorded):
+    of_check = validator("check")
+    table = pd.read_csv(recorded)
+    table.loc[9000:, "time [s]"] += 1.0
+    table.to_csv("gap.csv", index=False)
+    done = run("check", recorded, "gap.csv", "none.csv", "--json")
+    bundle = json.loads(done.stdout)
+    of_check.validate(bundle)
+    assert [entry["verdict"] for entry in bundle["checks"]] == ["look", "stop"]
+    assert done.exit_code == len(bundle["errors"]) == 1
+    (first, _) = bundle["checks"]
+    assert {entry["detected"] for entry in first["lengths"]} == {True, False}
+    assert not of_check.is_valid({**bundle, "checks": [{**first, "verdict": "good"}]})
 
 
 def test_of_a_dead_axis(small_recording):
