@@ -151,7 +151,8 @@ def _gravity(seen: Inspection) -> Line:
             f"the mean is {amount(size, seen.axes[accel[0]])}: without all three axes, "
             "gravity does not tell the unit",
         )
-    return Line(name, "look", f"the mean is {off}: was gravity taken out, or simulated without?")
+    why = "the sensor moved" if seen.moving else "was gravity taken out, or simulated without?"
+    return Line(name, "look", f"the mean is {off}: {why}")
 
 
 def _temperature(recording: Recording) -> Line:

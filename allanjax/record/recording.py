@@ -13,16 +13,19 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.plain import printable
+from allanjax.base.presented import presented
 from allanjax.base.tables import html_table
 from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
-from allanjax.record.units import Sensor
+from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Key in a data frame's `attrs` of what its columns do not say of a recording.
+ATTRIBUTE = "allanjax"
 # Tolerance, in samples, within which a time is that of a sample: room for rounding.
 _TIME_SLACK = 1e-6
 
@@ -150,8 +153,15 @@ class Recording(ByValue):
 
     @property
     def own_values(self) -> Float[np.ndarray, "samples axes"]:
-        """Samples, each axis in its own unit."""
-        return self.values / self.own_scales
+        """Samples, each axis in its own unit: times `own_scales` they are `values` again, where possible."""
+        values, scales = self.values, self.own_scales
+        own = values / scales
+        # The quotient's rounding may show in the product, which its neighbours may hit.
+        for direction in (-np.inf, np.inf):
+            missed = own * scales != values
+            neighbour = np.nextafter(own, direction)
+            own = np.where(missed & (neighbour * scales == values), neighbour, own)
+        return own
 
     @property
     def columns(self) -> dict[str, Float[np.ndarray, " samples"]]:
@@ -163,11 +173,64 @@ class Recording(ByValue):
             **self.auxiliary,
         }
 
-    def to_dataframe(self) -> "pd.DataFrame":
-        """Table with one row a sample and the `columns`, which `fit` and others take again."""
+    def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
+        """Table with one row a sample and the `columns`, which `from_dataframe`, `fit` and others take again.
+
+        Labels state the units. What they do not say (rate, name, notes, dead axes) is in the table's `attrs`,
+        which pandas keeps, also in Parquet.
+
+        Args:
+            si: whether samples are in rad/s and m/s²: then those of `from_dataframe` are equal to the last
+                digit. In the axes' own units they are where they came in these, else to within a rounding.
+        """
         import pandas as pd
 
-        return pd.DataFrame(self.columns)
+        columns = self.columns
+        labels = [f"{axis.name} [{axis.unit}]" for axis in self.axes]
+        if si:
+            own, labels = labels, [f"{axis.name} [{SI[axis.sensor]['rate']}]" for axis in self.axes]
+            renamed = dict(zip(own, labels, strict=True))
+            columns = {renamed.get(label, label): column for label, column in columns.items()}
+            columns |= dict(zip(labels, self.values.T, strict=True))
+        frame = pd.DataFrame(columns)
+        frame.attrs[ATTRIBUTE] = {
+            "rate_hz": self.rate,
+            "jitter_s": self.jitter,
+            "name": self.name,
+            "notes": list(self.notes),
+            "axes": {label: [x.name, x.sensor, x.unit] for label, x in zip(labels, self.axes, strict=True)},
+            "si": si,
+            "auxiliary": list(self.auxiliary),
+            "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
+        }
+        return frame
+
+    @classmethod
+    @presented
+    def from_dataframe(
+        cls,
+        frame: "pd.DataFrame",
+        rate: float | None = None,
+        *,
+        gyro_unit: str | None = None,
+        accel_unit: str | None = None,
+        names: Sequence[str] | None = None,
+    ) -> "Recording":
+        """Make a recording from a data frame, whose columns are recognised by their names as those of a file.
+
+        One that `to_dataframe` made gives the same recording again, also after rows at its ends, auxiliary
+        columns or axes were left out.
+
+        Args:
+            frame: columns such as `time [s]`, `gyro_x [deg/s]`, `temperature`; times may be the index.
+            rate: sample rate [Hz], without times.
+            gyro_unit, accel_unit: units of the sensors, where labels have none.
+            names: labels of the columns to take.
+
+        Raises:
+            RecordingError, UnitError: as `read`.
+        """
+        raise NotImplementedError
 
     def select(self, *keys: str) -> "Recording":
         """Recording of the named axes, in this order; `gyro` or `accel` stands for all axes of that sensor.

@@ -65,7 +65,7 @@ gal = 0.01 * meter / second ** 2 = Gal
 """
 
 # SI units of rates and of increments, and the base dimension that a sensor's units never have.
-_SI: dict[Sensor, dict[Quantity, str]] = {
+SI: dict[Sensor, dict[Quantity, str]] = {
     "gyro": {"rate": "rad/s", "increment": "rad"},
     "accel": {"rate": "m/s²", "increment": "m/s"},
 }
@@ -152,7 +152,7 @@ def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
     For increments it is rad/s or m/s².
     """
     own = parse_sample_unit(unit, sensor)
-    return (own.name, own.scale) if own.quantity == "rate" else (_SI[sensor]["rate"], 1.0)
+    return (own.name, own.scale) if own.quantity == "rate" else (SI[sensor]["rate"], 1.0)
 
 
 def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
@@ -304,7 +304,7 @@ def _quantity(unit: _Unit | None, sensor: Sensor) -> Quantity | None:
     if unit is None:
         return None
     of_dimension = (
-        quantity for quantity, si in _SI[sensor].items() if _known(si, None).dimension == unit.dimension
+        quantity for quantity, si in SI[sensor].items() if _known(si, None).dimension == unit.dimension
     )
     return next(of_dimension, None)
 

@@ -18,6 +18,7 @@ present(
         "Fit.plot": "allanjax.report.allan_figure.plot_allan",
         "FleetResult.plot": "allanjax.report.fleet_figure.plot_fleet_result",
         "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",
+        "Recording.from_dataframe": "allanjax.record.io.frames.from_dataframe",
         "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",
     }
 )
