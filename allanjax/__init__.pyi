@@ -35,6 +35,8 @@ from allanjax.inspection import inspect as inspect
 from allanjax.noise import terms as terms
 from allanjax.noise.butterworth import Biquad as Biquad
 from allanjax.noise.butterworth import Butterworth as Butterworth
+from allanjax.noise.datasheet import DataSheet as DataSheet
+from allanjax.noise.datasheet import datasheet as datasheet
 from allanjax.noise.estimate import Coefficient as Coefficient
 from allanjax.noise.estimate import Estimate as Estimate
 from allanjax.noise.model import Model as Model

@@ -59,6 +59,7 @@ minute = 60 * second = min = minutes
 hour = 3600 * second = h = hr = hours
 hertz = 1 / second = Hz
 degree_per_second = degree / second = dps
+degree_per_hour = degree / hour = dph
 revolution_per_minute = revolution / minute = rpm
 standard_gravity = 9.80665 * meter / second ** 2 = g
 gal = 0.01 * meter / second ** 2 = Gal
@@ -82,6 +83,15 @@ _SI_UNITS = (
     *("rad", "rad/√s", "rad/s", "rad/s/√s", "rad/s²"),
     *("m/s", "m/s/√s", "m/s²", "m/s²/√s", "m/s³"),
     *("s", "Hz", "1"),
+)
+
+# Units that messages propose, those of the same dimension; SI ones and those of coefficients among them.
+_PROPOSED = (
+    *("deg/√h", "deg/s/√Hz", "mdps/√Hz", "deg/h/√Hz", "rad/√s", "rad/s/√Hz"),
+    *("m/s/√h", "µg/√Hz", "mg/√Hz", "m/s²/√Hz", "m/s/√s"),
+    *("deg/h", "deg/s", "mdeg/s", "rad/s", "µg", "mg", "g", "m/s²", "m/s/h"),
+    *("deg/h/√h", "deg/s/√h", "deg/s/√s", "rad/s/√s", "µg/√h", "m/s/h/√h", "m/s²/√s"),
+    *("deg/h²", "rad/s²", "m/s/h²", "m/s³", "arcsec", "deg", "rad", "m/s", "s", "h", "Hz"),
 )
 
 # Words whose case carries no meaning. Not m, g and what begins with a prefix: M and G could be mega, giga.
@@ -219,11 +229,26 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
             "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
             for unit in (source, target)
         )
+        alike = [u for u in _PROPOSED if u != from_unit and _known(u, None).dimension == source.dimension]
         raise UnitError(
-            f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are {' and '.join(labels)}; give "
-            "units of the same dimension"
+            f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are {' and '.join(labels)}; "
+            + (f"possible are {', '.join(alike)}" if alike else "give units of the same dimension")
         )
     return value * (source.scale / target.scale)
+
+
+def density_power(unit: str) -> float:
+    """Power of a density that a unit is: 1/2 of `deg/s/√Hz`, 1 of `(deg/h)²/Hz`, 0 of what is per no Hz.
+
+    A one-sided density is twice the two-sided one, to this power.
+
+    Raises:
+        UnitError: the unit is unknown.
+    """
+    _known(unit, None)
+    parsed = _registry().parse_units(_expression(unit))
+    exponents = cast(Mapping[str, float], parsed._units)
+    return max(-sum(power for name, power in exponents.items() if name.endswith("hertz")), 0.0)
 
 
 def _known(text: str, sensor: Sensor | None) -> _Unit:
@@ -279,7 +304,7 @@ def _expression(text: str) -> str:
     """Unit as an expression for pint: powers by `**`, products by `*`, usual spellings replaced."""
     text = text.strip().translate(_SYMBOLS).replace("**", "^")
     text = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda run: "^" + run[0].translate(_SUPERSCRIPTS), text)
-    text = re.sub(r"(?:√|\bsqrt|\brt-?)\s*(?:\(\s*(\w+)\s*\)|(\w+))", r"(\1\2^0.5)", text)
+    text = re.sub(r"(?:√|\bsqrt|\b(?:rt|root)-?)\s*(?:\(\s*(\w+)\s*\)|(\w+))", r"(\1\2^0.5)", text)
     text = re.sub(r"\s+per\s+", "/", text)
     text = re.sub(r"\b[gG]['’]s\b", "g", text)
     text = re.sub(r"\s*([/*^()])\s*", r"\1", text)

@@ -1,0 +1,70 @@
+"""The command `allanjax convert`."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from allanjax.cli.common import epilog, failures_told, print_json
+
+HELP = (
+    "Convert a value from one unit to another, or the figures of a data sheet to noise coefficients. Roots "
+    "may be written √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both "
+    "are told."
+)
+EPILOG = epilog(
+    "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
+    "allanjax convert 150 ug/rtHz --to m/s/√h --sided one",
+    "allanjax convert --sheet adis16470.toml",
+)
+
+
+def command(
+    value: Annotated[float | None, typer.Argument(help="The number.", metavar="VALUE")] = None,
+    unit: Annotated[str | None, typer.Argument(help="Its unit.", metavar="UNIT")] = None,
+    to: Annotated[str | None, typer.Option(help="Unit to convert to.")] = None,
+    sided: Annotated[
+        Literal["one", "two"] | None,
+        typer.Option(help="Which density a unit per √Hz is of: one-sided as in data sheets, or two-sided."),
+    ] = None,
+    sheet: Annotated[
+        Path | None, typer.Option(help="Data sheet in TOML, to convert to coefficients instead.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --sheet only.")] = False,
+) -> None:
+    if (sheet is None) == (value is None) or (sheet is not None and (to or sided)):
+        raise typer.BadParameter("give VALUE UNIT --to UNIT, or --sheet FILE")
+    if sheet is not None:
+        from allanjax.noise.datasheet import datasheet
+
+        with failures_told():
+            found = datasheet(sheet)
+        if as_json:
+            print_json(found.to_dict())
+        else:
+            print(found)
+        return
+    if unit is None or to is None or as_json:
+        raise typer.BadParameter("give VALUE UNIT --to UNIT")
+    with failures_told():
+        for line in _converted(float(value or 0.0), unit, to, sided):
+            print(line)
+
+
+def _converted(value: float, unit: str, to: str, sided: Literal["one", "two"] | None) -> list[str]:
+    """The value in the other unit, in words; one line for each kind of density that it may be."""
+    from allanjax.record.units import convert, density_power
+
+    number = convert(value, unit, to)
+    power = density_power(unit) - density_power(to)
+    if power == 0.0:
+        return [f"{value:g} {unit} = {number:.6g} {to}"]
+    one = f"{value:g} {unit} = {number / math.sqrt(2.0) ** (2.0 * power):.6g} {to}"
+    two = f"{value:g} {unit} = {number:.6g} {to}"
+    if sided is not None:
+        return [f"{one if sided == 'one' else two} ({sided}-sided density)"]
+    return [
+        f"{one} if the density is one-sided, as in data sheets by convention (--sided one)",
+        f"{two} if it is two-sided, as in IEEE 952 and here (--sided two)",
+    ]

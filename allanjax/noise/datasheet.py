@@ -1,0 +1,346 @@
+"""Coefficients from the figures of a data sheet.
+
+Data sheets give the same noise in several ways, and leave out by which convention. What a figure leaves open
+is asked for; what is assumed is stated.
+
+- N is √S of the two-sided density S: a one-sided density (of a spectrum analyser, as data sheets mostly give
+  it) is √2·N. A random walk in deg/√h is N itself.
+- White noise has the rms √(2N²·W) in the equivalent noise bandwidth W; W is π/2 times the −3 dB bandwidth of
+  a filter of one pole.
+- The least Allan deviation of flicker noise is √(2 ln2/π)·B = 0.664 B (Hou 2004, eq. 4.48).
+- Rounding to steps q adds q²/12 to the variance: of increments that is quantization noise, Q = q/√12; of
+  rates at a sample rate f it is white noise, N = q/√(12 f), as long as the noise exceeds half a step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.base.tables import html_table, text_table
+from allanjax.base.wording import significant
+from allanjax.noise.estimate import usual_unit
+from allanjax.noise.model import Model, NoiseTerm
+from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
+from allanjax.record.units import (
+    SENSORS,
+    Sensor,
+    convert,
+    default_coefficient_unit,
+    density_power,
+    parse_sample_unit,
+    si_unit,
+)
+
+#: Least Allan deviation of flicker noise over B.
+MINIMUM = math.sqrt(2.0 * math.log(2.0) / math.pi)
+# Equivalent noise bandwidth of a filter of one pole over its −3 dB bandwidth.
+_ONE_POLE = math.pi / 2.0
+# Figures of a sensor, each with what else must be said of it and the answers.
+_FIGURES: dict[str, dict[str, tuple[str, ...]]] = {
+    "random_walk": {},
+    "noise_density": {"sided": ("one", "two")},
+    "rms_noise": {"bandwidth": (), "bandwidth_is": ("first-order", "noise")},
+    "in_run_bias_instability": {"reading": ("minimum", "B")},
+    "rate_random_walk": {},
+    "lsb": {},
+}
+_WHY = {
+    "sided": "in data sheets it is one-sided by convention, √2 times N, and in IEEE 952 two-sided, N itself",
+    "bandwidth": "white noise has no rms without it",
+    "bandwidth_is": 'the −3 dB bandwidth of a filter of one pole ("first-order"), or the equivalent noise '
+    'bandwidth, as of a brick wall ("noise")',
+    "reading": 'the least Allan deviation ("minimum"), which is 0.664 B, or the coefficient ("B")',
+    "rate": "steps of a rate are white noise by the sample rate",
+}
+_QUANTITY = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S.*?)\s*")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class DataSheet(ByValue):
+    """Noise models of the sensors of a data sheet, and what was assumed.
+
+    Attributes:
+        name: name of the unit.
+        source: where the figures are from.
+        models: the model of each sensor, "gyro" or "accel", with the coefficients that the figures give.
+        statements: what was assumed, and which figures differ from others.
+    """
+
+    name: str
+    source: str
+    models: Mapping[Sensor, Model]
+    statements: tuple[str, ...]
+
+    def __getitem__(self, sensor: Sensor) -> Model:
+        """The model of a sensor; AllanjaxError if the data sheet has none."""
+        if sensor not in self.models:
+            raise AllanjaxError(f"{self.name} has no {sensor!r}; it has {', '.join(self.models)}")
+        return self.models[sensor]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The coefficients as plain dictionaries, for JSON."""
+        coefficients = [
+            {"sensor": sensor, "coefficient": term.name(), "value": value, "unit": unit, "si": si}
+            for sensor, term, value, unit, si in self._coefficients()
+        ]
+        return {
+            "name": self.name,
+            "source": self.source,
+            "coefficients": coefficients,
+            "statements": list(self.statements),
+        }
+
+    def _coefficients(self) -> Iterable[tuple[Sensor, NoiseTerm, float, str, float]]:
+        """Each coefficient: its sensor and term, its value in the usual unit, that unit, and the SI value."""
+        for sensor, model in self.models.items():
+            for term in model:
+                p = term.amplitude_parameter()
+                si, unit = float(getattr(term, p.name)), usual_unit(p, sensor)
+                yield sensor, term, convert(si, _si_of(sensor, p.time_exponent), unit), unit, si
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        rows: list[tuple[str, str, str]] = []
+        for sensor, term, value, unit, _ in self._coefficients():
+            name = term.name().replace("_", " ")
+            # As titles of estimates have it.
+            name = name.replace("angle random", "velocity random") if sensor == "accel" else name
+            symbol = term.amplitude_parameter().symbol
+            rows.append((sensor, f"{symbol} {name}", f"{significant(value)} {unit}"))
+        return rows
+
+    def __str__(self) -> str:
+        table = text_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
+        return "\n".join([table, *(f"note: {line}" for line in self.statements)])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
+
+
+def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
+    """Noise models from the figures of a data sheet, in a file of TOML or a dictionary.
+
+    A figure is a text with its unit. For example:
+
+        name = "ADIS16470"
+        [gyro]
+        noise_density = "0.008 deg/s/√Hz"
+        sided = "one"
+        in_run_bias_instability = "8 deg/h"
+        reading = "minimum"
+        [accel]
+        in_run_bias_instability = "13 µg"
+        reading = "minimum"
+
+    Of each sensor there may be `random_walk` (deg/√h); `noise_density`, with `sided` "one" or "two";
+    `rms_noise`, with its `bandwidth`, and `bandwidth_is` "first-order" (−3 dB of one pole) or "noise" (the
+    equivalent noise bandwidth); `in_run_bias_instability`, with `reading` "minimum" (of the Allan deviation,
+    0.664 B) or "B"; `rate_random_walk`; and `lsb`, the step of the output, of rates with the sample `rate`.
+    The first one given of the first three is N, and how much the others differ is stated.
+
+    Args:
+        source: path of the file; or what is in one, as a dictionary.
+
+    Raises:
+        AllanjaxError: a file that cannot be read, an unknown key, or a figure without what it leaves open.
+        UnitError: a unit that does not fit.
+    """
+    where, document = "data sheet", source
+    if not isinstance(source, Mapping):
+        where = str(source)
+        try:
+            document = tomllib.loads(Path(source).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise AllanjaxError(f"{where}: {why}; give a file of TOML with [gyro] or [accel]") from error
+    assert isinstance(document, Mapping)
+    unknown = [key for key in document if key not in ("name", "source", *SENSORS)]
+    present = [sensor for sensor in SENSORS if sensor in document]
+    if unknown or not present:
+        found = f"unknown key {unknown[0]!r}" if unknown else "no sensor"
+        raise AllanjaxError(f"{where}: {found}; there may be name, source, [gyro] and [accel]")
+    sheets = {sensor: _Sheet(sensor, document[sensor], f"{where}: [{sensor}]") for sensor in present}
+    models = {sensor: sheet.model() for sensor, sheet in sheets.items()}
+    statements = tuple(f"{sensor}: {line}" for sensor, sheet in sheets.items() for line in sheet.statements)
+    return DataSheet(
+        str(document.get("name", "")),
+        str(document.get("source", "")),
+        models,
+        tuple(dict.fromkeys(statements)),
+    )
+
+
+def _si_of(sensor: Sensor, time_exponent: float) -> str:
+    """SI unit of a coefficient, rate·s^time_exponent."""
+    return si_unit(default_coefficient_unit(sensor, time_exponent))
+
+
+class _Sheet:
+    """Figures of one sensor, read one after the other; collects the statements on what was assumed."""
+
+    def __init__(self, sensor: Sensor, figures: Any, where: str) -> None:
+        self.sensor, self.figures, self.where = sensor, figures, where
+        self.statements: list[str] = []
+        if not isinstance(figures, Mapping):
+            raise AllanjaxError(f"{where}: is no table; write its figures below [{sensor}]")
+        answers = [key for options in _FIGURES.values() for key in options]
+        for key in figures:
+            if key not in (*_FIGURES, *answers, "rate"):
+                known = ", ".join((*_FIGURES, *answers, "rate"))
+                raise AllanjaxError(f"{where}: unknown key {key!r}; there may be {known}")
+
+    def model(self) -> Model:
+        """Sum of the terms that the figures give."""
+        Q, stepped = self._rounding()
+        N, B, K = self._white(stepped), self._flicker(), self._amount("rate_random_walk", -0.5)
+        values = ((Quantization, Q), (AngleRandomWalk, N), (BiasInstability, B), (RateRandomWalk, K))
+        terms = [
+            term().replace(**{term.amplitude_parameter().name: value})
+            for term, value in values
+            if value is not None
+        ]
+        if not terms:
+            raise AllanjaxError(f"{self.where}: no figure; there may be {', '.join(_FIGURES)}")
+        return Model(tuple(terms))
+
+    def _white(self, stepped: float | None) -> float | None:
+        """N of the first figure that gives it; of steps alone, where there is none."""
+        found = {
+            "random_walk": self._random_walk(),
+            "noise_density": self._density(),
+            "rms_noise": self._rms(),
+        }
+        given = {key: value for key, value in found.items() if value is not None}
+        if not given:
+            if stepped is not None:
+                self.statements.append("N is that of the steps alone")
+            return stepped
+        first, N = next(iter(given.items()))
+        for key, value in list(given.items())[1:]:
+            self.statements.append(f"N is that of {first}; {key} gives {value / N:.2f} times as much")
+        if stepped is not None:
+            share = (stepped / N) ** 2
+            self.statements.append(
+                f"steps make {100.0 * share:.2g} % of the power of N, and are not added to it"
+            )
+        return N
+
+    def _random_walk(self) -> float | None:
+        if "random_walk" in self.figures and self._is_density("random_walk"):
+            raise self._error("random_walk", "is per √Hz: give it as noise_density, with sided, or in deg/√h")
+        return self._amount("random_walk", 0.5)
+
+    def _density(self) -> float | None:
+        if "noise_density" not in self.figures:
+            return None
+        if not self._is_density("noise_density"):
+            raise self._error(
+                "noise_density", "is not per √Hz: if it is a random walk, give it as random_walk"
+            )
+        density, sided = self._amount("noise_density", 0.5), self._answer("noise_density", "sided")
+        assert density is not None
+        told = "√2·N" if sided == "one" else "N"
+        self.statements.append(f"noise_density is taken as {sided}-sided, {told}")
+        return density / math.sqrt(2.0) if sided == "one" else density
+
+    def _rms(self) -> float | None:
+        rms = self._amount("rms_noise", 0.0)
+        if rms is None:
+            return None
+        number, unit = self._quantity(self._answer("rms_noise", "bandwidth"), "bandwidth")
+        bandwidth, kind = (
+            self._converted(number, unit, "Hz", "bandwidth"),
+            self._answer("rms_noise", "bandwidth_is"),
+        )
+        width = bandwidth * (_ONE_POLE if kind == "first-order" else 1.0)
+        how = f"1.57 times the −3 dB bandwidth of {bandwidth:g} Hz" if kind == "first-order" else "as given"
+        self.statements.append(f"rms_noise is taken as white in a noise bandwidth of {width:.4g} Hz, {how}")
+        return rms / math.sqrt(2.0 * width)
+
+    def _flicker(self) -> float | None:
+        value = self._amount("in_run_bias_instability", 0.0)
+        if value is None:
+            return None
+        if self._answer("in_run_bias_instability", "reading") == "B":
+            self.statements.append(
+                "in_run_bias_instability is taken as B; the Allan deviation's minimum is 0.664 B"
+            )
+            return value
+        self.statements.append(
+            "in_run_bias_instability is taken as the minimum of the Allan deviation, 0.664 B; N and K are "
+            "part of that minimum, so that B is at most this"
+        )
+        return value / MINIMUM
+
+    def _rounding(self) -> tuple[float | None, float | None]:
+        """Q of steps of increments, and N of steps of rates."""
+        if "lsb" not in self.figures:
+            return None, None
+        number, unit = self._quantity(self.figures["lsb"], "lsb")
+        if inverse := re.fullmatch(r"LSB\s*/\s*\(?(.+?)\)?", unit):
+            number, unit = 1.0 / number, inverse[1]
+        unit = re.sub(r"\s*/\s*LSB$", "", unit)
+        try:
+            step = parse_sample_unit(unit, self.sensor)
+        except UnitError as error:
+            raise UnitError(f"{self.where} lsb: {error}") from error
+        size = number * step.scale / math.sqrt(12.0)
+        if step.quantity == "increment":
+            self.statements.append("lsb is a step of increments: Q = lsb/√12")
+            return size, None
+        if "rate" not in self.figures:
+            raise self._error("lsb", f'needs rate, e.g. rate = "100 Hz": {_WHY["rate"]}')
+        rate = self._converted(*self._quantity(self.figures["rate"], "rate"), "Hz", "rate")
+        return None, size / math.sqrt(rate)
+
+    def _answer(self, figure: str, key: str) -> str:
+        """What a figure leaves open, as it is given; AllanjaxError that asks for it if it is not."""
+        options = _FIGURES[figure][key]
+        value = self.figures.get(key)
+        if value is None or (options and value not in options):
+            choices = " or ".join(f'"{option}"' for option in options) or 'e.g. "100 Hz"'
+            wrong = "" if value is None else f", not {value!r}"
+            raise self._error(figure, f"needs {key} = {choices}{wrong}: {_WHY[key]}")
+        return str(value)
+
+    def _amount(self, key: str, time_exponent: float) -> float | None:
+        """Figure in SI, rate·s^time_exponent; None if it is not given."""
+        if key not in self.figures:
+            return None
+        number, unit = self._quantity(self.figures[key], key)
+        return self._converted(number, unit, _si_of(self.sensor, time_exponent), key)
+
+    def _is_density(self, key: str) -> bool:
+        """Whether a figure is per √Hz; of an unknown unit the conversion will tell."""
+        try:
+            return density_power(self._quantity(self.figures[key], key)[1]) > 0.0
+        except UnitError as error:
+            raise UnitError(f"{self.where} {key}: {error}") from error
+
+    def _quantity(self, text: Any, key: str) -> tuple[float, str]:
+        """Number and unit of a figure, whose unit may end in rms."""
+        match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+        if match is None or not 0.0 < float(match["number"]) < math.inf:
+            raise self._error(
+                key, f'must be a positive number with its unit, as in "0.1 deg/s", not {text!r}'
+            )
+        return float(match["number"]), re.sub(r"\s+rms$", "", match["unit"])
+
+    def _converted(self, number: float, unit: str, si: str, key: str) -> float:
+        try:
+            return convert(number, unit, si, None if si == "Hz" else self.sensor)
+        except UnitError as error:
+            raise UnitError(f"{self.where} {key}: {error}") from error
+
+    def _error(self, key: str, message: str) -> AllanjaxError:
+        return AllanjaxError(f"{self.where} {key} {message}")
