@@ -205,10 +205,9 @@ class Recording(ByValue):
         }
         return frame
 
-    @classmethod
+    @staticmethod
     @presented
     def from_dataframe(
-        cls,
         frame: "pd.DataFrame",
         rate: float | None = None,
         *,

@@ -119,6 +119,7 @@ def test_json_in_any_encoding_is_the_same(fitted, outputs):
     assert code == 0
     (fit,) = json.loads(out)["fits"]
     assert fit.pop("file") == "small.csv"
+    assert fit.pop("check")["verdict"] == "look"
     assert fit == json.loads(json.dumps(aj.to_dict(fitted)))
 
 

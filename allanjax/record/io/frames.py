@@ -20,7 +20,6 @@ _CONFIRMED = 1e-3
 
 
 def from_dataframe(
-    cls: type[Recording],
     frame: "pd.DataFrame",
     rate: float | None = None,
     *,
