@@ -161,6 +161,10 @@ def _temperature(recording: Recording) -> Line:
     channels = {key: z for key, z in recording.auxiliary.items() if "temp" in key.lower()}
     if not channels:
         return Line(name, "look", "no such column: what drifts with it counts as B, K and a ramp")
+    missing = [key for key, z in channels.items() if not np.isfinite(z).all()]
+    if missing:
+        where = ", ".join(missing)
+        return Line(name, "look", f"values of {where} are missing: whether an axis follows cannot be said")
     said = [f"{key} varies by {plain(float(np.ptp(z)), 3)}" for key, z in channels.items()]
     follows = [text for key, z in channels.items() for text in _following(recording, key, z)]
     if not follows:
@@ -178,7 +182,7 @@ def _following(recording: Recording, key: str, z: Float[np.ndarray, " n"]) -> It
     """
     size = recording.n // _STRETCHES or 1
     whole = recording.n // size * size
-    if whole // size < _FEWEST or not np.isfinite(z).all() or np.ptp(z) == 0.0:
+    if whole // size < _FEWEST:
         return
     from scipy.special import stdtr
 

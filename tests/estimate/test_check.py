@@ -127,6 +127,10 @@ def warm(table: pd.DataFrame) -> None:
     table[GYRO[0]] += 0.2 / np.ptp(felt) * felt
 
 
+def temperature_with_holes(table: pd.DataFrame) -> None:
+    table.loc[100:200, "temperature [degC]"] = np.nan
+
+
 def short(table: pd.DataFrame) -> pd.DataFrame:
     return table[:3000]
 
@@ -145,6 +149,7 @@ WRONG = {
     gap: ("gaps", "stop", "has a gap of 2.01 s"),
     knocked: ("disturbances", "look", "coefficients are of "),
     warm: ("temperature", "look", "gyro_x follows temperature, by 0."),
+    temperature_with_holes: ("temperature", "look", "values of temperature are missing"),
     short: ("length", "look", "30 s: too short for B and K"),
 }
 
