@@ -26,6 +26,7 @@ from allanjax.report.export.targets import (
 
 _YOURS = "not known to the fit: put yours"
 _FRAGMENT = "these are lines of that file: its other ones stay yours"
+_PRIORS = "sigma_bg and sigma_ba are priors of the turn-on bias, which one recording does not tell"
 _RATE = Key("update_rate", "r", "Hz")
 _TOPIC = Text("rostopic", "/imu0", _YOURS)
 _FAST_LIO = (
@@ -56,7 +57,7 @@ def _moved(key: Key, name: str) -> Key:
 def _imu_utils() -> tuple[Key | Text, ...]:
     rows: list[Key | Text] = [Text("type", "IMU"), Text("name", "imu", _YOURS)]
     for sensor, block, stem, at in (("gyro", "Gyr", "gyr", 0), ("accel", "Acc", "acc", 1)):
-        rows.append(Text(f"{block}/unit", f'" {SAMPLE[at]}"'))
+        rows.append(Text(f"{block}/unit", f'" {SAMPLE[at]}"', sensor=sensor))  # type: ignore[arg-type]
         for place, of in (("avg", "mean"), ("x", "x"), ("y", "y"), ("z", "z")):
             for letter, formula, units in (("n", "N", DENSITY), ("w", "K", WALK)):
                 name = f"{block}/{place}-axis/{stem}_{letter}"
@@ -80,8 +81,8 @@ ESTIMATORS = (
         "allan_variance_ros scripts/analysis.py, which writes Kalibr's imu.yaml",
         (*_KALIBR, _TOPIC, _RATE),
         (
-            "allan_variance_ros itself reads K off a line of slope 1/2 over all cluster times and N off one below "
-            "10 s: its numbers differ from these where the curve is no such line",
+            "allan_variance_ros itself reads K off a line of slope 1/2 over all cluster times and N off one "
+            "below 10 s: its numbers differ from these where the curve is no such line",
         ),
     ),
     Target(
@@ -116,7 +117,10 @@ ESTIMATORS = (
             Key("imu0/update_rate", "r", "Hz"),
             Text("imu0/model", '"kalibr"'),
         ),
-        (_FRAGMENT, "T_i_b, time_offset, Tw, R_IMUtoGYRO, Ta, R_IMUtoACC and Tg are a calibration's, not noise"),
+        (
+            _FRAGMENT,
+            "T_i_b, time_offset, Tw, R_IMUtoGYRO, Ta, R_IMUtoACC, Tg are a calibration's, not noise",
+        ),
     ),
     Target(
         "basalt",
@@ -143,7 +147,7 @@ ESTIMATORS = (
         ),
         (
             _FRAGMENT,
-            "sigma_bg and sigma_ba are priors of the turn-on bias, which one recording does not tell",
+            _PRIORS,
             "OKVIS' own comment gives sigma_aw_c in m/s^2/sqrt(Hz); it is used as m/s^3/sqrt(Hz)",
         ),
     ),
@@ -156,7 +160,10 @@ ESTIMATORS = (
             *both("imu_parameters/sigma_g_c", "imu_parameters/sigma_a_c", "N", DENSITY),
             *both("imu_parameters/sigma_gw_c", "imu_parameters/sigma_aw_c", "K", WALK),
         ),
-        (_FRAGMENT, "sigma_bg and sigma_ba are priors of the turn-on bias, which one recording does not tell"),
+        (
+            _FRAGMENT,
+            _PRIORS,
+        ),
     ),
     Target(
         "gtsam",
@@ -181,7 +188,7 @@ ESTIMATORS = (
         ),
         (
             "Python; C++ has the same functions. 9.81 m/s^2 is gravity with z up: put yours",
-            "integrationCovariance is no noise of the sensor and has no value from a fit: it is left as it is",
+            "integrationCovariance is no noise of the sensor and has no value from a fit: it stays",
         ),
         before=(
             "import gtsam",
@@ -232,7 +239,7 @@ ESTIMATORS = (
         both("sensors/imu_gyro_noise", "sensors/imu_acc_noise", "N", DENSITY),
         (
             "merge these into sensors of config_sensors.json",
-            "imu_bias_noise is left out: one number for gyros and accelerometers, whose unit is not documented",
+            "imu_bias_noise is left out: one number for both sensors, of a unit that is not documented",
             "imu_int_noise is left out: it is no noise of the sensor",
         ),
         comment_at="sensors",
@@ -251,8 +258,8 @@ ESTIMATORS = (
         ),
         (
             _FRAGMENT,
-            "corrtime is one for all axes: stds are such that the density q that drives each bias is the fitted one",
-            "KF-GINS takes gbstd and abstd for the initial bias, too, unless initbgstd and initbastd are given",
+            "corrtime is one for all axes: stds are such that the density q that drives a bias is as fitted",
+            "KF-GINS takes gbstd and abstd for the initial bias, too, without initbgstd and initbastd",
         ),
         one_time=True,
     ),
@@ -278,8 +285,8 @@ ESTIMATORS = (
         "sensor_msgs/Imu, as robot_localization reads it: variance per sample, row-major 3 x 3",
         both("angular_velocity_covariance", "linear_acceleration_covariance", "N**2*r", VARIANCE, "matrix"),
         (
-            "robot_localization has no parameter of its own: the driver of the IMU writes these into its messages",
-            "they hold for messages at the rate r, of means over a sample interval: with --rate of others",
+            "it has no parameter of its own: the driver of the IMU writes these into its messages",
+            "they hold for messages at the rate r, each a mean over its interval; --rate gives another",
         ),
         rate_name="rate at which messages are published",
     ),

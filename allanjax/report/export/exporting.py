@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
@@ -17,12 +18,19 @@ from allanjax.record.units import SENSORS, Sensor
 from allanjax.report.export.syntax import Entry, written
 from allanjax.report.export.table import TARGETS
 from allanjax.report.export.targets import Key, Target, Text, target_of
-from allanjax.report.export.values import Missing, Number, OneOf, Quantities, quantities, together, usable_axes
+from allanjax.report.export.values import (
+    Missing,
+    Number,
+    OneOf,
+    Quantities,
+    quantities,
+    together,
+    usable_axes,
+)
 
 #: What is written of several axes: each where the target holds three, the worst, or the mean.
 Axes = Literal["each", "worst", "mean"]
 
-_COVERED = {"N": "angle_random_walk", "K": "rate_random_walk", "B": "bias_instability"}
 _CALLED: dict[Sensor, str] = {"gyro": "gyro", "accel": "accelerometer"}
 
 
@@ -85,7 +93,8 @@ def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | N
     entries, left_out = [], []
     for key in to.keys:
         if isinstance(key, Text):
-            entries.append(Entry(key.name, key.value, (key.note,) if key.note else ()))
+            if key.sensor is None or sensors[key.sensor].axes:
+                entries.append(Entry(key.name, key.value, (key.note,) if key.note else ()))
             continue
         try:
             entries.append(_entry(key, to, sensors, axes, float(r)))
@@ -96,7 +105,7 @@ def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | N
     head = [
         f"{to.title}: noise of {fit.name or 'a recording'} as fitted by allanjax ({_length(fit)})",
         f"follows {to.source}",
-        f"r = {significant(float(r), 6)} Hz, {to.rate_name}",
+        *([f"r = {significant(float(r), 6)} Hz, {to.rate_name}"] if _needs_rate(to) else []),
         "N, K: densities, two-sided, in SI; intervals are of 95 %",
         *to.notes,
         *wrong,
@@ -104,6 +113,10 @@ def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | N
         *left_out,
     ]
     return Exported(written(to, head, entries), (*wrong, *left_out))
+
+
+def _needs_rate(to: Target) -> bool:
+    return any("r" in re.findall(r"\w+", key.formula) for key in to.noise_keys)
 
 
 class _LeftOutError(Exception):
@@ -130,18 +143,21 @@ def _length(fit: Fit) -> str:
 
 
 def _with_one_time(sensors: Mapping[Sensor, _Sensor]) -> dict[Sensor, _Sensor]:
-    """The sensors with one correlation time for all axes: the gyros', of a Markov process if one is there."""
-    times: list[tuple[bool, float, Number]] = []
+    """The sensors with one correlation time for all axes: that of a Markov process, of a gyro if it has one.
+
+    Of several it is that of the process that is driven most.
+    """
+    driven: list[tuple[Number, Number]] = []
     for s in sensors.values():
-        for of in s.axes:
-            q, T = of["q"], of["T"]
-            if isinstance(q, Number) and isinstance(T, Number):
-                times.append((not q.said.startswith("q = K"), q.value / max(_drives(s)), T))
-        if any(markov for markov, _, _ in times):
+        pairs = [(of["q"], of["T"]) for of in s.axes]
+        found = [(q, T) for q, T in pairs if isinstance(q, Number) and isinstance(T, Number)]
+        processes = [(q, T) for q, T in found if T.label]
+        driven = processes or driven or found
+        if processes:
             break
-    if not times:
+    if not driven:
         return dict(sensors)
-    T = max(times, key=lambda row: row[:2])[2]
+    _, T = max(driven, key=lambda pair: pair[0].value)
     return {
         name: dataclasses.replace(
             s, axes=tuple({**of, "T": T} if isinstance(of["T"], Number) else of for of in s.axes)
@@ -150,13 +166,7 @@ def _with_one_time(sensors: Mapping[Sensor, _Sensor]) -> dict[Sensor, _Sensor]:
     }
 
 
-def _drives(s: _Sensor) -> list[float]:
-    return [q.value for of in s.axes if isinstance(q := of["q"], Number)]
-
-
-def _entry(
-    key: Key, to: Target, sensors: Mapping[Sensor, _Sensor], axes: Axes | None, rate: float
-) -> Entry:
+def _entry(key: Key, to: Target, sensors: Mapping[Sensor, _Sensor], axes: Axes | None, rate: float) -> Entry:
     """The line of a key; _LeftOutError says why there is none."""
     if key.sensor is None:
         return Entry(key.name, key.value({}, rate), (f"= {key.formula} [{key.unit}]",))
@@ -179,7 +189,7 @@ def _entry(
         raise _LeftOutError("; ".join(dict.fromkeys(n.said for _, of in found for n in of.values())))
     values, numbers = _values(key, found, axes, rate)
     comments = [f"= {key.formula} [{key.unit}]; source: {to.source.partition(':')[0]}"]
-    comments += list(dict.fromkeys(n.said for n in numbers))
+    comments += dict.fromkeys(n.said for n in numbers if n.symbol in key.formula)
     comments += dict.fromkeys(lacking)
     if key.note:
         comments.append(key.note)
@@ -205,7 +215,9 @@ def _values(
         own = axes in (None, "each") and letter in by_letter
         value, made_of = together(lambda q: key.value(q, rate), [by_letter[letter]], how) if own else all_axes
         values.append(value)
-        place = "" if own or axes in ("worst", "mean") else f" (in the place of {letter}, which has no result)"
+        place = (
+            "" if own or axes in ("worst", "mean") else f" (in the place of {letter}, which has no result)"
+        )
         numbers += [dataclasses.replace(n, said=n.said + place) for n in made_of]
     return tuple(values), tuple(numbers)
 
@@ -225,25 +237,18 @@ def _not_held(to: Target, sensors: Mapping[Sensor, _Sensor]) -> list[str]:
         symbols = {symbol for key in to.noise_keys if key.sensor == sensor for symbol in key.symbols}
         largest: dict[str, Estimate] = {}
         for result, of in zip(s.results, s.axes, strict=True):
-            drive = of["q"].said if isinstance(of["q"], Number) else ""
+            held = {number.label for x in symbols if isinstance(number := of[x], Number)}
             for c in result.coefficients.values():
-                taken = any(symbol in symbols and label == c.label for symbol, label in _COVERED.items())
-                # A bias is either a walk or a Markov process there.
-                taken |= "q" in symbols and c.is_amplitude and _drives_bias(c, drive)
-                if not (c.is_amplitude and c.detected and c.value > 0.0) or taken:
+                if not (c.is_amplitude and c.detected and c.value > 0.0) or c.label in held:
                     continue
                 if c.label not in largest or c.value > largest[c.label].value:
                     largest[c.label] = c
         for c in largest.values():
-            told.append(f"NOT HELD by {to.title}: {c.axis.name} {c.title} {c.symbol} = {c.in_unit().describe()}")
+            told.append(
+                f"NOT HELD by {to.title}: {c.title} {c.symbol} = {c.in_unit().describe()} of {c.axis.name}"
+            )
             if c.symbol == "q_c":
                 told[-1] += "; for less than its correlation time it walks as K = q_c does"
         corrected = [f"{r.axis.name}: {r.correction}" for r in s.results if r.correction]
         told += [f"N is the density at low frequencies; NOT HELD: {text}" for text in corrected]
     return told
-
-
-def _drives_bias(c: Estimate, drive: str) -> bool:
-    """Whether an amplitude is the one that the words on q are of."""
-    walk = drive.startswith("q = K")
-    return c.symbol == ("K" if walk else "q_c") and c.axis.name in drive

@@ -5,7 +5,6 @@ from __future__ import annotations
 from allanjax.report.export.targets import (
     DENSITY,
     SAMPLE,
-    SAMPLE_WALK,
     WALK,
     Key,
     Target,
@@ -15,9 +14,10 @@ from allanjax.report.export.targets import (
 
 _TURN_ON = "the turn-on bias is left out, one recording does not tell it"
 _FLOOR = (
-    "a FLOOR, not a recommendation to fly: it is what the sensor has at rest; vibration, aliasing, scale factor and "
-    "timing come on top, for which the autopilot's defaults leave room (20 to 50 times a modern MEMS sensor)"
+    "a FLOOR, not a recommendation to fly: it is what the sensor has at rest; vibration, aliasing, scale "
+    "factor and timing come on top, for which the autopilot's defaults leave room (20 to 50 times a MEMS sensor)"
 )
+
 
 def _sdf(kind: str, walk: bool) -> tuple[Key | Text, ...]:
     rows: list[Key | Text] = []
@@ -26,7 +26,7 @@ def _sdf(kind: str, walk: bool) -> tuple[Key | Text, ...]:
             path = f"imu/{block}/{axis}/noise type={kind!r}"
             of = {"sensor": sensor, "of": axis}
             rows += [
-                Text(f"{path}/mean", 0.0),
+                Text(f"{path}/mean", 0.0, sensor=sensor),  # type: ignore[arg-type]
                 Key(f"{path}/stddev", "N*sqrt(r)", SAMPLE[at], **of),  # type: ignore[arg-type]
             ]
             if walk:
@@ -42,7 +42,8 @@ SIMULATORS = (
         "gz-sim",
         "gz-sim SDF",
         "xml",
-        "gz-sensors src/GaussianNoiseModel.cc: stddev per sample; bias = exp(-dt/T)*bias + N(0, q^2*T/2*(1-exp(-2*dt/T)))",
+        "gz-sensors src/GaussianNoiseModel.cc: stddev per sample; the bias decays by exp(-dt/T) in a step and is "
+        "driven with the variance q^2*T/2*(1-exp(-2*dt/T))",
         _sdf("gaussian", walk=True),
         (
             "put it below <sensor type='imu'>",
@@ -58,7 +59,10 @@ SIMULATORS = (
         "xml",
         "gazebo-classic's sensor: stddev per sample, not scaled by the step (gazebo-classic #2670)",
         _sdf("gaussian", walk=False),
-        ("put it below <sensor type='imu'>", "this sensor has no moving bias; the plugin of the target rotors has"),
+        (
+            "put it below <sensor type='imu'>",
+            "this sensor has no moving bias; the plugin of the target rotors has",
+        ),
         rate_name="update_rate of the sensor",
     ),
     Target(
@@ -85,16 +89,24 @@ SIMULATORS = (
         "airsim",
         "AirSim",
         "json",
-        "AirSim ImuSimpleParams.hpp, ImuSimple.hpp: white arw/sqrt(dt); bias a walk of density stability/sqrt(tau)",
+        "AirSim ImuSimpleParams.hpp, ImuSimple.hpp: arw/sqrt(dt); bias a walk of stability/sqrt(tau)",
         (
             Text("Sensors/Imu/SensorType", 2),
             Text("Sensors/Imu/Enabled", True),
             Key("Sensors/Imu/AngularRandomWalk", "N", "deg/√h", "gyro"),
             Key("Sensors/Imu/GyroBiasStability", "K*sqrt(500)", "deg/h", "gyro"),
-            Text("Sensors/Imu/GyroBiasStabilityTau", 500.0, "s, chosen: only GyroBiasStability/sqrt(tau) matters"),
+            Text(
+                "Sensors/Imu/GyroBiasStabilityTau",
+                500.0,
+                "s: only stability/sqrt(tau) matters",
+            ),
             Key("Sensors/Imu/VelocityRandomWalk", "N", "mg/√Hz", "accel"),
             Key("Sensors/Imu/AccelBiasStability", "K*sqrt(800)", "µg", "accel"),
-            Text("Sensors/Imu/AccelBiasStabilityTau", 800.0, "s, chosen: only AccelBiasStability/sqrt(tau) matters"),
+            Text(
+                "Sensors/Imu/AccelBiasStabilityTau",
+                800.0,
+                "s: only stability/sqrt(tau) matters",
+            ),
         ),
         (
             "merge these into the vehicle's part of settings.json",
@@ -115,7 +127,7 @@ SIMULATORS = (
         ),
         (
             "Isaac Sim's own IMUSensor has no noise",
-            "the bias of NoiseModelWithAdditiveBiasCfg is drawn at a reset and does not move: it cannot hold a walk",
+            "the bias of NoiseModelWithAdditiveBiasCfg is drawn at a reset and does not move: it holds no walk",
         ),
         rate_name="rate of the observations",
         before=("from isaaclab.utils.noise import GaussianNoiseCfg", ""),
@@ -130,15 +142,15 @@ SIMULATORS = (
             key
             for sensor, name, at in (("gyro", "gyroscope", 0), ("accel", "accelerometer", 1))
             for key in (
-                Text(f"imu_config[{name!r}] = {{}}", "{}"),
+                Text(f"imu_config[{name!r}] = {{}}", "{}", sensor=sensor),  # type: ignore[arg-type]
                 Key(f"imu_config[{name!r}]['noise_density'] = {{}}", "N", DENSITY[at], sensor),  # type: ignore[arg-type]
                 Key(f"imu_config[{name!r}]['random_walk'] = {{}}", "q", WALK[at], sensor),  # type: ignore[arg-type]
                 Key(f"imu_config[{name!r}]['bias_correlation_time'] = {{}}", "T", "s", sensor),  # type: ignore[arg-type]
             )
         ),
         (
-            "the values follow its documentation; its code of 2024 does not add the biases, draws the accelerometers' "
-            "uniformly, and takes their correlation time for the gyros",
+            "the values follow its documentation; its code of 2024 does not add the biases, draws those of "
+            "accelerometers uniformly, and takes their correlation time for the gyros",
             f"turn_on_bias_sigma: {_TURN_ON}; the default, which is not zero, holds",
         ),
         before=("imu_config = {}",),
@@ -147,7 +159,7 @@ SIMULATORS = (
         "matlab",
         "MATLAB imuSensor",
         "lines",
-        "MathWorks: gyroparams, accelparams (NoiseType double-sided), introduction-to-simulating-imu-measurements",
+        "MathWorks gyroparams, accelparams: NoiseType double-sided, densities",
         (
             *both("gyro.NoiseDensity = {};", "accel.NoiseDensity = {};", "N", DENSITY, "three"),
             *both("gyro.RandomWalk = {};", "accel.RandomWalk = {};", "K", WALK, "three"),

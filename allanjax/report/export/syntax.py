@@ -1,9 +1,10 @@
-"""Files of values with comments, in the syntaxes of the targets; all of it ASCII, which every parser reads."""
+"""Files of values with comments, in the syntaxes of the targets; all ASCII, which every parser reads."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -27,7 +28,11 @@ class Entry:
 
 def written(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
     """The text of a target's file: comments that are its head, and its entries with theirs."""
-    text = _WRITERS[target.syntax](target, head, entries)
+    plain = [dataclasses.replace(e, comments=tuple(map(_ascii, e.comments))) for e in entries]
+    return _WRITERS[target.syntax](target, [*map(_ascii, head)], plain)
+
+
+def _ascii(text: str) -> str:
     return text.encode("ascii", ERRORS).decode("ascii")
 
 
@@ -58,7 +63,7 @@ def _comments(lines: Sequence[str], begin: str, indent: str = "") -> list[str]:
 
 
 def _lines(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
-    rows = [*_comments(head, target.comment), *target.before]
+    rows = [*_comments(head, target.comment), "", *target.before]
     for entry in entries:
         rows += _comments(entry.comments, target.comment)
         rows.append(entry.name.replace("{}", _literal(entry.value)))
@@ -66,7 +71,7 @@ def _lines(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str
 
 
 def _yaml(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
-    rows = _comments(head, "#")
+    rows = [*_comments(head, "#"), ""]
     opened: list[str] = []
     for entry in entries:
         *groups, name = entry.name.split("/")
@@ -100,8 +105,7 @@ def _xml(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
 
 def _xml_comments(lines: Sequence[str], indent: str = "") -> list[str]:
     """Comments, in which XML has no two dashes one after the other."""
-    plain = [line.encode("ascii", ERRORS).decode("ascii").replace("--", "- -") for line in lines]
-    return [f"{row} -->" for row in _comments(plain, "<!--", indent)]
+    return [f"{row} -->" for row in _comments([re.sub("-(?=-)", "- ", x) for x in lines], "<!--", indent)]
 
 
 def _json(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
@@ -113,8 +117,7 @@ def _json(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
         _below(root, groups)[name] = _plain(entry.value)
         told += [f"{name}: {comment}" for comment in entry.comments]
     _below(root, target.comment_at.split("/"))["_comment"] = told
-    text = json.dumps(root, indent=2, ensure_ascii=False)
-    return text + "\n"
+    return json.dumps(root, indent=2) + "\n"
 
 
 def _below(root: dict[str, Any], groups: Sequence[str]) -> dict[str, Any]:

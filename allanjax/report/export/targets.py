@@ -68,11 +68,15 @@ class Key:
 
 @dataclasses.dataclass(frozen=True)
 class Text:
-    """A line of a target's file that is no noise: `value` as it stands, or a number that was chosen."""
+    """A line of a target's file that is no noise: `value` as it stands, or a number that was chosen.
+
+    It is left out where it belongs to a `sensor` that the fit does not have.
+    """
 
     name: str
     value: str | float | bool
     note: str = ""
+    sensor: Sensor | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +93,7 @@ class Target:
         rate: the rate r of its steps [Hz], if that is not the recording's; and `rate_name` what it is.
         one_time: whether all axes have one correlation time T.
         comment: what begins a comment, of lines.
-        comment_at: the object, of JSON, that holds the comments; its reader passes over names it does not know.
+        comment_at: the object, of JSON, that holds the comments, as its reader skips names it does not know.
         before: lines before the values, of lines.
         also: other names.
     """

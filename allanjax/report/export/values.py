@@ -1,6 +1,6 @@
 """Noise quantities that targets take, of each axis of a fit and of three axes together.
 
-The quantities are N and K, the density `q` that drives a bias with the correlation time `T`, and B; all in SI.
+They are N and K, the density `q` that drives a bias with the correlation time `T`, and B; all in SI.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ class Number:
         unit: SI unit of the value.
         is_limit: whether it is a limit, or a mean over axes of which one has only a limit.
         axis: name of the axis.
+        label: the coefficient that it is; "" for the correlation time that a walk is given.
         interval: 95 % interval, of an estimate.
     """
 
@@ -43,6 +44,7 @@ class Number:
     unit: str
     is_limit: bool = False
     axis: str = ""
+    label: str = ""
     interval: tuple[float, float] | None = None
 
 
@@ -81,9 +83,7 @@ def _basic(result: AxisFit, symbol: str) -> Number | Missing:
     if label not in result.coefficients:
         words = label.replace("_", " ")
         terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
-        return Missing(
-            f"no {words} in the model fitted to {result.axis.name} ({terms}); fit one that has the term {symbol}"
-        )
+        return Missing(f"no {words} in the fitted model ({terms}); fit one that has the term {symbol}")
     return number(symbol, result.coefficients[label])
 
 
@@ -94,16 +94,17 @@ def number(symbol: str, c: Estimate) -> Number | Missing:
             known, interval = " (held)" if c.held else "", None
         else:
             known, interval = f" (95 %: {format_interval(*c.interval, c.value, c.std)})", c.interval
-        said = f"{symbol} = {significant(c.value, 5)} {c.si_unit}{known}, {c.in_unit().describe()}, {c.axis.name}"
-        return Number(symbol, c.value, said, c.si_unit, False, c.axis.name, interval)
+        amount = f"{significant(c.value, 5)} {c.si_unit}{known}"
+        said = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
+        return Number(symbol, c.value, said, c.si_unit, False, c.axis.name, c.label, interval)
     limit = c.upper_limit
     if limit is None or not (math.isfinite(limit) and limit > 0.0):
         return Missing(f"{c.title} of {c.axis.name} is not detected, and there is no limit of it")
     said = (
-        f"{symbol} NOT DETECTED: this is its 95 % upper limit {significant(limit, 5)} {c.si_unit}, "
-        f"{c.in_unit().describe()}, {c.axis.name}"
+        f"{symbol} NOT DETECTED: this is its 95 % upper limit {significant(limit, 5)} {c.si_unit} "
+        f"({c.in_unit().describe()}), {c.axis.name}"
     )
-    return Number(symbol, limit, said, c.si_unit, True, c.axis.name)
+    return Number(symbol, limit, said, c.si_unit, True, c.axis.name, c.label)
 
 
 def markov_terms(result: AxisFit) -> list[tuple[Estimate, Estimate]]:
@@ -131,7 +132,7 @@ def _drive(
         if weaker:
             q = number("q", amplitude)
             said = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
-            return q, Number("T", time.value, said, "s", axis=name)
+            return q, Number("T", time.value, said, "s", axis=name, label=time.label)
     if isinstance(walk, Missing):
         return walk, walk
     T = max(duration, _LONG)
@@ -162,7 +163,7 @@ def together(
         return _value(formula, worst), tuple(worst.values())
     if how == "worst":
         told = f", the worst of {len(axes)} axes"
-        numbers = [dataclasses.replace(n, said=n.said + told) for n in worst.values()]
+        numbers = [n if s == "T" else dataclasses.replace(n, said=n.said + told) for s, n in worst.items()]
     else:
         numbers = [n if s == "T" else _mean([axis[s] for axis in axes]) for s, n in worst.items()]
     return _value(formula, worst if how == "worst" else {n.symbol: n for n in numbers}), tuple(numbers)
@@ -189,4 +190,4 @@ def _mean(numbers: Sequence[Number]) -> Number:
     said += f", the mean of {', '.join(n.axis for n in numbers)}"
     if limits:
         said += f"; NOT DETECTED in {', '.join(limits)}, of which the 95 % upper limit is in the mean"
-    return Number(first.symbol, value, said, first.unit, bool(limits), "mean", interval)
+    return Number(first.symbol, value, said, first.unit, bool(limits), "mean", first.label, interval)

@@ -1,0 +1,88 @@
+"""The command `allanjax export`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import epilog, failures_told
+from allanjax.report.export.exporting import Axes, exported
+from allanjax.report.export.table import TARGETS
+
+if TYPE_CHECKING:
+    from allanjax.estimate.result import Fit
+
+HELP = "Write a result as the noise parameters of an estimator, autopilot or simulator."
+EPILOG = epilog(
+    "allanjax export --list",
+    "allanjax export allanjax-results/imu.json --to kalibr -o imu.yaml",
+    "allanjax export allanjax-results/imu.json --to vins-mono --rate 200",
+    "allanjax export allanjax-results/imu.json --to gz-sim --axes worst",
+)
+
+
+def command(
+    result: Annotated[
+        Path | None,
+        typer.Argument(help="NAME.json that characterize or fleet wrote.", metavar="RESULT.json"),
+    ] = None,
+    to: Annotated[str | None, typer.Option(help="A target of --list.", metavar="TARGET")] = None,
+    axes: Annotated[
+        Axes | None,
+        typer.Option(
+            help="The largest value of the axes, their mean, or each where the target holds three; by "
+            "default each where it does, else the worst."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Rate in Hz of the target's steps or samples; by default that of the recording, and of "
+            "autopilots that of their filter."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File to write; by default the standard output.")
+    ] = None,
+    show_list: Annotated[bool, typer.Option("--list", help="List the targets and exit.")] = False,
+) -> None:
+    if show_list:
+        for target in TARGETS.values():
+            print(f"{target.name:19} {target.title}: {', '.join(_names(target.name))}")
+        return
+    if result is None:
+        raise typer.BadParameter("give a result, such as allanjax-results/imu.json", param_hint="RESULT.json")
+    if to is None:
+        raise typer.BadParameter("give a target of --list, e.g. kalibr", param_hint="--to")
+    with failures_told():
+        made = exported(_loaded(result), to, axes=axes, rate=rate)
+        if out is None:
+            print(made.text, end="")
+        else:
+            out.write_text(made.text, encoding="ascii")
+            print(f"wrote {out}")
+        for words in made.left_out:
+            print(f"warning: {words}", file=sys.stderr)
+
+
+def _names(target: str) -> list[str]:
+    """Keys of a target without the levels above them, each once."""
+    keys = [key.name.rpartition("/")[2].replace("{}", "...") for key in TARGETS[target].noise_keys]
+    return list(dict.fromkeys(keys))
+
+
+def _loaded(path: Path) -> "Fit":
+    """The fit in a file; AllanjaxError if it holds several."""
+    from allanjax.estimate.loading import load
+
+    found = load(path)
+    if not isinstance(found, dict):
+        return found
+    if len(found) != 1:
+        raise AllanjaxError(
+            f"{path}: holds {len(found)} fits, {', '.join(found)}; characterize them without --json "
+            "and export one NAME.json each"
+        )
+    return next(iter(found.values()))
