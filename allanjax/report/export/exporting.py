@@ -215,9 +215,8 @@ def _values(
         own = axes in (None, "each") and letter in by_letter
         value, made_of = together(lambda q: key.value(q, rate), [by_letter[letter]], how) if own else all_axes
         values.append(value)
-        place = (
-            "" if own or axes in ("worst", "mean") else f" (in the place of {letter}, which has no result)"
-        )
+        instead = not own and axes in (None, "each")
+        place = f" (in the place of {letter}, which has no result)" if instead else ""
         numbers += [dataclasses.replace(n, said=n.said + place) for n in made_of]
     return tuple(values), tuple(numbers)
 

@@ -15,7 +15,7 @@ from allanjax.report.export.targets import (
 _TURN_ON = "the turn-on bias is left out, one recording does not tell it"
 _FLOOR = (
     "a FLOOR, not a recommendation to fly: it is what the sensor has at rest; vibration, aliasing, scale "
-    "factor and timing come on top, for which the autopilot's defaults leave room (20 to 50 times a MEMS sensor)"
+    "factor and timing come on top; the autopilot's defaults are 20 to 50 times a MEMS sensor's for that"
 )
 
 
@@ -42,8 +42,8 @@ SIMULATORS = (
         "gz-sim",
         "gz-sim SDF",
         "xml",
-        "gz-sensors src/GaussianNoiseModel.cc: stddev per sample; the bias decays by exp(-dt/T) in a step and is "
-        "driven with the variance q^2*T/2*(1-exp(-2*dt/T))",
+        "gz-sensors src/GaussianNoiseModel.cc: stddev per sample; a step lets the bias decay by "
+        "exp(-dt/T) and drives it with the variance q^2*T/2*(1-exp(-2*dt/T))",
         _sdf("gaussian", walk=True),
         (
             "put it below <sensor type='imu'>",
@@ -127,7 +127,7 @@ SIMULATORS = (
         ),
         (
             "Isaac Sim's own IMUSensor has no noise",
-            "the bias of NoiseModelWithAdditiveBiasCfg is drawn at a reset and does not move: it holds no walk",
+            "the bias of NoiseModelWithAdditiveBiasCfg is drawn at a reset and stays: it holds no walk",
         ),
         rate_name="rate of the observations",
         before=("from isaaclab.utils.noise import GaussianNoiseCfg", ""),
