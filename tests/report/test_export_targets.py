@@ -9,7 +9,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from commands import run
-from export_arithmetic import EACH, STEPS, WITH_TIME, error_of, predicted, read_python, read_yaml
+from export_arithmetic import EACH, ONE_TIME, STEPS, WITH_TIME, error_of, predicted, read_python, read_yaml
+from export_sensors import AXES, RATE, markov, model_of, recording, walk, with_one_time
 
 import allanjax as aj
 from allanjax.base.errors import AllanjaxError, FitError
@@ -18,39 +19,8 @@ from allanjax.report.export.table import TARGETS
 from allanjax.report.export.targets import Key, Target
 from allanjax.report.files import write_json
 
-RATE = 200.0
 # Steps of 12 ms and less make an error of 1.2 % of the covariance of angle and bias over 1 s.
 TOLERANCE = 0.02
-AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
-
-
-def recording(bias, axes=AXES, n=100_000, name="bench"):
-    """White noise and a bias of each axis, which `bias` makes of a generator and the scale of a sensor."""
-    rng = np.random.default_rng(11)
-    columns = []
-    for k, axis in enumerate(axes):
-        scale = 1.0 if axis.startswith("gyro") else 10.0
-        white = 1e-4 * scale * (1.0 + 0.2 * k) * math.sqrt(RATE) * rng.normal(size=n)
-        columns.append(white + bias(rng, n, scale * (1.0 + 0.3 * k), axis))
-    return aj.Recording.from_array(
-        np.stack(columns, 1), RATE, names=axes, gyro_unit="rad/s", accel_unit="m/s^2", name=name
-    )
-
-
-def walk(rng, n, scale, axis):
-    """A random walk, which gyro_z does not have."""
-    if axis == "gyro_z":
-        return 0.0
-    return np.cumsum(5e-5 * scale / math.sqrt(RATE) * rng.normal(size=n))
-
-
-def markov(rng, n, scale, axis):
-    """First-order Gauss-Markov noise with a correlation time of 5 s."""
-    from scipy.signal import lfilter
-
-    T, q = 5.0, 3e-4 * scale
-    phi = math.exp(-1.0 / RATE / T)
-    return lfilter([math.sqrt(q**2 * T / 2.0 * (1.0 - phi**2))], [1.0, -phi], rng.normal(size=n))
 
 
 @pytest.fixture(scope="module")
@@ -66,17 +36,6 @@ def wandering():
 @pytest.fixture(scope="module")
 def gyros_only():
     return aj.fit(recording(walk, AXES[:3], 20_000), "N + K")
-
-
-def model_of(fit, q="rate_random_walk", T=None):
-    """(N, q, T) of each axis: estimates, and limits where there is none."""
-    found = {"gyro": {}, "accel": {}}
-    for name in AXES:
-        cs = fit[name].coefficients
-        amplitude = cs[q].value if cs[q].detected else cs[q].upper_limit
-        time = cs[T].value if T else math.inf
-        found[cs[q].axis.sensor][name[-1]] = (cs["angle_random_walk"].value, amplitude, time)
-    return found
 
 
 def test_there_is_an_arithmetic_of_every_target():
@@ -101,10 +60,8 @@ def test_a_target_predicts_what_the_model_does(walking, target):
 def test_a_target_with_a_correlation_time_holds_a_markov_process(wandering, target):
     model = model_of(wandering, "markov_amplitude", "markov_correlation_time")
     text = aj.export(wandering, target)
-    if target in ("kf-gins", "ob-gins"):
-        # It has one time for all axes, that of the gyro that is driven most: q of each is kept.
-        T = max(model["gyro"].values(), key=lambda row: row[1])[2]
-        model = {s: {axis: (N, q, T) for axis, (N, q, _) in of.items()} for s, of in model.items()}
+    if target in ONE_TIME:
+        model = with_one_time(model)
     assert error_of(target, text, model, RATE) < TOLERANCE
     assert "NOT HELD" not in text
 
@@ -219,6 +176,16 @@ def test_no_walk_is_invented(wandering):
     assert "NOT HELD by VINS-Mono: markov amplitude q_c" in text
 
 
+def test_matlab_gets_a_bias_instability_that_is_detected_only(small_fit):
+    """And no limit, for a simulator makes noise of it."""
+    text = aj.export(small_fit, "matlab")
+    for sensor, names in (("gyro", ("gyro_x", "gyro_y", "gyro_z")), ("accel", ("accel_z",))):
+        found = [small_fit[name].coefficients["bias_instability"] for name in names]
+        got = re.search(rf"^{sensor}.BiasInstability = (.*);$", text, re.M)
+        assert bool(got) == any(c.detected for c in found)
+        assert got or f"{sensor}.BiasInstability = ...; is left out: B NOT DETECTED" in words_of(text)
+
+
 def test_an_axis_that_is_no_measurement_is_not_exported(walking):
     x, *others = walking.results
     spoilt = dataclasses.replace(walking, results=(x.unmeasured(moving=True), *others))
@@ -280,11 +247,22 @@ def test_numbers_are_numbers_to_old_readers_of_yaml(walking, target):
     assert texts <= {"/imu0", "kalibr", "IMU", "imu", " rad/s", " m/s²"}
 
 
-def test_gtsam_takes_its_snippet(walking):
-    pytest.importorskip("gtsam")
+def test_gtsam_itself_predicts_what_the_model_does(walking):
+    """Its own preintegration over 1 s of what the snippet has set."""
+    gtsam = pytest.importorskip("gtsam")
     params = read_python(aj.export(walking, "gtsam"))["params"]
-    N = walking["gyro_x"].coefficients["angle_random_walk"].value
-    assert params.getGyroscopeCovariance()[0, 0] == pytest.approx(N**2, rel=1e-5)
+    measured = gtsam.PreintegratedCombinedMeasurements(params)
+    for _ in range(int(RATE)):
+        measured.integrateMeasurement(np.zeros(3), np.zeros(3), 1.0 / RATE)
+    got = measured.preintMeasCov()
+    model = model_of(walking)
+    for k, axis in enumerate("xyz"):
+        # Angle, position, velocity, biases of accelerometers and of gyros.
+        for sensor, state, bias in (("gyro", k, 12 + k), ("accel", 6 + k, 9 + k)):
+            N, K, _ = model[sensor][axis]
+            want = predicted(N, K)
+            assert got[state, state] == pytest.approx(want[0, 0], rel=TOLERANCE)
+            assert got[bias, bias] == pytest.approx(want[1, 1], rel=TOLERANCE)
 
 
 @pytest.mark.parametrize("name", ["VINS-Mono", "vins_mono", "Vins Mono", "vinsmono"])

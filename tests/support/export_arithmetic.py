@@ -325,8 +325,9 @@ STEPS = {
     "ardupilot": ardupilot,
 }
 
-#: Targets that hold a value for each axis, and those that have a correlation time.
+#: Targets that hold a value for each axis; those with one correlation time for all, and with any.
 EACH = ("imu_utils", "basalt", "gtsam", "kf-gins", "robot_localization", "gz-sim", "gazebo-classic", "matlab")
+ONE_TIME = ("kf-gins", "ob-gins")
 WITH_TIME = ("kf-gins", "ob-gins", "gz-sim", "rotors", "pegasus")
 
 
