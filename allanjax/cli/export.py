@@ -50,7 +50,9 @@ def command(
 ) -> None:
     if show_list:
         for target in TARGETS.values():
-            print(f"{target.name:19} {target.title}: {', '.join(_names(target.name))}")
+            print(
+                f"{target.name:19} {target.title}: {', '.join(dict.fromkeys(key.called for key in target.noise_keys))}"
+            )
         return
     if result is None:
         raise typer.BadParameter("give a result, such as allanjax-results/imu.json", param_hint="RESULT.json")
@@ -65,12 +67,6 @@ def command(
             print(f"wrote {out}")
         for words in made.left_out:
             print(f"warning: {words}", file=sys.stderr)
-
-
-def _names(target: str) -> list[str]:
-    """Keys of a target without the levels above them, each once."""
-    keys = [key.name.rpartition("/")[2].replace("{}", "...") for key in TARGETS[target].noise_keys]
-    return list(dict.fromkeys(keys))
 
 
 def _loaded(path: Path) -> "Fit":

@@ -30,7 +30,7 @@ def keys_of(target: Target) -> str:
     units: dict[tuple[str, str], list[str]] = {}
     for key in target.noise_keys:
         if key.sensor:
-            name = key.name.rpartition("/")[2].replace("{}", "…").replace("|", "\\|")
+            name = key.called.replace("|", "\\|")
             units.setdefault((name, key.formula), []).append(key.unit)
     told = (
         f"`{name}` = {formula} [{' or '.join(dict.fromkeys(of))}]" for (name, formula), of in units.items()
@@ -72,10 +72,10 @@ Reproduce with `python benchmarks/studies/export.py --samples {args.samples}`.
 
 Two sensors of six axes, {args.samples} samples at {RATE:g} Hz, fitted and exported to {len(found)} targets.
 What a target's own code does with its file in each step is repeated over 1 s, and the covariance of angle
-(velocity) and bias compared with that of the fitted model, exactly integrated: the largest relative error of its
-elements in percent, over all axes, the gyro without a walk with the 95 % limit of it. At most {largest:.2f} %,
-of targets with steps of 10 and 12 ms, whose sums are of so many steps; of a target without a bias it is that of
-the angle's variance alone. With Markov processes, the targets that hold a correlation time.
+(velocity) and bias compared with that of the fitted model, exactly integrated: the largest relative error of
+its elements in percent, over all axes, the gyro without a walk with the 95 % limit of it. At most
+{largest:.2f} %, of targets with steps of 10 and 12 ms, whose sums are of so many steps; of a target without a
+bias it is that of the angle's variance alone. Markov processes: of targets that hold a correlation time.
 
 {table(["target", "keys", "walks [%]", "Markov [%]"], found)}
 """

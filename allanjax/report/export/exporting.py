@@ -90,7 +90,8 @@ def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | N
         raise FitError(f"{fit.name or 'the fit'}: no axis to export; {why or 'it has no axes'}")
     if to.one_time:
         sensors = _with_one_time(sensors)
-    entries, left_out = [], []
+    entries: list[Entry] = []
+    without: dict[str, list[str]] = {}
     for key in to.keys:
         if isinstance(key, Text):
             if key.sensor is None or sensors[key.sensor].axes:
@@ -99,8 +100,8 @@ def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | N
         try:
             entries.append(_entry(key, to, sensors, axes, float(r)))
         except _LeftOutError as why:
-            left_out.append(f"{key.name.replace('{}', '...')} is left out: {why}")
-    left_out = list(dict.fromkeys(left_out))
+            without.setdefault(str(why), []).append(key.called)
+    left_out = [f"{', '.join(dict.fromkeys(keys))} left out: {why}" for why, keys in without.items()]
     wrong = [text for s in sensors.values() for text in s.wrong]
     head = [
         f"{to.title}: noise of {fit.name or 'a recording'} as fitted by allanjax ({_length(fit)})",

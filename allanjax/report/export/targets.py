@@ -56,6 +56,11 @@ class Key:
     note: str = ""
 
     @property
+    def called(self) -> str:
+        """Its name without the levels above."""
+        return self.name.rpartition("/")[2].replace("{}", "...")
+
+    @property
     def symbols(self) -> tuple[str, ...]:
         """Quantities of the fit that are needed; with a correlation time the density that it belongs to."""
         names = set(re.findall(r"[A-Za-z]+", self.formula)) & _SYMBOLS
