@@ -8,7 +8,8 @@ import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import epilog, failures_told
-from allanjax.report.export.exporting import Axes, exported
+from allanjax.report.export.assembly import Axes
+from allanjax.report.export.exporting import exported
 from allanjax.report.export.table import TARGETS
 
 if TYPE_CHECKING:
@@ -50,9 +51,8 @@ def command(
 ) -> None:
     if show_list:
         for target in TARGETS.values():
-            print(
-                f"{target.name:19} {target.title}: {', '.join(dict.fromkeys(key.called for key in target.noise_keys))}"
-            )
+            keys = dict.fromkeys(key.called for key in target.noise_keys)
+            print(f"{target.name:19} {target.title}: {', '.join(keys)}")
         return
     if result is None:
         raise typer.BadParameter("give a result, such as allanjax-results/imu.json", param_hint="RESULT.json")

@@ -161,7 +161,7 @@ def test_a_sensor_that_is_not_there_is_left_out_with_the_remedy(gyros_only):
     assert set(read_yaml(text)) == {
         "gyroscope_noise_density", "gyroscope_random_walk", "rostopic", "update_rate",
     }  # fmt: skip
-    why = "left out: the fit has no accelerometer with a result; fit a recording that has one"
+    why = "left out: there is no accelerometer with a result; take a recording that has one"
     assert f"accelerometer_noise_density, accelerometer_random_walk {why}" in words_of(text)
     root = ET.fromstring(aj.export(gyros_only, "gz-sim"))
     assert [child.tag for child in root] == ["angular_velocity"]
