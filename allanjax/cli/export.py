@@ -9,27 +9,36 @@ import typer
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import epilog, failures_told
 from allanjax.report.export.assembly import Axes
+from allanjax.report.export.converting import converted
 from allanjax.report.export.exporting import exported
 from allanjax.report.export.table import TARGETS
 
 if TYPE_CHECKING:
     from allanjax.estimate.result import Fit
 
-HELP = "Write a result as the noise parameters of an estimator, autopilot or simulator."
+HELP = "Write a result, or another target's file, as an estimator's, autopilot's or simulator's parameters."
 EPILOG = epilog(
     "allanjax export --list",
     "allanjax export allanjax-results/imu.json --to kalibr -o imu.yaml",
     "allanjax export allanjax-results/imu.json --to vins-mono --rate 200",
     "allanjax export allanjax-results/imu.json --to gz-sim --axes worst",
+    "allanjax export imu.yaml --from kalibr --to vins-mono",
 )
 
 
 def command(
     result: Annotated[
         Path | None,
-        typer.Argument(help="NAME.json that characterize or fleet wrote.", metavar="RESULT.json"),
+        typer.Argument(
+            help="NAME.json that characterize or fleet wrote; with --from a target's own file.",
+            metavar="RESULT.json",
+        ),
     ] = None,
     to: Annotated[str | None, typer.Option(help="A target of --list.", metavar="TARGET")] = None,
+    source: Annotated[
+        str | None,
+        typer.Option("--from", help="The target whose own file it is, to convert it.", metavar="TARGET"),
+    ] = None,
     axes: Annotated[
         Axes | None,
         typer.Option(
@@ -40,8 +49,8 @@ def command(
     rate: Annotated[
         float | None,
         typer.Option(
-            help="Rate in Hz of the target's steps or samples; by default that of the recording, and of "
-            "autopilots that of their filter."
+            help="Rate in Hz of the target's steps or samples; by default that of the recording or the file, "
+            "and of autopilots that of their filter."
         ),
     ] = None,
     out: Annotated[
@@ -59,7 +68,10 @@ def command(
     if to is None:
         raise typer.BadParameter("give a target of --list, e.g. kalibr", param_hint="--to")
     with failures_told():
-        made = exported(_loaded(result), to, axes=axes, rate=rate)
+        if source is None:
+            made = exported(_loaded(result), to, axes=axes, rate=rate)
+        else:
+            made = converted(_text(result), source, to, axes=axes, rate=rate, name=str(result))
         if out is None:
             print(made.text, end="")
         else:
@@ -67,6 +79,14 @@ def command(
             print(f"wrote {out}")
         for words in made.left_out:
             print(f"warning: {words}", file=sys.stderr)
+
+
+def _text(path: Path) -> str:
+    """The text of a file; AllanjaxError if it is none."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except ValueError as error:
+        raise AllanjaxError(f"{path}: not a text: {error}") from error
 
 
 def _loaded(path: Path) -> "Fit":

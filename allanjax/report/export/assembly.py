@@ -89,7 +89,7 @@ def assembled(
         *head,
         f"follows {to.source}",
         *([f"r = {significant(rate, 6)} Hz, {to.rate_name}"] if needs_rate(to) else []),
-        "N, K: densities, two-sided, in SI; intervals are of 95 %",
+        "N, K: densities, two-sided, in SI",
         *to.notes,
         *wrong,
         *not_held,
@@ -181,7 +181,7 @@ def _values(
         value, made_of = together(lambda q: key.value(q, rate), [by_letter[letter]], how) if own else all_axes
         values.append(value)
         instead = not own and axes in (None, "each")
-        place = f" (in the place of {letter}, which has no result)" if instead else ""
+        place = f" (in the place of {letter}, which has no value of its own)" if instead else ""
         numbers += [dataclasses.replace(n, said=n.said + place) for n in made_of]
     return tuple(values), tuple(numbers)
 

@@ -91,6 +91,7 @@ ESTIMATORS = (
         "yaml",
         "mintar/imu_utils: densities (in the original, w was the curve's minimum and units were wrong)",
         _imu_utils(),
+        unreadable="its forks write different quantities under the same keys, and it does not say which",
     ),
     Target("vins-mono", "VINS-Mono", "yaml", _VINS_SOURCE, _VINS, _VINS_NOTES),
     Target("vins-fusion", "VINS-Fusion", "yaml", _VINS_SOURCE, _VINS, _VINS_NOTES),
@@ -196,6 +197,7 @@ ESTIMATORS = (
             "",
             "params = gtsam.PreintegrationCombinedParams.MakeSharedU(9.81)",
         ),
+        unreadable="a program, not a file of values",
     ),
     *(
         Target(

@@ -75,7 +75,9 @@ def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | N
         for sensor, (usable, wrong) in results.items()
     }
     size = f"{fit.curve.n:,} samples at {fit.curve.rate:g} Hz"
-    head = f"{to.title}: noise of {fit.name or 'a recording'} as fitted by allanjax ({size})"
+    head = (
+        f"{to.title}: noise of {fit.name or 'a recording'} as fitted by allanjax ({size}), intervals of 95 %"
+    )
     not_held = [
         text
         for sensor, (usable, _) in results.items()

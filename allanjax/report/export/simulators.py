@@ -113,6 +113,7 @@ SIMULATORS = (
             "BiasStability is no bias instability B: the code makes a random walk of it",
         ),
         comment_at="Sensors/Imu",
+        unreadable="its walk depends on two values, stability and tau; divide them and convert by hand",
     ),
     Target(
         "isaac-lab",
@@ -131,6 +132,7 @@ SIMULATORS = (
         ),
         rate_name="rate of the observations",
         before=("from isaaclab.utils.noise import GaussianNoiseCfg", ""),
+        unreadable="a program, not a file of values",
         also=("isaac", "isaac-sim", "isaaclab"),
     ),
     Target(
@@ -154,6 +156,7 @@ SIMULATORS = (
             f"turn_on_bias_sigma: {_TURN_ON}; the default, which is not zero, holds",
         ),
         before=("imu_config = {}",),
+        unreadable="a program, not a file of values",
     ),
     Target(
         "matlab",
@@ -181,6 +184,7 @@ SIMULATORS = (
             "gyro = gyroparams('NoiseType', 'double-sided');",
             "accel = accelparams('NoiseType', 'double-sided');",
         ),
+        unreadable="a program, whose densities are one-sided or two-sided as NoiseType says elsewhere",
         also=("imusensor",),
     ),
 )

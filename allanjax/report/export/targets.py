@@ -70,6 +70,14 @@ class Key:
         """The value in the target's unit, of quantities in SI."""
         return float(_compiled(self.formula)({**quantities, "r": rate})) / unit_scale(self.unit, self.sensor)
 
+    def solved(self, value: float, symbol: str, known: Mapping[str, float], rate: float) -> float:
+        """The quantity in SI that gives this value in the target's unit, the others being known.
+
+        Formulas are products of powers, so that two values of one tell its power.
+        """
+        one, two = (self.value({**known, symbol: x}, rate) for x in (1.0, 2.0))
+        return float((value / one) ** (1.0 / math.log2(two / one)))
+
 
 @dataclasses.dataclass(frozen=True)
 class Text:
@@ -101,6 +109,7 @@ class Target:
         comment_at: the object, of JSON, that holds the comments, as its reader skips names it does not know.
         before: lines before the values, of lines.
         also: other names.
+        unreadable: why its files cannot be converted into those of others; "" if they can.
     """
 
     name: str
@@ -116,6 +125,7 @@ class Target:
     comment_at: str = ""
     before: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
+    unreadable: str = ""
 
     @property
     def noise_keys(self) -> tuple[Key, ...]:
