@@ -20,10 +20,8 @@ from allanjax.report.export.assembly import (
 from allanjax.report.export.reading import by_axis, values_in
 from allanjax.report.export.table import TARGETS
 from allanjax.report.export.targets import Key, Target, target_of
-from allanjax.report.export.values import Missing, Number, Quantities
+from allanjax.report.export.values import LONG, Missing, Number, Quantities
 
-# A walk has this correlation time [s] for a target that takes one, as of a fit.
-_LONG = 3600.0
 _UNITS: dict[Sensor, dict[str, str]] = {
     "gyro": {"N": "rad/√s", "K": "rad/s/√s", "q": "rad/s/√s", "B": "rad/s", "T": "s"},
     "accel": {"N": "m/s/√s", "K": "m/s²/√s", "q": "m/s²/√s", "B": "m/s²", "T": "s"},
@@ -136,8 +134,8 @@ def _quantities(from_: Target, of: Mapping[str, Number]) -> Quantities:
     walk = found["K"]
     if isinstance(walk, Number):
         found["q"] = Number("q", walk.value, f"q = K: {walk.said}", walk.unit, axis=walk.axis, label="K")
-        said = f"T = {significant(_LONG, 5)} s: the bias is a walk, for much less than T"
-        found["T"] = Number("T", _LONG, said, "s", axis=walk.axis)
+        said = f"T = {significant(LONG, 5)} s: the bias is a walk, for much less than T"
+        found["T"] = Number("T", LONG, said, "s", axis=walk.axis)
     elif isinstance(found["q"], Number):
         found["K"] = Missing(
             f"the bias of {from_.title} is a Markov process, which is no walk beyond its correlation time"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from allanjax.record.units import SENSORS
 from allanjax.report.export.targets import (
     DENSITY,
     DENSITY_SQUARED,
@@ -19,6 +20,7 @@ from allanjax.report.export.targets import (
     WALK_SQUARED,
     WALK_VARIANCE,
     Key,
+    Of,
     Target,
     Text,
     both,
@@ -55,13 +57,17 @@ def _moved(key: Key, name: str) -> Key:
 
 
 def _imu_utils() -> tuple[Key | Text, ...]:
+    axes: tuple[Of, ...] = ("mean", "x", "y", "z")
     rows: list[Key | Text] = [Text("type", "IMU"), Text("name", "imu", _YOURS)]
-    for sensor, block, stem, at in (("gyro", "Gyr", "gyr", 0), ("accel", "Acc", "acc", 1)):
-        rows.append(Text(f"{block}/unit", f'" {SAMPLE[at]}"', sensor=sensor))  # type: ignore[arg-type]
-        for place, of in (("avg", "mean"), ("x", "x"), ("y", "y"), ("z", "z")):
-            for letter, formula, units in (("n", "N", DENSITY), ("w", "K", WALK)):
-                name = f"{block}/{place}-axis/{stem}_{letter}"
-                rows.append(Key(name, formula, units[at], sensor, of))  # type: ignore[arg-type]
+    for at, sensor in enumerate(SENSORS):
+        block, stem = (("Gyr", "gyr"), ("Acc", "acc"))[at]
+        rows.append(Text(f"{block}/unit", f'" {SAMPLE[at]}"', sensor=sensor))
+        for of in axes:
+            path = f"{block}/{of.replace('mean', 'avg')}-axis"
+            rows += [
+                Key(f"{path}/{stem}_n", "N", DENSITY[at], sensor, of),
+                Key(f"{path}/{stem}_w", "K", WALK[at], sensor, of),
+            ]
     return tuple(rows)
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from allanjax.record.units import SENSORS
 from allanjax.report.export.targets import (
     DENSITY,
     SAMPLE,
     WALK,
     Key,
+    Of,
     Target,
     Text,
     both,
 )
 
+_LONG = ("gyroscope", "accelerometer")
 _TURN_ON = "the turn-on bias is left out, one recording does not tell it"
 _FLOOR = (
     "a FLOOR, not a recommendation to fly: it is what the sensor has at rest; vibration, aliasing, scale "
@@ -19,21 +22,43 @@ _FLOOR = (
 )
 
 
-def _sdf(kind: str, walk: bool) -> tuple[Key | Text, ...]:
+def _sdf(walk: bool) -> tuple[Key | Text, ...]:
+    axes: tuple[Of, ...] = ("x", "y", "z")
     rows: list[Key | Text] = []
-    for sensor, block, at in (("gyro", "angular_velocity", 0), ("accel", "linear_acceleration", 1)):
-        for axis in "xyz":
-            path = f"imu/{block}/{axis}/noise type={kind!r}"
-            of = {"sensor": sensor, "of": axis}
-            rows += [
-                Text(f"{path}/mean", 0.0, sensor=sensor),  # type: ignore[arg-type]
-                Key(f"{path}/stddev", "N*sqrt(r)", SAMPLE[at], **of),  # type: ignore[arg-type]
-            ]
+    for at, sensor in enumerate(SENSORS):
+        block = ("angular_velocity", "linear_acceleration")[at]
+        for of in axes:
+            path = f"imu/{block}/{of}/noise type='gaussian'"
+            rows.append(Text(f"{path}/mean", 0.0, sensor=sensor))
+            rows.append(Key(f"{path}/stddev", "N*sqrt(r)", SAMPLE[at], sensor, of))
             if walk:
-                rows += [
-                    Key(f"{path}/dynamic_bias_stddev", "q", WALK[at], **of),  # type: ignore[arg-type]
-                    Key(f"{path}/dynamic_bias_correlation_time", "T", "s", **of),  # type: ignore[arg-type]
-                ]
+                rows.append(Key(f"{path}/dynamic_bias_stddev", "q", WALK[at], sensor, of))
+                rows.append(Key(f"{path}/dynamic_bias_correlation_time", "T", "s", sensor, of))
+    return tuple(rows)
+
+
+def _rotors() -> tuple[Key, ...]:
+    return tuple(
+        key
+        for at, sensor in enumerate(SENSORS)
+        for key in (
+            Key(f"plugin/{_LONG[at]}NoiseDensity", "N", DENSITY[at], sensor),
+            Key(f"plugin/{_LONG[at]}RandomWalk", "q", WALK[at], sensor),
+            Key(f"plugin/{_LONG[at]}BiasCorrelationTime", "T", "s", sensor),
+        )
+    )
+
+
+def _pegasus() -> tuple[Key | Text, ...]:
+    rows: list[Key | Text] = []
+    for at, sensor in enumerate(SENSORS):
+        of = f"imu_config['{_LONG[at]}']"
+        rows += [
+            Text(f"{of} = {{}}", "{}", sensor=sensor),
+            Key(f"{of}['noise_density'] = {{}}", "N", DENSITY[at], sensor),
+            Key(f"{of}['random_walk'] = {{}}", "q", WALK[at], sensor),
+            Key(f"{of}['bias_correlation_time'] = {{}}", "T", "s", sensor),
+        ]
     return tuple(rows)
 
 
@@ -44,7 +69,7 @@ SIMULATORS = (
         "xml",
         "gz-sensors src/GaussianNoiseModel.cc: stddev per sample; a step lets the bias decay by "
         "exp(-dt/T) and drives it with the variance q^2*T/2*(1-exp(-2*dt/T))",
-        _sdf("gaussian", walk=True),
+        _sdf(walk=True),
         (
             "put it below <sensor type='imu'>",
             "dynamic_bias_stddev is the driving density, though SDF's text calls it a standard deviation",
@@ -58,7 +83,7 @@ SIMULATORS = (
         "gazebo-classic",
         "xml",
         "gazebo-classic's sensor: stddev per sample, not scaled by the step (gazebo-classic #2670)",
-        _sdf("gaussian", walk=False),
+        _sdf(walk=False),
         (
             "put it below <sensor type='imu'>",
             "this sensor has no moving bias; the plugin of the target rotors has",
@@ -70,15 +95,7 @@ SIMULATORS = (
         "rotors / hector IMU plugin",
         "xml",
         "rotors gazebo_imu_plugin.h: continuous densities, bias a first-order Gauss-Markov process",
-        tuple(
-            key
-            for sensor, name, at in (("gyro", "gyroscope", 0), ("accel", "accelerometer", 1))
-            for key in (
-                Key(f"plugin/{name}NoiseDensity", "N", DENSITY[at], sensor),  # type: ignore[arg-type]
-                Key(f"plugin/{name}RandomWalk", "q", WALK[at], sensor),  # type: ignore[arg-type]
-                Key(f"plugin/{name}BiasCorrelationTime", "T", "s", sensor),  # type: ignore[arg-type]
-            )
-        ),
+        _rotors(),
         (
             "put these elements into the <plugin> of gazebo_imu_plugin, whose name and filename stay yours",
             f"TurnOnBiasSigma: {_TURN_ON}; the plugin's default, which is not zero, holds",
@@ -140,16 +157,7 @@ SIMULATORS = (
         "Pegasus Simulator",
         "lines",
         "pegasus simulator/logic/sensors/imu.py: densities; bias a first-order Gauss-Markov process",
-        tuple(
-            key
-            for sensor, name, at in (("gyro", "gyroscope", 0), ("accel", "accelerometer", 1))
-            for key in (
-                Text(f"imu_config[{name!r}] = {{}}", "{}", sensor=sensor),  # type: ignore[arg-type]
-                Key(f"imu_config[{name!r}]['noise_density'] = {{}}", "N", DENSITY[at], sensor),  # type: ignore[arg-type]
-                Key(f"imu_config[{name!r}]['random_walk'] = {{}}", "q", WALK[at], sensor),  # type: ignore[arg-type]
-                Key(f"imu_config[{name!r}]['bias_correlation_time'] = {{}}", "T", "s", sensor),  # type: ignore[arg-type]
-            )
-        ),
+        _pegasus(),
         (
             "the values follow its documentation; its code of 2024 does not add the biases, draws those of "
             "accelerometers uniformly, and takes their correlation time for the gyros",

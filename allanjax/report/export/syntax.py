@@ -28,8 +28,9 @@ class Entry:
 
 def written(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
     """The text of a target's file: comments that are its head, and its entries with theirs."""
+    # Comments before they are broken into lines, for some become longer.
     plain = [dataclasses.replace(e, comments=tuple(map(_ascii, e.comments))) for e in entries]
-    return _WRITERS[target.syntax](target, [*map(_ascii, head)], plain)
+    return _ascii(_WRITERS[target.syntax](target, [*map(_ascii, head)], plain))
 
 
 def _ascii(text: str) -> str:

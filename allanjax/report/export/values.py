@@ -19,8 +19,8 @@ from allanjax.record.units import Sensor
 OneOf = Literal["worst", "mean"]
 
 _TERMS = {"N": "angle_random_walk", "K": "rate_random_walk", "B": "bias_instability"}
-# A walk is told to a target with a correlation time as one of this length [s], or of the recording's.
-_LONG = 3600.0
+#: Least correlation time [s] that a walk has for a target that takes one; of longer recordings their length.
+LONG = 3600.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +135,7 @@ def _drive(
             return q, Number("T", time.value, said, "s", axis=name, label=time.label)
     if isinstance(walk, Missing):
         return walk, walk
-    T = max(duration, _LONG)
+    T = max(duration, LONG)
     q = dataclasses.replace(walk, symbol="q", said=f"q = K: {walk.said}")
     said = f"T = {significant(T, 5)} s: no Markov process but a walk, which the bias is for much less than T"
     return q, Number("T", T, said, "s", axis=name)
