@@ -65,6 +65,7 @@ from allanjax.record.recording import Axis as Axis
 from allanjax.record.recording import Recording as Recording
 from allanjax.record.units import convert as convert
 from allanjax.report.allan_figure import plot_allan as plot_allan
+from allanjax.report.export.exporting import export as export
 from allanjax.report.files import write_coefficients_csv as write_coefficients_csv
 from allanjax.report.files import write_curve_csv as write_curve_csv
 from allanjax.report.files import write_json as write_json

@@ -19,7 +19,7 @@ NAMES = """
     ModifiedLogUniform NoiseTerm Posterior PosteriorWarning PowerLaw PowerSpectrum Quantization
     RateRandomWalk Recording RecordingError Resonance SENSORS SensorPreset Sinusoid Telegraph
     TermSelection TermSet Uniform UnitError WanderingResonance WarmUp accumulate allan_deviation basic_terms
-    characterize_fleet convert critic critique enable_compilation_cache fit fit_many inspect load
+    characterize_fleet convert critic critique enable_compilation_cache export fit fit_many inspect load
     parameter plot_allan plot_psd power_spectrum read read_chunks sample select_terms simulate
     simulate_recording to_dict write write_coefficients_csv write_curve_csv write_json
 """

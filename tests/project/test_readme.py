@@ -63,7 +63,7 @@ def test_commands_run(folder, monkeypatch):
     # Of a fleet, a cluster and files that are not there, only that the command line is right.
     monkeypatch.setattr(fleet, "characterize_fleet", characterized)
     ran = [words for text in blocks("bash") for words in commands(text)]
-    assert [words[0] for words in ran] == ["characterize", "fleet", "fleet"]
+    assert [words[0] for words in ran] == ["characterize", "fleet", "fleet", "export", "export"]
     for words in ran:
         result = CliRunner().invoke(app, words)
         assert result.exit_code == 0, result.output

@@ -1,0 +1,1 @@
+"""Fitted noise as the configuration files of estimators, autopilots and simulators."""

@@ -1,0 +1,167 @@
+"""What a target is: its keys, the formula of each, and how its file is written. The table is in `table`."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Literal
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.record.units import Sensor, unit_scale
+
+#: Which axes a key is of: one value for all, each axis in a list, their covariance matrix, the mean, or one.
+Of = Literal["one", "three", "matrix", "mean", "x", "y", "z"]
+Syntax = Literal["yaml", "json", "xml", "lines"]
+
+#: Units of gyros' and accelerometers' values: densities, walks, what there is in a step, and their squares.
+DENSITY = ("rad/s/√Hz", "m/s²/√Hz")
+WALK = ("rad/s²/√Hz", "m/s³/√Hz")
+SAMPLE = ("rad/s", "m/s²")
+SAMPLE_WALK = ("rad/s²", "m/s³")
+DENSITY_SQUARED = ("rad²/s", "m²/s³")
+WALK_SQUARED = ("rad²/s³", "m²/s⁵")
+VARIANCE = ("rad²/s²", "m²/s⁴")
+WALK_VARIANCE = ("rad²/s⁴", "m²/s⁶")
+
+_SYMBOLS = frozenset("NKqTB")
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """One value of a target's file.
+
+    Attributes:
+        name: where it stands: names of the levels with "/" between them; of lines the whole line, with {}
+            for the value.
+        formula: of N, K, q, T, B (see `values`), in SI, and the rate r [Hz]; as Python has it.
+        unit: the target's unit.
+        sensor: whose value it is; None for one of the recording.
+        of: of which axes it is.
+        optional: whether it is left out where the quantity is not detected, and not given its limit.
+        least, most: what the target accepts, in its unit.
+        note: what there is to say of this value.
+    """
+
+    name: str
+    formula: str
+    unit: str
+    sensor: Sensor | None = None
+    of: Of = "one"
+    optional: bool = False
+    least: float = 0.0
+    most: float = math.inf
+    note: str = ""
+
+    @property
+    def called(self) -> str:
+        """Its name without the levels above."""
+        return self.name.rpartition("/")[2].replace("{}", "...")
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Quantities of the fit that are needed; with a correlation time the density that it belongs to."""
+        names = set(re.findall(r"[A-Za-z]+", self.formula)) & _SYMBOLS
+        return tuple(sorted(names | ({"q"} if "T" in names else set())))
+
+    def value(self, quantities: Mapping[str, float], rate: float) -> float:
+        """The value in the target's unit, of quantities in SI."""
+        return float(_compiled(self.formula)({**quantities, "r": rate})) / unit_scale(self.unit, self.sensor)
+
+    def solved(self, value: float, symbol: str, known: Mapping[str, float], rate: float) -> float:
+        """The quantity in SI that gives this value in the target's unit, the others being known.
+
+        Formulas are products of powers, so that two values of one tell its power.
+        """
+        one, two = (self.value({**known, symbol: x}, rate) for x in (1.0, 2.0))
+        return float((value / one) ** (1.0 / math.log2(two / one)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Text:
+    """A line of a target's file that is no noise: `value` as it stands, or a number that was chosen.
+
+    It is left out where it belongs to a `sensor` that the fit does not have.
+    """
+
+    name: str
+    value: str | float | bool
+    note: str = ""
+    sensor: Sensor | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A program that takes noise parameters, and the file that it takes them from.
+
+    Attributes:
+        name: as users give it, e.g. "kalibr".
+        title: as its authors write it.
+        syntax: of its file.
+        source: where its formulas are from.
+        keys: its values in their order.
+        notes: what users have to know.
+        rate: the rate r of its steps [Hz], if that is not the recording's; and `rate_name` what it is.
+        one_time: whether all axes have one correlation time T.
+        comment: what begins a comment, of lines.
+        comment_at: the object, of JSON, that holds the comments, as its reader skips names it does not know.
+        before: lines before the values, of lines.
+        also: other names.
+        unreadable: why its files cannot be converted into those of others; "" if they can.
+    """
+
+    name: str
+    title: str
+    syntax: Syntax
+    source: str
+    keys: tuple[Key | Text, ...]
+    notes: tuple[str, ...] = ()
+    rate: float | None = None
+    rate_name: str = "rate of the IMU"
+    one_time: bool = False
+    comment: str = "#"
+    comment_at: str = ""
+    before: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+    unreadable: str = ""
+
+    @property
+    def noise_keys(self) -> tuple[Key, ...]:
+        """Its keys with a formula."""
+        return tuple(key for key in self.keys if isinstance(key, Key))
+
+
+def both(
+    gyro: str, accel: str, formula: str, units: tuple[str, str], of: Of = "one", optional: bool = False
+) -> tuple[Key, Key]:
+    """The keys of gyros and of accelerometers that have the same formula."""
+    return (
+        Key(gyro, formula, units[0], "gyro", of, optional),
+        Key(accel, formula, units[1], "accel", of, optional),
+    )
+
+
+@functools.cache
+def _compiled(formula: str) -> Callable[[Mapping[str, float]], float]:
+    """A formula of our own table as a function."""
+    code = compile(formula, "formula", "eval")
+    return lambda names: eval(code, {"__builtins__": {}, "sqrt": math.sqrt}, dict(names))
+
+
+def target_of(name: str, targets: Mapping[str, Target]) -> Target:
+    """The target that is called so; case, spaces, dashes and underscores do not matter.
+
+    Raises:
+        AllanjaxError: there is none; the message lists those there are.
+    """
+    wanted = _spelt(name)
+    for target in targets.values():
+        if wanted in map(_spelt, (target.name, target.title, *target.also)):
+            return target
+    raise AllanjaxError(f"no target {name!r} to export to; there are {', '.join(targets)}")
+
+
+def _spelt(name: str) -> str:
+    return re.sub(r"[\s_./-]+", "", name).lower()
