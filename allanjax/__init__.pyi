@@ -44,6 +44,7 @@ from allanjax.noise.sensors import SENSORS as SENSORS
 from allanjax.noise.sensors import SensorPreset as SensorPreset
 from allanjax.noise.simulate import simulate as simulate
 from allanjax.noise.simulate import simulate_recording as simulate_recording
+from allanjax.noise.state_space import StateSpace as StateSpace
 from allanjax.noise.terms import *
 from allanjax.posterior.priors import LogNormal as LogNormal
 from allanjax.posterior.priors import LogUniform as LogUniform

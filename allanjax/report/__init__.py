@@ -19,5 +19,8 @@ present(
         "FleetResult.plot": "allanjax.report.fleet_figure.plot_fleet_result",
         "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",
         "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",
+        "StateSpace.to_c_header": "allanjax.report.state_space_files.to_c_header",
+        "StateSpace.to_matlab": "allanjax.report.state_space_files.to_matlab",
+        "StateSpace.to_numpy": "allanjax.report.state_space_files.to_numpy",
     }
 )
