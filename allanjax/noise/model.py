@@ -300,6 +300,10 @@ class Model(eqx.Module):
         for name, value in (("rate", rate), ("duration", duration)):
             if value is not None and not 0.0 < value < math.inf:
                 raise AllanjaxError(f"the {name} of a state space must be positive and finite, got {value}")
+        return StateSpace.of(self.state_block(rate, duration), rate, sensor, repr(self))
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States of all terms, after the response if they pass it; see `state_space`."""
         seen = self.sampled(float(rate))
         blocks = [
             term.state_block(rate, duration).labelled(label)
@@ -310,7 +314,7 @@ class Model(eqx.Module):
             after = [b for b, inside in zip(blocks, self._is_inside, strict=True) if not inside]
             b, a = seen.response.transfer(rate)
             blocks = [filtered_block(together(within), b, a, seen.response.name()), *after]
-        return StateSpace.of(together(blocks), rate, sensor, repr(self))
+        return together(blocks)
 
     # ------------------------------------------------------------------ sums over the terms
     def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:
