@@ -1,4 +1,4 @@
-"""The command line: `allanjax characterize`, `critique`, `fleet`, `statespace`, `simulate`, …."""
+"""The command line: `allanjax characterize`, `critique`, `fleet`, `horizon` and others."""
 
 import sys
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from allanjax.base.plain import speak_plainly
-from allanjax.cli import characterize, critique, demo, fleet, schema, simulate, statespace
+from allanjax.cli import characterize, critique, demo, fleet, horizon, schema, simulate, statespace
 from allanjax.cli.common import INTERRUPTED, epilog
 
 app = typer.Typer(
@@ -51,6 +51,6 @@ def _common(
 
 
 # A module a command, in the order of `allanjax --help`: its help, examples and function.
-for _module in (characterize, critique, fleet, statespace, simulate, schema, demo):
+for _module in (characterize, critique, fleet, horizon, statespace, simulate, schema, demo):
     _name = _module.__name__.rpartition(".")[2]
     app.command(_name, help=_module.HELP, epilog=_module.EPILOG)(_module.command)

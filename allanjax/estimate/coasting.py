@@ -50,6 +50,7 @@ def actual(
     steps: Float[np.ndarray, " t"],
     rate: float,
     duration: float,
+    known: dict[str, np.ndarray] | None = None,
 ) -> Float[np.ndarray, "terms g t"]:
     """Variance of the integral's error [rad² or (m/s)²] after so many samples, of each term by itself.
 
@@ -59,25 +60,33 @@ def actual(
         steps: how many samples they integrate.
         rate: sample rate [Hz].
         duration: how long the noise has gone on [s], for bias instability.
+        known: variances of terms that other sets have, too, for the same filters and times; it is added to.
 
     Raises:
         AllanjaxError: a term that has no state space.
     """
-    gain = gains(memory, rate)
-    found = []
-    for k, term in enumerate(model.terms):
-        if isinstance(term, Sinusoid):
-            found.append(term.amplitude**2 / 2.0 * _line(term.frequency / rate, gain, steps) / rate**2)
-        elif isinstance(term, DriftRamp):
-            # The estimate of a drifting bias lags behind by 1/g samples.
-            slope = steps * (steps - 1.0) / 2.0 + steps / gain[:, None]
-            found.append((term.coefficient / rate**2 * slope) ** 2)
-        else:
-            # One term at a time, and what it becomes after the response.
-            others = [label for j, label in enumerate(model.term_labels) if j != k]
-            block = model.without(others).state_block(rate, duration)
-            found.append(_of_block(block, gain, steps, rate))
-    return np.stack(found) if found else np.zeros((0, len(memory), len(steps)))
+    gain, labels = gains(memory, rate), model.term_labels
+    known = {} if known is None else known
+    # One term at a time, and what it becomes after the response.
+    alone = [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
+    for one in alone:
+        if repr(one) not in known:
+            known[repr(one)] = _of_term(one, gain, steps, rate, duration)
+    return np.stack([known[repr(one)] for one in alone])
+
+
+def _of_term(
+    model: Model, gain: Float[np.ndarray, " g"], steps: Float[np.ndarray, " t"], rate: float, duration: float
+) -> Float[np.ndarray, "g t"]:
+    """Variance of the integral's error for a model of one term."""
+    (term,) = model.terms
+    if isinstance(term, Sinusoid):
+        return term.amplitude**2 / 2.0 * _line(term.frequency / rate, gain, steps) / rate**2
+    if isinstance(term, DriftRamp):
+        # The estimate of a drifting bias lags behind by 1/g samples.
+        slope = steps * (steps - 1.0) / 2.0 + steps / gain[:, None]
+        return (term.coefficient / rate**2 * slope) ** 2
+    return _of_block(model.state_block(rate, duration), gain, steps, rate)
 
 
 def _line(
@@ -113,9 +122,7 @@ def _of_block(
     return np.stack(found) / rate**2
 
 
-def equal_pair(
-    truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]
-) -> tuple[int, float, float]:
+def equal_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float, float]:
     """The filter whose prediction is closest to its true variance, its N, and the largest ratio of the two.
 
     At the last time they are equal; closest is in the largest ratio, either way, at the others. `unit` are

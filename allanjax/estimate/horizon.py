@@ -20,7 +20,6 @@ from allanjax.estimate.coasting import (
     bounding_pair,
     coasting_steps,
     equal_pair,
-    gains,
     memories,
     predicted,
 )
@@ -52,9 +51,9 @@ class AxisHorizon(ByValue):
         white, walk: the N and K whose predicted variance is the true one at the horizon, and closest to it
             in the largest ratio at shorter times, from a hundredth of the horizon on.
         mismatch: how many times larger or smaller the predicted standard deviation is there at most.
-        bounding_white, bounding_walk: the N and K whose prediction is, with this probability, at none of these
-            times below the true variance, SI; of all such pairs the one with the least mean logarithm of
-            the predicted variance.
+        bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
+            true variance, at each with this probability; of all such pairs the one with the least mean
+            logarithm of the predicted variance.
         raw_white, raw_walk: N and K of the fit, SI; zero if not detected.
         time: times [s] since the last correction.
         error: standard deviation of the error [rad or m/s] with `white` and `walk`, all terms included.
@@ -115,7 +114,9 @@ class AxisHorizon(ByValue):
             own = self._shown(key, raw[key]) if raw[key] > 0.0 else "not detected"
             times = f" × {significant(factor)}" if math.isfinite(factor) else ""
             estimate = getattr(self, key).in_unit()
-            cells.append((name, f"{symbol}*: raw {own}{times}", estimate.describe(), self._shown(key, bounds[key])))
+            cells.append(
+                (name, f"{symbol}*: raw {own}{times}", estimate.describe(), self._shown(key, bounds[key]))
+            )
         error, bound = (self._shown("integral", float(x[-1])) for x in (self.error, self.bound))
         kind = "velocity" if self.axis.sensor == "accel" else "angle"
         cells.append((name, f"1σ of the {kind} after {length(self.horizon)}", error, bound))
@@ -194,8 +195,8 @@ def horizon(
     rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
     if not 2.0 / rate <= seconds <= record / 2.0:
         raise AllanjaxError(
-            f"the horizon must be from two samples, {2.0 / rate:g} s, to half the record, {record / 2.0:g} s; "
-            f"got {seconds}"
+            f"the horizon must be from two samples, {2.0 / rate:g} s, to half the record, "
+            f"{record / 2.0:g} s; got {seconds}"
         )
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"the probability of a bound must be from 0.5 to below 1, got {probability}")
@@ -218,13 +219,14 @@ def _of_axis(fit: Fit, result: AxisFit, seconds: float, probability: float, seed
     steps = coasting_steps(seconds, rate)
     unit = predicted(grid, steps, rate)
     sets = likely_models(fit, result.axis.name, _DRAWS, np.random.default_rng(seed))
-    each = [actual(s.model, grid, steps, rate, record) for s in sets]
+    known: dict[str, np.ndarray] = {}
+    each = [actual(s.model, grid, steps, rate, record, known) for s in sets]
     # The prediction is to be right on average over what the coefficients may be.
     draws = np.concatenate([_draws(s, V) for s, V in zip(sets, each, strict=True)])
-    limited = np.concatenate([_draws(s, V, s.limited) for s, V in zip(sets, each, strict=True)])
-    mean = limited.mean(axis=0)
+    known = np.concatenate([_draws(s, V, s.limited) for s, V in zip(sets, each, strict=True)])
+    mean = known.mean(axis=0)
     best, N, ratio = equal_pair(mean, unit)
-    drawn = [equal_pair(V, unit) for V in limited]
+    drawn = [equal_pair(V, unit) for V in known]
     pairs = np.array([(n, n / grid[k]) for k, n, _ in drawn])
     bounding, bounding_N = bounding_pair(np.quantile(draws, probability, axis=0), unit)
     raw = int(np.argmin(np.abs(np.log(grid / max(raw_memory, grid[0])))))
@@ -272,8 +274,11 @@ def _draws(
     return np.tensordot(likely.power[:, :count], variance[:count], axes=1)
 
 
-def _shares(sets: Sequence[Likely], each: Sequence[Float[np.ndarray, "terms g t"]], best: int) -> dict:
-    """Shares of the terms in the mean variance at the horizon, the largest first."""
+def _shares(sets: Sequence[Likely], each: Sequence[np.ndarray], best: int) -> dict[str, float]:
+    """Shares of the terms in the mean variance at the horizon, the largest first.
+
+    `each` are the variances of the sets, (terms, filters, times), and `best` is the filter.
+    """
     total: dict[str, float] = {}
     for likely, variance in zip(sets, each, strict=True):
         parts = likely.power.sum(axis=0) * variance[:, best, -1]

@@ -7,7 +7,7 @@ scattering the variances within their degrees of freedom.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -80,13 +80,19 @@ def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: b
     extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
     unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
     for c in below:
-        unit = unit + classes[c.term](1.0)
+        unit = unit + _unit(classes[c.term])
     names = (*labels, *(c.term for c in below))
     return Likely(unit, names, np.concatenate([power, extra], axis=1), len(below))
 
 
 def _amplitude(term: NoiseTerm) -> float:
     return float(getattr(term, term.amplitude_parameter().name))
+
+
+def _unit(term: type[NoiseTerm]) -> NoiseTerm:
+    """The term with an amplitude of one."""
+    amplitude: dict[str, Any] = {term.amplitude_parameter().name: 1.0}
+    return term(**amplitude)
 
 
 def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.Generator) -> Likely:
@@ -99,7 +105,7 @@ def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.
     named = [name if name in classes else name.rpartition("_")[0] for name in terms.terms]
     best: tuple[float, list[NoiseTerm]] = (np.inf, [])
     for T_c in times if "markov" in named else times[:1]:
-        units = [Markov(1.0, float(T_c)) if name == "markov" else classes[name](1.0) for name in named]
+        units = [Markov(1.0, float(T_c)) if name == "markov" else _unit(classes[name]) for name in named]
         _, misfit = _powers(units, time, variance, variance, degrees, curve.rate)
         if misfit < best[0]:
             best = (misfit, units)
