@@ -54,7 +54,7 @@ class AxisHorizon(ByValue):
         bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
             true variance, at each with this probability; of all such pairs the one with the least mean
             logarithm of the predicted variance.
-        raw_white, raw_walk: N and K of the fit, SI; zero if not detected.
+        raw_white, raw_walk: N and K of the fitted model, SI; zero if it has none.
         time: times [s] since the last correction.
         error: standard deviation of the error [rad or m/s] with `white` and `walk`, all terms included.
         raw_error, raw_prediction: the same with the raw N and K, and what these predict.
@@ -83,7 +83,7 @@ class AxisHorizon(ByValue):
 
     @property
     def inflation(self) -> dict[str, float]:
-        """Factors N*/N and K*/K over the raw coefficients; infinite where these were not detected."""
+        """Factors N*/N and K*/K over the raw coefficients; infinite where the fit has none."""
         pairs = {
             "white": (self.white.value, self.raw_white),
             "walk": (self.walk.value, self.raw_walk),
@@ -111,7 +111,7 @@ class AxisHorizon(ByValue):
         raw = {"white": self.raw_white, "walk": self.raw_walk}
         for key, symbol in (("white", "N"), ("walk", "K")):
             factor = self.inflation[key]
-            own = self._shown(key, raw[key]) if raw[key] > 0.0 else "not detected"
+            own = self._shown(key, raw[key]) if raw[key] > 0.0 else "none"
             times = f" × {significant(factor)}" if math.isfinite(factor) else ""
             estimate = getattr(self, key).in_unit()
             cells.append(
@@ -219,8 +219,8 @@ def _of_axis(fit: Fit, result: AxisFit, seconds: float, probability: float, seed
     steps = coasting_steps(seconds, rate)
     unit = predicted(grid, steps, rate)
     sets = likely_models(fit, result.axis.name, _DRAWS, np.random.default_rng(seed))
-    known: dict[str, np.ndarray] = {}
-    each = [actual(s.model, grid, steps, rate, record, known) for s in sets]
+    shared: dict[str, np.ndarray] = {}
+    each = [actual(s.model, grid, steps, rate, record, shared) for s in sets]
     # The prediction is to be right on average over what the coefficients may be.
     draws = np.concatenate([_draws(s, V) for s, V in zip(sets, each, strict=True)])
     known = np.concatenate([_draws(s, V, s.limited) for s, V in zip(sets, each, strict=True)])
@@ -252,9 +252,9 @@ def _of_axis(fit: Fit, result: AxisFit, seconds: float, probability: float, seed
 
 
 def _raw(result: AxisFit, label: str) -> float:
-    """A coefficient of the fit, SI; zero if it is not detected."""
+    """A coefficient of the fitted model, SI; zero if that has none."""
     found = result.coefficients.get(label)
-    return float(found.value) if found is not None and found.detected else 0.0
+    return float(found.value) if found is not None and found.value > 0.0 else 0.0
 
 
 def _of_pair(

@@ -100,35 +100,29 @@ def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.
     curve, classes = fit.curve, term_classes()
     time, variance = curve.cluster_time, curve.deviation[:, column] ** 2
     degrees = np.maximum(curve.edf[:, column], 1.0)
+    weight = np.sqrt(degrees / 2.0) / variance
     # A Markov process of any time between ten samples and the longest cluster.
     times = np.geomspace(10.0 / curve.rate, time[-1], _TIMES)
     named = [name if name in classes else name.rpartition("_")[0] for name in terms.terms]
-    best: tuple[float, list[NoiseTerm]] = (np.inf, [])
+    best: tuple[float, list[NoiseTerm], np.ndarray] = (np.inf, [], np.zeros(0))
     for T_c in times if "markov" in named else times[:1]:
         units = [Markov(1.0, float(T_c)) if name == "markov" else _unit(classes[name]) for name in named]
-        _, misfit = _powers(units, time, variance, variance, degrees, curve.rate)
+        curves = [np.asarray(u.sampled(curve.rate).allan_variance(time)) for u in units]
+        columns = np.stack(curves, axis=1) * weight[:, None]
+        _, misfit = _powers(columns, variance * weight)
         if misfit < best[0]:
-            best = (misfit, units)
-    units = best[1]
-    scattered = variance * rng.chisquare(degrees, (draws, len(degrees))) / degrees
-    power = [_powers(units, time, drawn, variance, degrees, curve.rate)[0] for drawn in scattered]
-    return Likely(Model(tuple(units)), terms.terms, np.stack(power), 0)
+            best = (misfit, units, columns)
+    scattered = variance * weight * rng.chisquare(degrees, (draws, len(degrees))) / degrees
+    power = [_powers(best[2], drawn)[0] for drawn in scattered]
+    return Likely(Model(tuple(best[1])), terms.terms, np.stack(power), 0)
 
 
 def _powers(
-    units: list[NoiseTerm],
-    time: Float[np.ndarray, " m"],
-    variance: Float[np.ndarray, " m"],
-    level: Float[np.ndarray, " m"],
-    degrees: Float[np.ndarray, " m"],
-    rate: float,
+    columns: Float[np.ndarray, "m terms"], variance: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " terms"], float]:
-    """Squared amplitudes ≥ 0 by least squares, weighted by the variances' own, and the misfit."""
+    """Squared amplitudes ≥ 0 by least squares, of weighted variances, and the misfit."""
     from scipy.optimize import nnls
 
-    weight = np.sqrt(degrees / 2.0) / level
-    columns = np.stack([np.asarray(u.sampled(rate).allan_variance(time)) for u in units], axis=1)
-    columns = columns * weight[:, None]
     size = np.linalg.norm(columns, axis=0)
-    found, misfit = nnls(columns / size, variance * weight)
+    found, misfit = nnls(columns / size, variance)
     return found / size, float(misfit)

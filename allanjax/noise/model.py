@@ -37,7 +37,7 @@ class NoiseTerm(Parametrized, Process):
                 return -(self.coefficient**2) * jnp.log(jnp.maximum(lag, 1e-3))
 
     and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional; with
-    `parts` a term can pass a `Response`.
+    `parts` a term can pass a `Response`, with `state_block` it has states for a Kalman filter.
     Where an argument or a parameter is an array of JAX, so are the results of allanjax's own terms; else they
     are NumPy's, and nothing is compiled.
     """

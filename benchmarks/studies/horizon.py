@@ -186,7 +186,7 @@ def report(sim: list[Row], measured: list[Row]) -> str:
 A filter of white noise N and a random walk K knows the bias from the sensor at rest, and integrates 1, 10 or
 100 s less that bias. The columns are the mean square of its error over what it predicts: 1 is right, above 1
 it believes too much. *raw* has the fitted N and K; *N\\*, K\\** is `horizon`; *factors* are N\\*/N and K\\*/K
-(– where K was not detected); *bound* is the pair of 95 % probability; *Allan bound* is the tightest N and K
+(– where the fit has no K); *bound* is the pair of 95 % probability; *Allan bound* is the tightest N and K
 whose Allan variance is above the 95 % limits of the measured one up to the horizon, after the idea of
 Navigation 70(3), navi.563 (our reading of it, not its code); *width* is its predicted standard deviation
 over that of our bound. ✗ marks what is not in {WANTED[0]:g} … {WANTED[1]:g}. The filter of the study shares

@@ -154,7 +154,7 @@ def test_without_a_selection_there_is_one_set(small_recording):
 
 def test_the_table_says_units_factors_and_causes(found):
     text = str(found)
-    for words in ("corrections every 10 s", "deg/√h ×", "not detected", "m/s/√h", "times what"):
+    for words in ("corrections every 10 s", "deg/√h ×", "raw none", "m/s/√h", "times what"):
         assert words in text
     assert list(found["gyro_x"].to_dataframe())[:3] == ["axis", "time", "error"]
 
