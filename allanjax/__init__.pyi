@@ -19,6 +19,9 @@ from allanjax.estimate.bulk import fit_many as fit_many
 from allanjax.estimate.check import Check as Check
 from allanjax.estimate.check import check as check
 from allanjax.estimate.fit import fit as fit
+from allanjax.estimate.horizon import AxisHorizon as AxisHorizon
+from allanjax.estimate.horizon import Horizon as Horizon
+from allanjax.estimate.horizon import horizon as horizon
 from allanjax.estimate.loading import load as load
 from allanjax.estimate.ranking import select_terms as select_terms
 from allanjax.estimate.result import AxisFit as AxisFit
@@ -48,6 +51,7 @@ from allanjax.noise.sensors import SENSORS as SENSORS
 from allanjax.noise.sensors import SensorPreset as SensorPreset
 from allanjax.noise.simulate import simulate as simulate
 from allanjax.noise.simulate import simulate_recording as simulate_recording
+from allanjax.noise.state_space import StateSpace as StateSpace
 from allanjax.noise.terms import *
 from allanjax.posterior.priors import LogNormal as LogNormal
 from allanjax.posterior.priors import LogUniform as LogUniform

@@ -6,7 +6,19 @@ from typing import Annotated
 import typer
 
 from allanjax.base.plain import speak_plainly
-from allanjax.cli import characterize, check, convert, critique, demo, export, fleet, schema, simulate
+from allanjax.cli import (
+    characterize,
+    check,
+    convert,
+    critique,
+    demo,
+    export,
+    fleet,
+    horizon,
+    schema,
+    simulate,
+    statespace,
+)
 from allanjax.cli.common import INTERRUPTED, epilog
 
 app = typer.Typer(
@@ -51,6 +63,18 @@ def _common(
 
 
 # A module a command, in the order of `allanjax --help`: its help, examples and function.
-for _module in (check, characterize, critique, fleet, export, simulate, convert, schema, demo):
+for _module in (
+    check,
+    characterize,
+    critique,
+    fleet,
+    export,
+    horizon,
+    statespace,
+    simulate,
+    convert,
+    schema,
+    demo,
+):
     _name = _module.__name__.rpartition(".")[2]
     app.command(_name, help=_module.HELP, epilog=_module.EPILOG)(_module.command)

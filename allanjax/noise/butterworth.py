@@ -60,6 +60,11 @@ class _Bilinear(RecursiveFilter):
             y = linear_recurrence(w, (1.0 - w) / 2.0 * (y + before))
         return jnp.real(y)
 
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        q = self._analog(self._tangent(rate))
+        w = (1.0 - q) / (1.0 + q)
+        return np.prod((1.0 - w) / 2.0).real * np.poly(-np.ones(len(w))), np.poly(w).real
+
     def _half_angle(self, rate: float) -> Any:
         """Half the bandwidth in radians per sample interval."""
         xp = namespace(self, rate)

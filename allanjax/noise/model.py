@@ -6,6 +6,7 @@ Each is a process with a phase covariance (`process`), from which all else follo
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any, Self
 
@@ -21,6 +22,9 @@ from allanjax.noise.filtered import Filtered
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.process import Process
 from allanjax.noise.response import Response
+from allanjax.noise.state_block import Block, filtered_block, together
+from allanjax.noise.state_space import StateSpace
+from allanjax.record.units import Sensor
 
 
 class NoiseTerm(Parametrized, Process):
@@ -33,7 +37,7 @@ class NoiseTerm(Parametrized, Process):
                 return -(self.coefficient**2) * jnp.log(jnp.maximum(lag, 1e-3))
 
     and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional; with
-    `parts` a term can pass a `Response`.
+    `parts` a term can pass a `Response`, with `state_block` it has states for a Kalman filter.
     Where an argument or a parameter is an array of JAX, so are the results of allanjax's own terms; else they
     are NumPy's, and nothing is compiled.
     """
@@ -53,6 +57,16 @@ class NoiseTerm(Parametrized, Process):
     def at_low_frequencies(self) -> NoiseTerm | None:
         """Smooth term that an oscillating one becomes at low frequencies; None if that is white noise."""
         return None
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States of the term in samples at `rate` [Hz], for a Kalman filter; see `Model.state_space`.
+
+        `duration` [s] is for terms that have no finite state space, and are approximated up to there.
+        """
+        raise AllanjaxError(
+            f"{self.name()} has no finite state space: leave it out, model.without(['{self.name()}']), or "
+            "fit a term that has one, e.g. Markov()"
+        )
 
     # ------------------------------------------------------------------ parameters
     @classmethod
@@ -263,6 +277,44 @@ class Model(eqx.Module):
         for label, value in self.values.items():
             if value is None:
                 raise AllanjaxError(f"{label} has no value: give it one, or fit the model to a recording")
+
+    def state_space(
+        self, rate: float, *, duration: float | None = None, sensor: Sensor = "gyro"
+    ) -> StateSpace:
+        """Matrices A, H, Q, R and P0 of the samples at `rate` [Hz], for a Kalman filter.
+
+        Exact but for bias instability and power laws, which are sums of Gauss–Markov processes: their
+        spectrum and Allan variance are within 3 % from 1/duration to half the rate. Random walks begin
+        at zero, as in `simulate`: a bias at switching on is the user's to add to P0.
+
+        Args:
+            rate: sample rate [Hz].
+            duration: how long the filter runs [s]; needed for bias instability and power laws only.
+            sensor: "gyro" or "accel", for the units.
+
+        Raises:
+            AllanjaxError: a parameter without a value; a term or a response that has no finite state
+                space; no duration where one is needed; a rate or a duration that is not positive.
+        """
+        self.check_complete()
+        for name, value in (("rate", rate), ("duration", duration)):
+            if value is not None and not 0.0 < value < math.inf:
+                raise AllanjaxError(f"the {name} of a state space must be positive and finite, got {value}")
+        return StateSpace.of(self.state_block(rate, duration), rate, sensor, repr(self))
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States of all terms, after the response if they pass it; see `state_space`."""
+        seen = self.sampled(float(rate))
+        blocks = [
+            term.state_block(rate, duration).labelled(label)
+            for term, label in zip(seen.terms, self.term_labels, strict=True)
+        ]
+        if seen.response is not None and any(self._is_inside):
+            within = [b for b, inside in zip(blocks, self._is_inside, strict=True) if inside]
+            after = [b for b, inside in zip(blocks, self._is_inside, strict=True) if not inside]
+            b, a = seen.response.transfer(rate)
+            blocks = [filtered_block(together(within), b, a, seen.response.name()), *after]
+        return together(blocks)
 
     # ------------------------------------------------------------------ sums over the terms
     def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:

@@ -96,7 +96,34 @@ class MovingAverage(Response):
         amplitude = jnp.sqrt(self.power(jnp.fft.rfftfreq(n, 1.0 / rate), rate))
         return jnp.fft.irfft(amplitude * jnp.fft.rfft(x - line), n) + line
 
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        """Coefficients of a mean over whole samples, else of the filter of least delay of this response."""
+        samples = float(self._samples(rate))
+        count = math.ceil(samples - 1e-9)
+        if abs(samples - count) <= 1e-9:
+            return np.full(count, 1.0 / count), np.ones(1)
+        weight = np.maximum(samples - np.arange(count + 1), 0.0)
+        b = _spectral_factor(weight)
+        return b / b.sum(), np.ones(1)
+
     def _samples(self, rate: float) -> Any:
         """The duration in sample intervals, between 1 and 64."""
         xp = namespace(self, rate)
         return xp.clip(HALF_POWER * rate / xp.asarray(self.bandwidth, float), 1.0, float(LONGEST))
+
+
+def _spectral_factor(weight: Float[np.ndarray, " q"]) -> Float[np.ndarray, " q"]:
+    """Filter b of this autocorrelation Σ_i b_i b_{i+d}, by Newton's method (Wilson 1969, SIAM J. NA 6:1)."""
+    from scipy.linalg import hankel, toeplitz
+
+    # From any filter without zeros inside the unit circle; it stays so.
+    b = np.zeros_like(weight)
+    b[0] = np.sqrt(weight[0] + 2.0 * weight[1:].sum())
+    for _ in range(60):
+        first = np.pad(b[:1], (0, len(b) - 1))
+        both = hankel(b) + toeplitz(first, b)
+        step = np.linalg.solve(both, weight - np.correlate(b, b, "full")[len(b) - 1 :])
+        b = b + step
+        if np.abs(step).max() <= 1e-14 * np.abs(b).max():
+            break
+    return b

@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace
+from allanjax.base.errors import AllanjaxError
 from allanjax.noise.exponential import exponential_covariance
 from allanjax.noise.parameter import Parametrized, Value, parameter
 from allanjax.noise.recursion import linear_recurrence
@@ -87,6 +88,15 @@ class Response(Parametrized):
     @abc.abstractmethod
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         """Samples after the filter, which starts at rest."""
+
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        """Coefficients b and a of y_k = Σ b_j x_{k−j} − Σ_{j≥1} a_j y_{k−j}, a_0 = 1, at `rate` [Hz].
+
+        A filter that has the power response; any other has the same law of noise after it.
+        """
+        raise AllanjaxError(
+            f"{self.name()} has no finite state space: define its transfer(rate), or leave the response out"
+        )
 
     @property
     def half_power(self) -> float:
@@ -164,6 +174,10 @@ class LowPass1(RecursiveFilter):
         w = jnp.exp(-2.0 * math.pi * jnp.asarray(self.bandwidth) / rate)
         return linear_recurrence(w, (1.0 - w) * x)
 
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        x = 2.0 * math.pi * self.bandwidth / rate
+        return np.array([-np.expm1(-x)]), np.array([1.0, -np.exp(-x)])
+
 
 class LowPass2(RecursiveFilter):
     """Low-pass filter of two poles, a damped oscillator that is read at the instants of the samples.
@@ -188,10 +202,17 @@ class LowPass2(RecursiveFilter):
     def half_power(self) -> float:
         return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
 
+    def _zero(self, rate: float) -> tuple[Any, Any]:
+        """Coefficients b_0 and b_1: a zero, from the response at frequency zero and at half the rate."""
+        xp, w = namespace(self, rate), self.poles(rate).pole[0]
+        ends = xp.sqrt(self.power(xp.array([0.0, rate / 2.0]), rate))
+        low, high = ends[0] * xp.abs(1.0 - w) ** 2, ends[1] * xp.abs(1.0 + w) ** 2
+        return (low + high) / 2.0, (low - high) / 2.0
+
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
-        w = self.poles(rate).pole[0]
-        # A zero, too: its two coefficients follow from the response at frequency zero and at half the rate.
-        ends = jnp.sqrt(jnp.asarray(self.power(jnp.array([0.0, rate / 2.0]), rate)))
-        low, high = ends[0] * jnp.abs(1.0 - w) ** 2, ends[1] * jnp.abs(1.0 + w) ** 2
-        drive = (low + high) / 2.0 * x + (low - high) / 2.0 * jnp.concatenate([jnp.zeros(1), x[:-1]])
+        w, (b0, b1) = self.poles(rate).pole[0], self._zero(rate)
+        drive = b0 * x + b1 * jnp.concatenate([jnp.zeros(1), x[:-1]])
         return jnp.imag(w * linear_recurrence(w, drive + 0j)) / jnp.imag(w)
+
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        return np.array(self._zero(rate)), np.poly(self.poles(rate).pole).real

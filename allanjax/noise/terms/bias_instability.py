@@ -9,9 +9,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace, special_functions
+from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import Parts, Poles
+from allanjax.noise.state_block import Block
+from allanjax.noise.terms.gauss_markov_sum import gauss_markov_sum
 from allanjax.noise.terms.markov import Markov
 
 # Aliases on either side summed where a cutoff rules out a closed form; the rest is below 1e-3 of the first.
@@ -54,6 +57,14 @@ class BiasInstability(NoiseTerm):
         parts, xp = _flicker_parts(), namespace(self, rate)
         poles = Poles(xp.asarray(parts.poles.pole), B2 * xp.asarray(parts.poles.weight))
         return Parts(B2 * parts.white, B2 * parts.difference, 0.0, poles)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States of Gauss–Markov processes whose sum is flicker noise up to a duration [s]."""
+        if not self._has_no_cutoff():
+            raise AllanjaxError(
+                f"{self.name()} with a cutoff has no finite state space: fit it without one, or Markov()"
+            )
+        return gauss_markov_sum(self, rate, duration)
 
     @np.errstate(divide="ignore")
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:

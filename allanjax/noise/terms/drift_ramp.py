@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.state_block import Block, block
 
 
 class DriftRamp(NoiseTerm):
@@ -38,3 +39,11 @@ class DriftRamp(NoiseTerm):
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * self.column((jnp.arange(n) + 0.5) / rate)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States: the drift at the middle of a sample interval, and its slope, of unknown sign."""
+        at_first = np.array([0.5 / rate, 1.0])
+        transition = np.array([[1.0, 1.0 / rate], [0.0, 1.0]])
+        start = self.coefficient**2 * np.outer(at_first, at_first)
+        names, exponents = ("value", "slope"), (0.0, -1.0)
+        return block(transition, [1.0, 0.0], np.zeros((2, 2)), start, names, time_exponents=exponents)

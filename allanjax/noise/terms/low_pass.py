@@ -15,6 +15,7 @@ from allanjax.noise.exponential import exponential_covariance, exponential_densi
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, option, parameter
 from allanjax.noise.recursion import linear_recurrence
+from allanjax.noise.state_block import Block, exponential_block, oscillator_block
 from allanjax.noise.terms.resonance import Resonance
 
 
@@ -57,6 +58,12 @@ class LowPass(NoiseTerm):
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         return exponential_density(*self._pole(), frequency, rate, self.sample_interval)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        pole, weight = self._pole()
+        if self.order == 1:
+            return exponential_block(float(weight), float(-pole / rate))
+        return oscillator_block(float(weight.real), complex(pole / rate))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples by the exact recursion of the filter's state."""

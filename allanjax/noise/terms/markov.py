@@ -13,6 +13,7 @@ from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import Parts, Poles
+from allanjax.noise.state_block import Block, mean_block
 
 # Sample intervals over the correlation time from which on only two lags are left.
 _SHORT = 30.0
@@ -65,6 +66,10 @@ class Markov(NoiseTerm):
         pole = xp.where(short, 0.5, xp.exp(-slow))
         poles = Poles(pole[None] + 0j, xp.where(short, 0.0, variance * weight)[None] + 0j)
         return Parts(variance * white, xp.where(short, -variance * q1, 0.0), 0.0, poles)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        variance = self.amplitude**2 * self.correlation_time / 2.0
+        return mean_block(variance, 1.0 / (rate * self.correlation_time))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples: an exact recursion of the state, and Gaussian means between its values."""

@@ -8,6 +8,8 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.arrays import namespace, special_functions
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.state_block import Block
+from allanjax.noise.terms.gauss_markov_sum import gauss_markov_sum
 
 # Distance of the exponent from 1 within which G is computed in the gauge of flicker noise.
 _NEAR = 0.1
@@ -53,6 +55,10 @@ class PowerLaw(NoiseTerm):
         u = xp.asarray(frequency, float) / rate
         aliases = _hurwitz(2.0 + self.exponent, u) + _hurwitz(2.0 + self.exponent, 1.0 - u)
         return self.amplitude**2 * rate**-self.exponent * (xp.sin(np.pi * u) / np.pi) ** 2 * aliases
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States of Gauss–Markov processes whose sum is the noise up to a duration [s], if there are such."""
+        return gauss_markov_sum(self, rate, duration)
 
 
 def _relative_expm1(x: Float[Array, ...]) -> Float[Array, ...]:

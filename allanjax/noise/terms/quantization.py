@@ -11,6 +11,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import NO_POLES, Parts
+from allanjax.noise.state_block import Block, block
 
 
 class Quantization(NoiseTerm):
@@ -48,3 +49,11 @@ class Quantization(NoiseTerm):
 
     def parts(self, rate: float) -> Parts:
         return Parts(0.0, (self.coefficient * rate) ** 2, 0.0, NO_POLES)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States: the errors of the angle at the end of a sample interval and at its beginning."""
+        noise = self.coefficient**2 * np.diag([1.0, 0.0])
+        transition = np.array([[0.0, 0.0], [1.0, 0.0]])
+        start = self.coefficient**2 * np.eye(2)
+        names = ("now", "before")
+        return block(transition, [rate, -rate], noise, start, names, time_exponents=(1.0, 1.0))

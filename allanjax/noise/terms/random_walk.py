@@ -12,6 +12,7 @@ from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import NO_POLES, Parts
+from allanjax.noise.state_block import Block, block, white_block
 
 
 class AngleRandomWalk(NoiseTerm):
@@ -36,6 +37,9 @@ class AngleRandomWalk(NoiseTerm):
 
     def parts(self, rate: float) -> Parts:
         return Parts(self.coefficient**2 * rate, 0.0, 0.0, NO_POLES)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        return white_block(self.coefficient**2 * rate)
 
 
 class RateRandomWalk(NoiseTerm):
@@ -71,3 +75,9 @@ class RateRandomWalk(NoiseTerm):
         """Parts of (2 + cos a)/(12 sin²(a/2)) = 1/(4s) − 1/6, times K²/rate."""
         walk = self.coefficient**2 / rate
         return Parts(-walk / 6.0, 0.0, walk, NO_POLES)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States: the mean of the path over a sample interval, and its end."""
+        noise = self.coefficient**2 / rate * np.array([[1.0 / 3.0, 0.5], [0.5, 1.0]])
+        transition = np.array([[0.0, 1.0], [0.0, 1.0]])
+        return block(transition, [1.0, 0.0], noise, noise, ("mean", "end"), level=(False, True))

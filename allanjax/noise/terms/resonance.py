@@ -15,6 +15,7 @@ from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import Parts, Poles
+from allanjax.noise.state_block import Block, oscillator_block
 
 # Aliases on either side that are summed.
 _ALIASES = 8
@@ -79,6 +80,9 @@ class Resonance(NoiseTerm):
         w, half = xp.exp(pole / rate), self.amplitude**2 * c / 2.0
         poles = Poles(xp.stack([w, xp.conj(w)]), xp.stack([half, xp.conj(half)]))
         return Parts(0.0, 0.0, 0.0, poles)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        return oscillator_block(self.amplitude**2, complex(self._poles()[0] / rate))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples by the exact recursion of position and velocity, as one complex mode."""

@@ -14,6 +14,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.numerics import in_gauge
 from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.state_block import Block, block
 
 
 class Sinusoid(NoiseTerm):
@@ -59,6 +60,13 @@ class Sinusoid(NoiseTerm):
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Zero density: a line's power Ω0²/2 is all at its own frequency."""
         return namespace(self, frequency).zeros(np.shape(frequency))
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """States: the line, and itself a quarter of a period before; their phase is unknown."""
+        a = 2.0 * np.pi * self.frequency / rate
+        transition = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+        start = self.amplitude**2 / 2.0 * np.eye(2)
+        return block(transition, [1.0, 0.0], np.zeros((2, 2)), start, ("cosine", "sine"))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated line with a random phase."""

@@ -11,6 +11,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.state_block import Block, exponential_block
 
 
 class Telegraph(NoiseTerm):
@@ -41,6 +42,10 @@ class Telegraph(NoiseTerm):
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         pole = -2.0 / namespace(self).asarray(self.dwell_time, float)
         return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate, self.sample_interval)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        """State of the same covariance; the jumps of the noise are not Gaussian."""
+        return exponential_block(self.amplitude**2 / 4.0, 2.0 / (rate * self.dwell_time))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated path with exponential dwell times: an odd Poisson number of jumps changes the level.

@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
+from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value
+from allanjax.noise.state_block import Block
 
 
 class Transient(NoiseTerm):
@@ -30,6 +32,12 @@ class Transient(NoiseTerm):
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return namespace(self, frequency).zeros(np.shape(frequency))
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        raise AllanjaxError(
+            f"{self.name()} happens once, and is no noise: subtract amplitude·column(time) from the samples, "
+            f"and leave it out of the filter, model.without(['{self.name()}'])"
+        )
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.amplitude * self.column((jnp.arange(n) + 0.5) / rate)

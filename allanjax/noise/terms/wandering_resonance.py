@@ -17,6 +17,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import Parts, Poles
+from allanjax.noise.state_block import Block, together
 from allanjax.noise.terms.resonance import Resonance
 
 # Nodes of the quadrature over the frequency: the spectrum stays smooth for spreads up to the width f0/Q_f.
@@ -78,6 +79,10 @@ class WanderingResonance(NoiseTerm):
         poles = [one.parts(rate).poles for one in self._oscillators()]
         joined = (xp.concatenate(x) for x in zip(*poles, strict=True))
         return Parts(0.0, 0.0, 0.0, Poles(*joined))
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        blocks = (one.state_block(rate, duration) for one in self._oscillators())
+        return together([b.labelled(str(k + 1)) for k, b in enumerate(blocks)])
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples: a stationary process with this spectrum."""

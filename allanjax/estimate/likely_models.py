@@ -1,0 +1,128 @@
+"""Noise models that a fit leaves likely: its own within its intervals, and rival sets of terms.
+
+What the fit chose is drawn from the normal law of the logarithms of its powers. Sets of terms that the data
+do not tell from it are fitted to the Allan variances anew, with powers that are not negative, and drawn by
+scattering the variances within their degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.selection import TermSet
+from allanjax.noise.model import Model, NoiseTerm
+from allanjax.noise.notation import term_classes
+from allanjax.noise.terms import Markov
+
+# Widest standard deviation of the logarithm of a power that is drawn.
+_WIDEST = 1.5
+# Normal quantile of the one-sided 95 % limit of an amplitude of either sign.
+_LIMIT = 1.96
+# Correlation times that are tried for a Markov process of a rival set.
+_TIMES = 15
+
+
+class Likely(NamedTuple):
+    """A set of terms, of unit amplitude, and draws of their powers.
+
+    Attributes:
+        model: the terms with unit amplitudes.
+        labels: names of the terms.
+        power: draws of the squared amplitudes, SI.
+        limited: draws of what is only known to be below a limit are in the last so many columns.
+    """
+
+    model: Model
+    labels: tuple[str, ...]
+    power: Float[np.ndarray, "draws terms"]
+    limited: int
+
+
+def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
+    """Sets of terms with draws shared out by probability; the first is that of the fit."""
+    found = fit[axis]
+    if fit.selection is None or found.own_template is not None:
+        return [_of_fit(found, draws, rng, with_limits=found.own_template is None)]
+    selection = fit.selection[axis]
+    close = {s.terms: s for s in (selection.chosen, *selection.indistinguishable)}
+    weight = np.array([s.probability for s in close.values()])
+    count = rng.multinomial(draws, weight / weight.sum())
+    count[0] = max(count[0], 1)
+    models = [_of_fit(found, int(count[0]), rng, with_limits=False)]
+    column = fit.axes.index(axis)
+    for k, terms in zip(count[1:], list(close.values())[1:], strict=True):
+        if k:
+            models.append(_of_curve(fit, column, terms, int(k), rng))
+    return models
+
+
+def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
+    """The fitted model, and terms that are below a limit if these are asked for."""
+    model, labels = found.model, found.term_labels
+    estimates = [c for c in found.coefficients.values() if c.is_amplitude]
+    rows = [list(found.coefficients).index(c.label) for c in estimates if c.term in labels]
+    amplitude = np.array([_amplitude(term) for term in model.terms])
+    fitted = np.array([c.value for c in estimates if c.term in labels])
+    covariance = 4.0 * found.covariance[np.ix_(rows, rows)] / np.outer(fitted, fitted)
+    covariance = np.nan_to_num(covariance)
+    scale = np.minimum(1.0, _WIDEST / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
+    log = rng.multivariate_normal(np.zeros(len(rows)), covariance * np.outer(scale, scale), draws)
+    power = amplitude**2 * np.exp(log)
+    below = [c for c in estimates if with_limits and not c.detected and c.term not in labels]
+    classes = term_classes()
+    below = [c for c in below if c.upper_limit and np.isfinite(c.upper_limit) and c.term in classes]
+    below = [c for c in below if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"]
+    limits = np.array([c.upper_limit for c in below]) / _LIMIT
+    extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
+    unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
+    for c in below:
+        unit = unit + _unit(classes[c.term])
+    names = (*labels, *(c.term for c in below))
+    return Likely(unit, names, np.concatenate([power, extra], axis=1), len(below))
+
+
+def _amplitude(term: NoiseTerm) -> float:
+    return float(getattr(term, term.amplitude_parameter().name))
+
+
+def _unit(term: type[NoiseTerm]) -> NoiseTerm:
+    """The term with an amplitude of one."""
+    amplitude: dict[str, Any] = {term.amplitude_parameter().name: 1.0}
+    return term(**amplitude)
+
+
+def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.Generator) -> Likely:
+    """A rival set, fitted to the Allan variances of an axis."""
+    curve, classes = fit.curve, term_classes()
+    time, variance = curve.cluster_time, curve.deviation[:, column] ** 2
+    degrees = np.maximum(curve.edf[:, column], 1.0)
+    weight = np.sqrt(degrees / 2.0) / variance
+    # A Markov process of any time between ten samples and the longest cluster.
+    times = np.geomspace(10.0 / curve.rate, time[-1], _TIMES)
+    named = [name if name in classes else name.rpartition("_")[0] for name in terms.terms]
+    best: tuple[float, list[NoiseTerm], np.ndarray] = (np.inf, [], np.zeros(0))
+    for T_c in times if "markov" in named else times[:1]:
+        units = [Markov(1.0, float(T_c)) if name == "markov" else _unit(classes[name]) for name in named]
+        curves = [np.asarray(u.sampled(curve.rate).allan_variance(time)) for u in units]
+        columns = np.stack(curves, axis=1) * weight[:, None]
+        _, misfit = _powers(columns, variance * weight)
+        if misfit < best[0]:
+            best = (misfit, units, columns)
+    scattered = variance * weight * rng.chisquare(degrees, (draws, len(degrees))) / degrees
+    power = [_powers(best[2], drawn)[0] for drawn in scattered]
+    return Likely(Model(tuple(best[1])), terms.terms, np.stack(power), 0)
+
+
+def _powers(
+    columns: Float[np.ndarray, "m terms"], variance: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " terms"], float]:
+    """Squared amplitudes ≥ 0 by least squares, of weighted variances, and the misfit."""
+    from scipy.optimize import nnls
+
+    size = np.linalg.norm(columns, axis=0)
+    found, misfit = nnls(columns / size, variance)
+    return found / size, float(misfit)
