@@ -21,8 +21,8 @@ from scipy.stats import chi2
 
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, centred, family_of
 from allanjax.critic.result import Snapshot
-from allanjax.critic.view import in_time
 from allanjax.noise.terms import Markov, PowerLaw
+from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis
 
 # Most coefficients whose weights are in memory at once.

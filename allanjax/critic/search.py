@@ -15,11 +15,12 @@ from allanjax.critic.parameters import Detail
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View, in_time
+from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
+from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis
 
 # Rivals with longer odds against them than this are not reported: a judgement.

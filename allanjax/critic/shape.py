@@ -13,7 +13,7 @@ from scipy.fft import dct
 from allanjax.critic.factor import stop_band
 from allanjax.critic.noise import MARKOV, POWER_LAW
 from allanjax.critic.parameters import Detail, Limit, limited
-from allanjax.critic.view import View, in_time
+from allanjax.critic.view import View
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import FULL
@@ -33,6 +33,7 @@ from allanjax.estimate.structure.structure import (
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
+from allanjax.record.completion import in_time
 
 #: Names of the findings.
 LOW_PASS, RESONANCE = "low_pass", "resonance"

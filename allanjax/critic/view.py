@@ -20,6 +20,7 @@ from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estim
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
+from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis
 
 # Steadier subsets of the terms, which are searched too: noise that drifts may be an effect in disguise.
@@ -305,11 +306,6 @@ class View:
     ) -> Estimate:
         """Amplitude in the recording's own unit, by that in SI."""
         return self.estimate(label, value / self.scale, std / self.scale, self.axis.unit + per, limit)
-
-
-def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
-    """Samples with these cosine coefficients c_1 … c_{n−1}, without mean."""
-    return idct(np.concatenate([[0.0], coefficients]), norm="ortho", workers=-1)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

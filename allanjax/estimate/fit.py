@@ -24,6 +24,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, Telegraph, basic_terms
 from allanjax.noise.terms.transient import Transient
+from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, DeadAxis, Recording
 
@@ -105,7 +106,10 @@ def fit_inspected(
     # What is wrong with them is said before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:
-        found = _fitted(seen.quiet(recording), model, objective, regressors, plain)
+        quiet = seen.quiet(recording)
+        found = _fitted(quiet, model, objective, regressors, plain)
+        if quiet.missing is not None:
+            found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)
     template, _ = terms_to_fit(model, None, recording.axes, objective)
     curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
@@ -170,6 +174,15 @@ def _extended(
     rankings = [s if e is None else e.selection for s, e in zip(selection.results, found, strict=True)]
     fits = (r if e is None else e.result for r, e in zip(results, found, strict=True))
     return tuple(fits), dataclasses.replace(selection, results=tuple(rankings))
+
+
+def _with_missing(found: Fit, factors: Float[np.ndarray, " axes"]) -> Fit:
+    """Fit of a record of which samples are missing: wider intervals, fewer degrees of freedom."""
+    results = zip(found.results, factors, strict=True)
+    curve = dataclasses.replace(found.curve, edf=found.curve.edf / factors**2)
+    return dataclasses.replace(
+        found, curve=curve, results=tuple(result.widened(float(by)) for result, by in results)
+    )
 
 
 def without_coefficients(

@@ -144,6 +144,15 @@ class AxisFit(ByValue, AxisEstimates):
         nothing = np.full_like(self.covariance, np.nan)
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
 
+    def widened(self, factor: float) -> AxisFit:
+        """A copy whose standard deviations are larger by a factor, with intervals and limits to match."""
+        return dataclasses.replace(
+            self,
+            _coefficients={label: c.widened(factor) for label, c in self._coefficients.items()},
+            _covariance=self._covariance * factor**2,
+            plain=None if self.plain is None else self.plain.widened(factor),
+        )
+
     @property
     def coefficients(self) -> Mapping[str, Estimate]:
         """Each coefficient by its label, detected or not. Raises FitError if the fit did not converge."""

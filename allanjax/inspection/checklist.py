@@ -74,7 +74,7 @@ def _told(name: str, verdict: Verdict, sentences: Sequence[str], otherwise: str)
 
 
 def _times(recording: Recording, seen: Inspection) -> Iterator[Line]:
-    """Sample rate, jitter and gaps; a recording with time stamps has no gaps, or it would not be one."""
+    """Sample rate, jitter and gaps."""
     jitter, rate = recording.jitter, f"{recording.rate:.6g} Hz"
     if wrong := seen.about("rate"):
         yield Line("rate", "stop", "; ".join(wrong))
@@ -83,9 +83,11 @@ def _times(recording: Recording, seen: Inspection) -> Iterator[Line]:
     else:
         stated = [note for note in recording.notes if note.startswith("sample rate")]
         yield Line("rate", "fine", "; ".join(stated) or rate)
+    lost = "; ".join(note for note in recording.notes if " are missing, in " in note)
     if jitter is None:
-        for name in ("jitter", "gaps"):
-            yield Line(name, "look", "cannot be seen without time stamps")
+        unseen = "cannot be seen without time stamps"
+        yield Line("jitter", "look", unseen)
+        yield Line("gaps", "look", lost or unseen)
         return
     share = f"{told_jitter(jitter)}, {plain(100.0 * max(jitter, 1e-9) * recording.rate, 2)} % of the interval"
     if jitter * recording.rate > _JITTER:
@@ -93,7 +95,7 @@ def _times(recording: Recording, seen: Inspection) -> Iterator[Line]:
         yield Line("jitter", "look", f"{share}: {said}")
     else:
         yield Line("jitter", "fine", share)
-    yield Line("gaps", "fine", "none among the time stamps")
+    yield Line("gaps", "look" if lost else "fine", lost or "none among the time stamps")
 
 
 def _resolution(recording: Recording, seen: Inspection, steps: Sequence[float | None]) -> Line:

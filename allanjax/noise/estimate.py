@@ -129,6 +129,28 @@ class Estimate(ByValue):
         numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
         return dataclasses.replace(self, unit=unit, **numbers)
 
+    def widened(self, factor: float) -> Estimate:
+        """A copy whose standard deviation is larger by a factor, with intervals and limits to match.
+
+        Intervals of positive values are widened in proportion: they stay positive. Zero stays an end.
+        """
+
+        def end(limit: float) -> float:
+            if limit > 0.0 and self.value > 0.0:
+                return self.value * (limit / self.value) ** factor
+            return 0.0 if limit == 0.0 else self.value + factor * (limit - self.value)
+
+        one, other = self.interval, self.interval_68
+        above, below = self.upper_limit, self.lower_limit
+        return dataclasses.replace(
+            self,
+            std=factor * self.std,
+            interval=(end(one[0]), end(one[1])),
+            interval_68=(end(other[0]), end(other[1])),
+            upper_limit=None if above is None else above * factor,
+            lower_limit=None if below is None else below / factor,
+        )
+
     def unmeasured(self) -> Estimate:
         """A copy without uncertainty, for a fitted curve that does not follow the data; held values stay."""
         if self.held:

@@ -5,10 +5,10 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
@@ -18,6 +18,7 @@ from allanjax.base.tables import html_table
 from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
+from allanjax.record.completion import bridged, completed, told
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
@@ -43,6 +44,8 @@ class Recording(ByValue):
         notes: assumptions and findings of the reader that the user should know.
         dead: axes that were left out because they have no noise, and why.
         jitter: rms jitter of the time stamps [s]; None without any.
+        missing: samples that are not the sensor's but have been drawn given the others, see `completion`;
+            None if there are none.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -55,6 +58,7 @@ class Recording(ByValue):
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
     jitter: float | None = None
+    missing: Bool[np.ndarray, "samples axes"] | None = None
 
     @classmethod
     def from_array(
@@ -67,6 +71,7 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
         auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
         name: str = "",
+        gaps: Literal["error", "fill"] = "error",
     ) -> "Recording":
         """Make a recording from an array, one column per axis.
 
@@ -82,6 +87,7 @@ class Recording(ByValue):
                 that sensor; `notes` say so.
             auxiliary: other columns of the same length, e.g. a temperature.
             name: a name for display.
+            gaps: what to do about samples that are nan, as in `read`.
 
         Raises:
             RecordingError: wrong shape, names or rate, fewer than 16 samples, values that are not
@@ -124,7 +130,7 @@ class Recording(ByValue):
                     f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
                     f"({len(table)},)"
                 )
-        return build(table, rate, columns, units, extra, name, notes, source)
+        return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
 
     @property
     def n(self) -> int:
@@ -201,6 +207,7 @@ class Recording(ByValue):
             "axes": {label: [x.name, x.sensor, x.unit] for label, x in zip(labels, self.axes, strict=True)},
             "si": si,
             "auxiliary": list(self.auxiliary),
+            "missing": {} if self.missing is None else _runs(self.missing, labels),
             "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
         }
         return frame
@@ -253,6 +260,7 @@ class Recording(ByValue):
         return replace(
             self,
             values=self.values[:, chosen],
+            missing=None if self.missing is None else self.missing[:, chosen],
             axes=tuple(self.axes[i] for i in chosen),
             dead=tuple(dead for dead in self.dead if dead.axis.sensor in keys),
         )
@@ -274,10 +282,14 @@ class Recording(ByValue):
         values, axes, dead, left_out = _living(
             values, self.axes, values[0] / self.own_scales, self.names, source
         )
+        missing = self.missing
+        if missing is not None:
+            missing = missing[rows][:, [axis in axes for axis in self.axes]]
         return replace(
             self,
             values=values,
             axes=axes,
+            missing=missing if missing is not None and missing.any() else None,
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
             notes=(*self.notes, note, *left_out),
             dead=(*self.dead, *dead),
@@ -304,6 +316,12 @@ class Recording(ByValue):
         return f"{table}<ul>{notes}</ul>" if notes else table
 
 
+def _runs(missing: Bool[np.ndarray, "samples axes"], labels: Sequence[str]) -> dict[str, list[int]]:
+    """First sample and the one after the last of every gap, in turn, by the axes' labels."""
+    edges = (np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist() for lost in missing.T)
+    return dict(zip(labels, edges, strict=True))
+
+
 def build(
     values: Float[np.ndarray, "samples axes"],
     rate: float,
@@ -314,8 +332,11 @@ def build(
     notes: Sequence[str],
     source: Source,
     jitter: float | None = None,
+    fill: bool = False,
 ) -> Recording:
     """Check samples in their own units and make a recording of the axes that are not dead.
+
+    With `fill` samples that are nan are drawn given the others.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -324,7 +345,14 @@ def build(
     axes, own_notes = axes_of(columns, units, source)
     rate = check_rate(rate, source)
     labels = [column.label for column in columns]
+    lost = np.isnan(values) if fill else np.zeros(values.shape, bool)
+    values = np.column_stack([bridged(*column) for column in zip(values.T, lost.T, strict=True)])
+    every = axes
     values, axes, dead, left_out = _living(values, axes, values[:1].ravel(), labels, source)
+    lost = lost[:, [axis in axes for axis in every]]
+    if lost.any():
+        values = completed(values, lost)
+        left_out = (*told(lost, rate, [axis.name for axis in axes]), *left_out)
     return Recording(
         values * scales_of(axes, rate),
         rate,
@@ -334,6 +362,7 @@ def build(
         (*notes, *own_notes, *left_out),
         dead,
         jitter,
+        lost if lost.any() else None,
     )
 
 

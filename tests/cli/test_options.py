@@ -28,6 +28,7 @@ READING = ReadOptions(
     stop=99.5,
     topic="/imu",
     instance=2,
+    gaps="fill",
 )
 FITTING = FitOptions(READING, parse_model("N + B"), "whittle", ("temperature", "voltage"), True, True, True)
 WRITTEN = {"model": "N + B", "regressors": "temperature, voltage"}

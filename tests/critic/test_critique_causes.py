@@ -19,15 +19,16 @@ from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange
 from allanjax.critic.factor import _ends, _grid
-from allanjax.critic.gap_filling import _predicted, impute_gaussian
+from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critic.search import _grouped, search
 from allanjax.critic.step import Step
 from allanjax.critic.template_pairs import best_pair
-from allanjax.critic.view import EVERYTHING, in_time
+from allanjax.critic.view import EVERYTHING
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.evidence import evidences
 from allanjax.noise.butterworth import Butterworth
+from allanjax.record.completion import in_time, predicted
 
 # One length for most: one compilation.
 N, RATE = 30_000, 50.0
@@ -284,7 +285,7 @@ def test_a_long_gap_is_bridged_as_by_exact_prediction():
     D = dct(np.eye(n)[missing], norm="ortho", axis=1)[:, 1:]
     precision = (D / v) @ D.T
     exact = -np.linalg.solve(precision, (D / v) @ dct(np.where(missing, 0.0, d), norm="ortho")[1:])
-    off = _predicted(d, missing, v)[missing] - exact
+    off = predicted(d, missing, v)[missing] - exact
     # A hundredth of what one sample's own chance adds.
     assert off @ precision @ off < 0.01
 

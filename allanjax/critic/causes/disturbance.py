@@ -9,7 +9,8 @@ from scipy.special import gammaincc
 
 from allanjax.critic.bank import folds
 from allanjax.critic.gap_filling import impute_gaussian
-from allanjax.critic.view import Candidate, Cause, View, in_time
+from allanjax.critic.view import Candidate, Cause, View
+from allanjax.record.completion import in_time
 
 # Shortest disturbance [s], and longest one as a share of the record: judgements.
 _SHORTEST = 0.1

@@ -14,7 +14,8 @@ from allanjax.critic.bank import any_of, folds
 from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
-from allanjax.critic.view import Candidate, Cause, View, in_time
+from allanjax.critic.view import Candidate, Cause, View
+from allanjax.record.completion import in_time
 
 # Scales of outliers, in deviations of the noise, and shares of the samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)

@@ -9,10 +9,11 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.critic.bank import folds
 from allanjax.critic.parameters import ONE_SIDED
-from allanjax.critic.view import Candidate, Cause, View, in_time
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
+from allanjax.record.completion import in_time
 
 # Fewest periods in a record: fewer are not told from drift. A judgement.
 _PERIODS = 6.0

@@ -12,9 +12,10 @@ from allanjax.critic.bank import Bank, folds
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
 from allanjax.critic.parameters import Limit
-from allanjax.critic.view import Candidate, Cause, View, in_time
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
+from allanjax.record.completion import in_time
 
 # Most blocks that samples are averaged in.
 _BLOCKS = 2048

@@ -13,8 +13,9 @@ from scipy.stats import multivariate_normal, norm
 from allanjax.critic.bank import any_of, extrapolated, folds
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.parameters import ONE_SIDED
-from allanjax.critic.view import Candidate, Cause, View, in_time
+from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise.estimate import Estimate
+from allanjax.record.completion import in_time
 
 # Most blocks that intervals are made of.
 _BLOCKS = 256

@@ -7,7 +7,7 @@ from pathlib import Path
 from allanjax.record.io.assembly import assemble
 from allanjax.record.io.chunks import ChunkedRecording, read_chunks
 from allanjax.record.io.formats import format_of, name_of
-from allanjax.record.io.options import ReadOptions, TimeChoice
+from allanjax.record.io.options import GapChoice, ReadOptions, TimeChoice
 from allanjax.record.io.writers import write
 from allanjax.record.recording import Recording
 from allanjax.record.validation import Source
@@ -28,6 +28,7 @@ def read(
     stop: float | None = None,
     topic: str | None = None,
     instance: int | None = None,
+    gaps: GapChoice | None = None,
 ) -> Recording:
     """Read a static recording: text, NumPy, Parquet, HDF5, MATLAB, TDMS, a ROS bag or a flight log.
 
@@ -52,13 +53,20 @@ def read(
         topic: topic of a ROS bag with several of sensor_msgs/Imu, or message of a flight log, e.g.
             `sensor_gyro`; two with a comma between for gyros and accelerometers apart.
         instance: number of the sensor in a flight log that has several; by default the first.
+        gaps: what to do about samples that are missing, be it in the time stamps or as empty cells: "error",
+            the default, says where and what there is; "segments" takes the longest stretch without any;
+            "fill" draws them from their distribution given the others, of which the fit's intervals take
+            account (see `completion`). Packets recorded twice are dropped then.
 
     Raises:
         RecordingError: the file or the arguments are not usable; the message says where and what to do.
         UnitError: a unit is missing, unknown or contradictory.
     """
     return read_recording(
-        path, ReadOptions(rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop, topic, instance)
+        path,
+        ReadOptions(
+            rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop, topic, instance, gaps
+        ),
     )
 
 

@@ -1,9 +1,14 @@
 """Assembly of a recording from the columns of a file."""
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Bool, Float
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.columns import Column
+from allanjax.record.io.gaps import longest_stretch, on_grid, without_repeats
 from allanjax.record.io.layout import find_layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Table, as_float, is_numeric
@@ -21,33 +26,84 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     jitter: float | None = None
     samples = len(columns[0])
     check_length(samples, source)
+    times: np.ndarray | None = None
     if layout.time:
         stamps = [(column, columns[column.index]) for column in layout.time]
         times, _, time_notes = seconds_from_first(stamps, options.time_unit, rate, source)
         notes += time_notes
         rows = rows_of_times(times, options.start, options.stop)
         check_stretch(rows, float(times[-1]), source)
-        source = source.after(rows.start)
-        check_length(rows.stop - rows.start, source)
-        rate, note, jitter = rate_from_times(times[rows], layout.time_label, rate, source)
-        notes.append(note)
-    elif rate is None:
-        raise no_rate_error(source)
     else:
+        if rate is None:
+            raise no_rate_error(source)
         rows = rows_between(samples, rate, options.start, options.stop)
         check_stretch(rows, samples / rate, source)
-        source = source.after(rows.start)
+    source = source.after(rows.start)
+    check_length(rows.stop - rows.start, source)
     if rows != slice(0, samples):
         notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} taken")
-    values = np.column_stack([as_float(columns[c.index][rows], c.label, source) for c in layout.axes])
+    gaps = options.allows_gaps
+    values = np.column_stack([as_float(columns[c.index][rows], c.label, source, gaps) for c in layout.axes])
     auxiliary = {}
     for column in layout.auxiliary:
         numbers, note = _auxiliary(column, columns[column.index][rows], source)
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
+    stretch = _Stretch(values, auxiliary, None if times is None else times[rows])
+    if gaps:
+        stretch, source, more = _with_gaps(stretch, options, source)
+        notes += more
+    if stretch.times is not None:
+        found = rate_from_times(stretch.times, layout.time_label, rate, source, gaps=gaps)
+        rate, jitter = found.rate, found.jitter
+        notes.append(found.note)
+        if gaps:
+            stretch = _Stretch(*on_grid(stretch.values, stretch.auxiliary, found.places), None)
+    if rate is None:
+        raise no_rate_error(source)
     units = table.units_with(options)
-    return build(values, rate, layout.axes, units, auxiliary, name, notes, source, jitter)
+    fill = options.gaps == "fill"
+    return build(
+        stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter, fill
+    )
+
+
+class _Stretch(NamedTuple):
+    """Samples of a stretch in the file's units, auxiliary channels, and times [s] if there are any."""
+
+    values: Float[np.ndarray, "samples axes"]
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
+    times: Float[np.ndarray, " samples"] | None
+
+    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
+        """These rows of it."""
+        auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
+        return _Stretch(self.values[rows], auxiliary, None if self.times is None else self.times[rows])
+
+
+def _with_gaps(
+    stretch: _Stretch, options: ReadOptions, source: Source
+) -> tuple[_Stretch, Source, tuple[str, ...]]:
+    """Stretch without packets recorded twice, of "segments" the longest one without gaps, and notes."""
+    notes: tuple[str, ...] = ()
+    if stretch.times is not None:
+        kept = without_repeats(stretch.values, stretch.times)
+        if not kept.all():
+            notes += (f"{np.count_nonzero(~kept)} packets recorded twice left out",)
+            stretch = stretch.taken(kept)
+    if options.gaps == "fill":
+        return stretch, source, notes
+    rows, count = longest_stretch(stretch.values, stretch.times)
+    if count > 1:
+        n = len(stretch.values)
+        notes += (
+            f"samples {rows.start} to {rows.stop - 1} of {n} taken, the longest of {count} stretches without "
+            "gaps",
+        )
+    source = source.after(rows.start)
+    check_length(rows.stop - rows.start, source)
+    return stretch.taken(rows), source, notes
 
 
 def no_rate_error(source: Source) -> RecordingError:

@@ -129,6 +129,11 @@ def open_chunks(
     source = Source(label or str(path))
     if chunk < 1:
         raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
+    if options.allows_gaps:
+        raise source.error(
+            "gaps= (--gaps) needs the whole record: read it by read(), or leave out --stream; or take "
+            "stretches without gaps by start= and stop= (--start, --stop)"
+        )
     kind = format_of(path, source)
     if not kind.in_chunks:
         raise source.error(
@@ -152,7 +157,7 @@ def open_chunks(
         stretch = dataclasses.replace(stretch, time_unit=unit or options.time_unit)
         times, place = stretch.first_times()
         check_length(len(times), place)
-        rate, note, _ = rate_from_times(times, layout.time_label, rate, place, more=True)
+        rate, note, *_ = rate_from_times(times, layout.time_label, rate, place, more=True)
         notes.append(note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
         n = n if start is None and stop is None else None
     elif rate is None:

@@ -54,6 +54,12 @@ def _taken(frame: "pd.DataFrame", stated: Mapping[str, Any]) -> Recording | None
     if not living:
         return None
     own = tuple(axes.values())
+    begin = round(float(time[0]) * rate)
+    missing = np.zeros(values.shape, bool)
+    for k, label in enumerate(axes):
+        edges = [*stated.get("missing", {}).get(label, []), len(frame)]
+        for first, end in zip(edges[::2], edges[1::2], strict=False):
+            missing[max(first - begin, 0) : max(end - begin, 0), k] = True
     return Recording(
         values if stated["si"] else values * scales_of(own, rate),
         rate,
@@ -63,4 +69,5 @@ def _taken(frame: "pd.DataFrame", stated: Mapping[str, Any]) -> Recording | None
         tuple(stated["notes"]),
         tuple(DeadAxis(Axis(*axis), reason) for *axis, reason in stated["dead"]),
         stated["jitter_s"],
+        missing if missing.any() else None,
     )

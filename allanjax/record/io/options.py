@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from allanjax.base.errors import RecordingError
 from allanjax.record.units import Sensor
 
 TimeChoice = str | Literal[False] | None
+GapChoice = Literal["error", "segments", "fill"]
 
 
 def _option(help: str) -> Any:
@@ -41,16 +42,26 @@ class ReadOptions:
     instance: int | None = _option(
         "Number of the sensor in a flight log that has several; by default the first."
     )
+    gaps: GapChoice | None = _option(
+        "Missing samples: error; segments, the longest stretch without; fill, draw them given the others."
+    )
 
     def __post_init__(self) -> None:
         start, stop = self.start, self.stop
         for name, time in (("start", start), ("stop", stop)):
             if time is not None and not np.isfinite(time):
                 raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
+        if self.gaps not in (None, *get_args(GapChoice)):
+            raise RecordingError(f"gaps= (--gaps) must be error, segments or fill, not {self.gaps!r}")
         if start is not None and stop is not None and start >= stop:
             raise RecordingError(
                 f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"
             )
+
+    @property
+    def allows_gaps(self) -> bool:
+        """Whether missing samples are no error."""
+        return self.gaps in ("segments", "fill")
 
     @property
     def units(self) -> dict[Sensor, str | None]:

@@ -153,8 +153,10 @@ def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         return values.astype(float)
 
 
-def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
-    """Column as floats; NaN stays, as does a column without a single value.
+def as_float(
+    values: Shaped[np.ndarray, " samples"], label: str, source: Source, gaps: bool = False
+) -> np.ndarray:
+    """Column as floats; NaN stays, as do a column without a single value and, with `gaps`, empty cells.
 
     Raises:
         RecordingError: a cell is text that is no number.
@@ -164,7 +166,7 @@ def as_float(values: Shaped[np.ndarray, " samples"], label: str, source: Source)
     import pandas as pd
 
     numbers = np.asarray(pd.to_numeric(pd.Series(values, dtype=object), errors="coerce"), dtype=float)
-    bad = np.flatnonzero(np.isnan(numbers))
+    bad = np.flatnonzero(np.isnan(numbers) & ~pd.isna(values) if gaps else np.isnan(numbers))
     if bad.size and not pd.isna(values).all():
         cell = values[bad[0]]
         comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell))

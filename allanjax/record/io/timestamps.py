@@ -66,15 +66,23 @@ def seconds_from_first(
         return Times((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, None, ())
     times = _since_first(values, column.label, source)
     unit, notes = _unit(column, times, values, time_unit, rate, source)
+    wrapped = int(np.count_nonzero(values[1:] < values[:-1]))
+    if wrapped and (np.diff(times) > 0).all():
+        again = f"{wrapped} times" if wrapped > 1 else "once"
+        notes += (f"column {column.label!r} starts again {again}, as a counter of few bits: continued",)
     return Times(convert(times, unit, "s"), unit, notes)
 
 
 class Rate(NamedTuple):
-    """Sample rate [Hz], a note on where it comes from, and the rms jitter [s] of the intervals."""
+    """Sample rate [Hz], a note on where it comes from, and the rms jitter [s] of the intervals.
+
+    `places` are the samples' numbers on the grid of the rate, which count those that are missing.
+    """
 
     rate: float
     note: str
     jitter: float
+    places: Int[np.ndarray, " samples"]
 
 
 def rate_from_times(
@@ -83,10 +91,12 @@ def rate_from_times(
     rate: float | None,
     source: Source,
     more: bool = False,
+    gaps: bool = False,
 ) -> Rate:
     """Sample rate from times in s; a given `rate` [Hz] is used if they agree with it.
 
     `more` says that the times are not all that there are: which stretch is the longest is not known then.
+    `gaps` says that samples may be missing.
 
     Raises:
         RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
@@ -95,30 +105,41 @@ def rate_from_times(
     backwards = np.flatnonzero(intervals <= 0)
     if backwards.size:
         first = int(backwards[0]) + 1
-        what = "repeats" if intervals[first - 1] == 0 else "is earlier than"
+        what, by, why = "repeats", "", "packets recorded twice, or stamps coarser than the samples"
+        if intervals[first - 1] < 0:
+            what, by = "is earlier than", f", by {-intervals[first - 1]:.6g} s,"
+            why = "a clock that was set, or packets out of order"
         raise source.error(
-            f"column {label!r} {what} the time before it at {source.locate(first)} ({backwards.size} "
-            f"such in all); sort or repair the file, or {_IGNORE}",
+            f"column {label!r} {what} the time before it{by} at {source.locate(first)} ({backwards.size} "
+            f"such in all: {why}); sort or repair the file, or {_IGNORE}",
             "jitter",
         )
     typical = float(np.median(intervals))
-    long = _gaps(times)
+    long = intervals > _GAP * typical
+    # Where they are many, a stamp cannot be told to be late by those about it.
+    if not gaps or np.mean(long) <= _MANY_GAPS:
+        long = _gaps(times)
     jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
-    if jitter > _MAX_JITTER * regular or np.mean(long) > _MANY_GAPS:
+    steps = np.where(long, np.maximum(np.rint(intervals / regular), 2.0), 1.0)
+    if gaps:
+        jitter = float(np.std(intervals - steps * regular))
+    if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
             f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps, longer than "
-            f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; if the samples themselves "
-            f"are regular, {_IGNORE}",
+            f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; if samples "
+            "are missing, draw them by gaps='fill' (--gaps fill); if the samples themselves are regular, "
+            f"{_IGNORE}; resampling to even times would smooth the noise, which is what is measured",
             "jitter",
         )
-    if np.any(long):
+    if np.any(long) and not gaps:
         gap = _gap(times, np.flatnonzero(long), typical, source, more)
         raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}", "gaps")
-    measured = (len(times) - 1) / float(times[-1] - times[0])
+    places = np.concatenate([[0], np.cumsum(steps)]).astype(int)
+    measured = int(places[-1]) / float(times[-1] - times[0])
     stamped = f"{measured:.9g} Hz from column {label!r}, jitter {told_jitter(jitter)}"
     if rate is None:
-        return Rate(measured, f"sample rate {stamped}", jitter)
+        return Rate(measured, f"sample rate {stamped}", jitter, places)
     if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
             f"rate {rate:g} Hz contradicts column {label!r}, whose stamps give {measured:.6g} Hz; leave "
@@ -126,7 +147,12 @@ def rate_from_times(
             "(--time none)",
             "rate",
         )
-    return Rate(rate, f"sample rate {rate:.9g} Hz as given; {stamped}", jitter)
+    return Rate(rate, f"sample rate {rate:.9g} Hz as given; {stamped}", jitter, places)
+
+
+def after_gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " samples"]:
+    """Which samples come after a gap of their times."""
+    return np.concatenate([[False], _gaps(times)])
 
 
 def regular_intervals(times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " intervals"]:
@@ -158,7 +184,7 @@ def _gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " intervals"
 def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
     """Stamps minus the first one: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
-        return (values - values[0]).astype(np.int64).astype(float)
+        return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
     numbers = as_float(values, label, source)
     bad = np.flatnonzero(~np.isfinite(numbers))
     if bad.size:
@@ -166,6 +192,19 @@ def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Sou
             f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or {_IGNORE}"
         )
     return numbers - numbers[0]
+
+
+def _unwrapped(counts: Int[np.ndarray, " samples"]) -> Int[np.ndarray, " samples"]:
+    """Counts of a counter that starts again from zero after 2¹⁶, 2²⁴ or 2³², continued."""
+    steps = np.diff(counts)
+    back = steps < 0
+    if not back.any() or back.all():
+        return counts
+    typical = float(np.median(steps[~back]))
+    for bits in (16, 24, 32):
+        if np.ptp(counts) < 2**bits and (abs(steps[back] + 2.0**bits - typical) <= 0.5 * typical + 1.0).all():
+            return counts + 2**bits * np.concatenate([[0], np.cumsum(back)])
+    return counts
 
 
 def _iso_dates(values: Shaped[np.ndarray, " samples"]) -> np.ndarray:
@@ -248,9 +287,11 @@ def _gap(
     longest = int(np.argmax(np.diff(edges)))
     begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
     count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
+    lost = int(np.sum(np.rint(np.diff(times)[gaps] / typical) - 1))
     return (
         f"{text}, {count}; take a stretch without gaps, the longest by start={_after(begin):.3f}, "
-        f"stop={_before(end):.3f} (--start, --stop)"
+        f"stop={_before(end):.3f} (--start, --stop) or by gaps='segments' (--gaps segments), or let the "
+        f"{lost} missing samples be drawn given the {len(times)} others by gaps='fill' (--gaps fill)"
     )
 
 
