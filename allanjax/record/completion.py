@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from zlib import crc32
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.fft import dct, idct, rfft
 
 from allanjax.base.errors import RecordingError
@@ -25,12 +25,14 @@ from allanjax.base.wording import duration, plain
 
 # Largest share of an axis's samples that is completed.
 _MOST_MISSING = 0.3
-# Spectrum and samples in turn: what a turn leaves of an error is about the share of missing samples.
-_TURNS = 3
+# Spectrum and samples in turn: at most so often, until the logarithm of the spectrum, averaged over so many
+# bands, changes by less than this. Behind a filter, the bridges of the first turn are far above it at first.
+_TURNS, _BANDS, _SETTLED = 20, 64, 0.05
 # Frequencies that the spectrum is averaged over, on either side: so many, and this share of the frequency.
-_FEWEST, _SHARE = 4, 0.03
-# Conjugate gradients: most steps, and the part of d'C⁻¹d that does not matter beside that of one draw.
-_STEPS, _EXACT = 100, 1e-4
+_FEWEST, _SHARE = 4, 0.01
+# Conjugate gradients: most steps, the part of d'C⁻¹d that does not matter beside that of one draw, and
+# samples that are solved for at once.
+_STEPS, _EXACT, _BLOCK = 100, 1e-2, 256
 
 
 def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
@@ -69,10 +71,18 @@ def completed(
         x = bridged(full[:, k], missing[:, k])
         # Other samples, other draws.
         rng = np.random.default_rng(crc32(x.tobytes()))
+        v, changed = _spectrum(x), np.inf
         for _ in range(_TURNS):
-            v = _spectrum(x)
             draw = in_time(np.sqrt(v) * rng.standard_normal(n - 1)) + x.mean()
             x[lost] = draw[lost] + predicted(x - draw, missing[:, k], v)[lost]
+            before, v = v, _spectrum(x)
+            last, changed = (
+                changed,
+                max(abs(float(band.mean())) for band in np.array_split(np.log(v / before), _BANDS)),
+            )
+            # What changes no less than the last time is chance, as of a long gap that is drawn anew.
+            if changed < _SETTLED or changed > last:
+                break
         full[:, k] = x
     return full
 
@@ -115,9 +125,9 @@ def predicted(
 ) -> Float[np.ndarray, " n"]:
     """Best prediction of the missing samples of d given the others, which minimizes d'C⁻¹d.
 
-    By conjugate gradients. The covariance of the missing samples is the inverse of their precision but for
-    the ends of the gaps, which leave nothing of what is slower than the longest gap: without that it is the
-    preconditioner.
+    By conjugate gradients. The preconditioner solves neighbouring gaps together, which depend on each other
+    behind a filter. For long gaps it is the covariance, which is nearly the inverse but for the gap's ends:
+    these leave nothing of what is slower than the gap.
 
     Args:
         d: samples, of any value where they are missing.
@@ -125,47 +135,85 @@ def predicted(
         v: expected squared cosine coefficients, the spectrum; that of the mean is infinite.
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
-    there = np.flatnonzero(~missing)
-    longest = int(np.diff(np.concatenate([[-1], there, [len(d)]])).max()) - 1
-    slowest = min(2 * len(d) // longest, len(v) - 1)
-    weight, within = 1.0 / v, np.concatenate([np.full(slowest, v[slowest]), v[slowest:]])
+    lengths = _lengths(missing)[gaps]
+    long, weight = lengths > _BLOCK, 1.0 / v
+    short = np.flatnonzero(~long)
+    blocks = _inverses(gaps[short], v)
+    slowest = min(2 * len(d) // int(lengths.max()), len(v) - 1)
+    within = np.concatenate([np.full(slowest, v[slowest]), v[slowest:]])
 
-    def filtered(by: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " gaps"]:
-        return in_time(dct(full, norm="ortho", workers=-1)[1:] * by)[gaps]
+    def filtered(y: Float[np.ndarray, " n"], by: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " gaps"]:
+        return in_time(dct(y, norm="ortho", workers=-1)[1:] * by)[gaps]
 
-    full[:] = np.interp(np.arange(len(d)), there, d[there])
-    y = full.copy()
-    residual = -filtered(weight)
-    full[:] = 0.0
+    def nearly_solved(residual: Float[np.ndarray, " gaps"]) -> Float[np.ndarray, " gaps"]:
+        solved = residual.copy()
+        if long.any():
+            full[gaps] = np.where(long, residual, 0.0)
+            solved = filtered(full, within)
+        parts = np.split(residual[short], range(_BLOCK, len(short), _BLOCK))
+        solved[short] = np.concatenate([inverse @ part for inverse, part in zip(blocks, parts, strict=True)])
+        return solved
+
+    y = bridged(d, missing)
+    residual = -filtered(y, weight)
     direction, square = np.zeros(len(gaps)), np.inf
     for _ in range(_STEPS):
-        full[gaps] = residual
-        conditioned = filtered(within)
+        conditioned = nearly_solved(residual)
         square, old = float(residual @ conditioned), square
         if square <= _EXACT:
             break
         direction = conditioned + square / old * direction
         full[gaps] = direction
-        image = filtered(weight)
+        image = filtered(full, weight)
         a = square / float(direction @ image)
         y[gaps] += a * direction
         residual -= a * image
     return y
 
 
+def _lengths(missing: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Length of the gap that each sample is in; 0 of samples that are there."""
+    first, end = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
+    lengths = np.zeros(len(missing), int)
+    lengths[missing] = np.repeat(end - first, end - first)
+    return lengths
+
+
+def _inverses(
+    gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
+) -> list[Float[np.ndarray, "block block"]]:
+    """Inverses of the precision between missing samples, block by block: ½[r(i − k) + r(i + k + 1)]."""
+    n = len(v) + 1
+    r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
+    found = []
+    for some in np.split(gaps, range(_BLOCK, len(gaps), _BLOCK)):
+        total = some[:, None] + some + 1
+        precision = 0.5 * (r[abs(some[:, None] - some)] + r[np.minimum(total, 2 * n - total)])
+        found.append(np.linalg.inv(precision))
+    return found
+
+
 def _spectrum(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
     """Smooth spectrum of a record, as the expected squares of its cosine coefficients.
 
-    With Hann's window lines and slow changes stay where they are.
+    With Hann's window lines and slow changes stay where they are. Averages of the logarithm follow the steep
+    flanks of a filter, those of what is left keep the power of a line.
     """
     n = len(x)
     window = 1.0 - np.cos(2.0 * np.pi * (np.arange(n) + 0.5) / n)
     power = np.abs(rfft((x - x.mean()) * window, workers=-1)) ** 2 / (1.5 * n)
     power[0] = power[1]
-    k = np.arange(len(power))
-    # Below the fewest, as many on either side as there are.
-    half = np.minimum(np.maximum(_FEWEST, (_SHARE * k).astype(int)), np.maximum(k, 1))
-    sums = np.concatenate([[0.0], np.cumsum(power)])
-    first, last = np.maximum(k - half, 0), np.minimum(k + half + 1, len(power))
-    smooth = (sums[last] - sums[first]) / (last - first)
-    return np.interp(0.5 * np.arange(1, n), k, np.maximum(smooth, 1e-12 * smooth.max()))
+    power = np.maximum(power, 1e-18 * power.max())
+    flanks = np.exp(_averaged(np.log(power), n))
+    smooth = flanks * _averaged(power / flanks, n)
+    return np.interp(0.5 * np.arange(1, n), np.arange(len(power)), smooth)
+
+
+def _averaged(y: Float[np.ndarray, " frequencies"], n: int) -> Float[np.ndarray, " frequencies"]:
+    """Averages over frequencies on either side, of what is symmetric about zero and half the sample rate."""
+    k = np.arange(len(y))
+    half = np.minimum(np.maximum(_FEWEST, (_SHARE * k).astype(int)), len(y) // 4)
+    most = int(half[-1])
+    below, beyond = y[1 : most + 1][::-1], y[: n - len(y) + 1][: -most - 1 : -1]
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([below, y, beyond]))])
+    return (sums[most + k + half + 1] - sums[most + k - half]) / (2 * half + 1)
