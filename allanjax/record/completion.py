@@ -32,7 +32,7 @@ _TURNS, _BANDS, _SETTLED = 20, 64, 0.05
 _FEWEST, _SHARE = 4, 0.01
 # Conjugate gradients: most steps, the part of d'C⁻¹d that does not matter beside that of one draw, and
 # samples that are solved for at once.
-_STEPS, _EXACT, _BLOCK = 100, 1e-2, 256
+_STEPS, _EXACT, _BLOCK = 100, 1e-3, 256
 
 
 def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
