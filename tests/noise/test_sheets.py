@@ -32,6 +32,11 @@ BY_HAND = {
         "gyro": (0.014 * DEG / math.sqrt(2.0), None),
         "accel": (190e-6 * G0 / math.sqrt(2.0), None),
     },
+    # 0.007 °/s/√Hz and 180 µg/√Hz, one-sided.
+    "BMI160": {
+        "gyro": (0.007 * DEG / math.sqrt(2.0), None),
+        "accel": (180e-6 * G0 / math.sqrt(2.0), None),
+    },
     # 0.04 °/√h and 0.25 °/h; 0.03 m/s/√h and 0.025 mg.
     "HG4930-CA51": {
         "gyro": (0.04 * DEG / 60.0, 0.25 * DEG / 3600.0 / LEAST),
@@ -57,6 +62,15 @@ BY_HAND = {
         "gyro": (0.15 * DEG / 60.0, 0.3 * DEG / 3600.0 / LEAST),
         "accel": (0.024 / 60.0, 0.005e-3 * G0 / LEAST),
     },
+    # 0.0035 °/s/√Hz, two-sided, and 10 °/h; 0.14 mg/√Hz, two-sided, and 0.04 mg.
+    "VN-100": {
+        "gyro": (0.0035 * DEG, 10.0 * DEG / 3600.0 / LEAST),
+        "accel": (0.14e-3 * G0, 0.04e-3 * G0 / LEAST),
+    },
+}
+MAKERS = {
+    *("Analog Devices", "Bosch Sensortec", "Honeywell", "InvenSense", "Movella", "Sensonor"),
+    *("STMicroelectronics", "TDK InvenSense", "VectorNav", "Xsens"),
 }
 
 
@@ -78,9 +92,7 @@ def test_every_sheet_has_source_and_conditions(name):
     found = aj.datasheet(name)
     assert found.name == name
     maker, _, document = found.source.partition(", ")
-    assert maker.split()[0] in ("Analog", "Bosch", "Honeywell", "TDK", "InvenSense", "STMicroelectronics") or (
-        maker in ("Movella", "Xsens", "Sensonor", "VectorNav")
-    )
+    assert maker in MAKERS
     assert document
     for sensor in found.models:
         assert f"{sensor}: {sheets()[name][sensor]['conditions']}" in found.statements
