@@ -40,6 +40,7 @@ from allanjax.noise.butterworth import Biquad as Biquad
 from allanjax.noise.butterworth import Butterworth as Butterworth
 from allanjax.noise.datasheet import DataSheet as DataSheet
 from allanjax.noise.datasheet import datasheet as datasheet
+from allanjax.noise.datasheet import datasheets as datasheets
 from allanjax.noise.estimate import Coefficient as Coefficient
 from allanjax.noise.estimate import Estimate as Estimate
 from allanjax.noise.model import Model as Model

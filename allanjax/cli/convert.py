@@ -1,7 +1,6 @@
 """The command `allanjax convert`."""
 
 import math
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
@@ -16,7 +15,9 @@ HELP = (
 EPILOG = epilog(
     "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
     "allanjax convert 150 ug/rtHz --to m/s/√h --sided one",
-    "allanjax convert --sheet adis16470.toml",
+    "allanjax convert --sheet BMI088",
+    "allanjax convert --sheet my-sensor.toml",
+    "allanjax convert --list",
 )
 
 
@@ -29,12 +30,24 @@ def command(
         typer.Option(help="Which density a unit per √Hz is of: one-sided as in data sheets, or two-sided."),
     ] = None,
     sheet: Annotated[
-        Path | None, typer.Option(help="Data sheet in TOML, to convert to coefficients instead.")
+        str | None,
+        typer.Option(
+            help="Data sheet to convert to coefficients instead: a sensor of --list, or a file of TOML."
+        ),
     ] = None,
+    show_list: Annotated[
+        bool, typer.Option("--list", help="List the sensors whose data sheets are known, and exit.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --sheet only.")] = False,
 ) -> None:
+    if show_list:
+        from allanjax.noise.sheets import sheets
+
+        for name, figures in sheets().items():
+            print(f"{name:12} {figures['source']}")
+        return
     if (sheet is None) == (value is None) or (sheet is not None and (to or sided)):
-        raise typer.BadParameter("give VALUE UNIT --to UNIT, or --sheet FILE")
+        raise typer.BadParameter("give VALUE UNIT --to UNIT, or --sheet SHEET")
     if sheet is not None:
         from allanjax.noise.datasheet import datasheet
 

@@ -27,6 +27,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import significant
+from allanjax.noise import sheets
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
@@ -119,7 +120,8 @@ class DataSheet(ByValue):
 
     def __str__(self) -> str:
         table = text_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
-        return "\n".join([table, *(f"note: {line}" for line in self.statements)])
+        source = [f"source: {self.source}"] if self.source else []
+        return "\n".join([table, *source, *(f"note: {line}" for line in self.statements)])
 
     __repr__ = __str__
 
@@ -128,9 +130,9 @@ class DataSheet(ByValue):
 
 
 def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
-    """Noise models from the figures of a data sheet, in a file of TOML or a dictionary.
+    """Noise models from the figures of a data sheet: of a known sensor, of a file of TOML or of a dictionary.
 
-    A figure is a text with its unit. For example:
+    `datasheet("BMI088")` is that of a sensor of `datasheets()`. In a file, a figure is a text with its unit:
 
         name = "ADIS16470"
         [gyro]
@@ -146,24 +148,18 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
     `rms_noise`, with its `bandwidth`, and `bandwidth_is` "first-order" (−3 dB of one pole) or "noise" (the
     equivalent noise bandwidth); `in_run_bias_instability`, with `reading` "minimum" (of the Allan deviation,
     0.664 B) or "B"; `rate_random_walk`; and `lsb`, the step of the output, of rates with the sample `rate`.
-    The first one given of the first three is N, and how much the others differ is stated.
+    The first one given of the first three is N, and how much the others differ is stated. `conditions` is
+    a text on what the figures hold for, e.g. "typical, 25 °C".
 
     Args:
-        source: path of the file; or what is in one, as a dictionary.
+        source: name of a sensor of `datasheets()`; path of a file; or what is in one, as a dictionary.
 
     Raises:
-        AllanjaxError: a file that cannot be read, an unknown key, or a figure without what it leaves open.
+        AllanjaxError: an unknown name, a file that cannot be read, an unknown key, or a figure without what
+            it leaves open.
         UnitError: a unit that does not fit.
     """
-    where, document = "data sheet", source
-    if not isinstance(source, Mapping):
-        where = str(source)
-        try:
-            document = tomllib.loads(Path(source).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
-            raise AllanjaxError(f"{where}: {why}; give a file of TOML with [gyro] or [accel]") from error
-    assert isinstance(document, Mapping)
+    where, document = _document(source)
     unknown = [key for key in document if key not in ("name", "source", *SENSORS)]
     present = [sensor for sensor in SENSORS if sensor in document]
     if unknown or not present:
@@ -178,6 +174,27 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
         models,
         tuple(dict.fromkeys(statements)),
     )
+
+
+def datasheets() -> tuple[str, ...]:
+    """Names of the sensors whose data sheets `datasheet` knows; each sheet has its `source`."""
+    return tuple(sheets.sheets())
+
+
+def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """What a data sheet says, and its name in messages."""
+    if isinstance(source, Mapping):
+        return "data sheet", source
+    if isinstance(source, str) and (known := sheets.find(source)) is not None:
+        return f"data sheet {known['name']}", known
+    try:
+        return str(source), tomllib.loads(Path(source).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
+            names = sheets.closest(source)
+            raise AllanjaxError(f"{source!r} is no known data sheet and no file: {names}") from None
+        why = error.strerror if isinstance(error, OSError) else error
+        raise AllanjaxError(f"{source}: {why}; give a file of TOML with [gyro] or [accel]") from error
 
 
 def _si_of(sensor: Sensor, time_exponent: float) -> str:
@@ -195,12 +212,14 @@ class _Sheet:
             raise AllanjaxError(f"{where}: is no table; write its figures below [{sensor}]")
         answers = [key for options in _FIGURES.values() for key in options]
         for key in figures:
-            if key not in (*_FIGURES, *answers, "rate"):
-                known = ", ".join((*_FIGURES, *answers, "rate"))
+            if key not in (*_FIGURES, *answers, "rate", "conditions"):
+                known = ", ".join((*_FIGURES, *answers, "rate", "conditions"))
                 raise AllanjaxError(f"{where}: unknown key {key!r}; there may be {known}")
 
     def model(self) -> Model:
         """Sum of the terms that the figures give."""
+        if "conditions" in self.figures:
+            self.statements.append(str(self.figures["conditions"]))
         Q, stepped = self._rounding()
         N, B, K = self._white(stepped), self._flicker(), self._amount("rate_random_walk", -0.5)
         values = ((Quantization, Q), (AngleRandomWalk, N), (BiasInstability, B), (RateRandomWalk, K))
