@@ -25,6 +25,7 @@ from allanjax.estimate.correction import correction_of, further_terms
 from allanjax.estimate.misfit import Misfit
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
+from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.recording import Axis, DeadAxis
 from allanjax.record.units import rate_unit_of
 
@@ -195,8 +196,12 @@ class AxisFit(ByValue, AxisEstimates):
 
         Raises FitError if the fit did not converge.
         """
-        amplitudes = [c for c in self.coefficients.values() if c.is_amplitude]
-        return tuple(c.term for c in amplitudes if np.isfinite(c.value) and c.value != 0.0)
+        there = [
+            c.term for c in self.coefficients.values() if c.is_amplitude and np.isfinite(c.value) and c.value
+        ]
+        # N is the white noise of all terms at low frequencies, of which none need be white noise itself.
+        white = AngleRandomWalk.name()
+        return tuple(label for label in there if label != white or white in self.model.term_labels)
 
     def __repr__(self) -> str:
         return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict()}>"

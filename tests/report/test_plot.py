@@ -341,3 +341,20 @@ def test_a_term_that_cannot_be_told_from_none_has_no_line(small_fit, small_recor
         np.testing.assert_array_equal(unsure_found["model"].get_ydata(), found["model"].get_ydata())
         assert unsure_in_key == in_key - 1
         assert unmeasured_in_key == in_key
+
+
+def test_white_noise_at_low_frequencies_that_is_of_other_terms_has_no_line(small_fit, small_recording):
+    # Behind a filter whose shape the data leave open, N is told though no term of the model is white noise.
+    first, *others = small_fit.results
+    model = aj.Model((*first.model.without(["angle_random_walk"]).terms, aj.Quantization(1e-6)))
+    coefficients = {
+        **first.coefficients,
+        "quantization": dataclasses.replace(first["quantization"], value=1e-6),
+    }
+    other = dataclasses.replace(first, _model=model, _coefficients=coefficients)
+    assert other["angle_random_walk"].value > 0.0
+    fit = dataclasses.replace(small_fit, results=(other, *others))
+    for figure in (plot_allan(fit, "gyro_x"), aj.plot_psd(aj.power_spectrum(small_recording), fit, "gyro_x")):
+        labels = [line.get_label() for line in figure.axes[0].get_lines()]
+        assert "angle random walk" not in labels
+        assert "model" in labels
