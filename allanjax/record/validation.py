@@ -39,7 +39,8 @@ class Source:
 
 def check_rate(rate: float, source: Source) -> float:
     """Sample rate in Hz as a float; RecordingError if it is not a positive finite number."""
-    if not (np.isreal(rate) and np.isfinite(rate) and rate > 0):
+    value = np.asarray(rate)
+    if value.ndim or value.dtype.kind not in "iuf" or not 0.0 < value < np.inf:
         raise source.error(
             f"the sample rate must be a positive number of Hz, not {rate!r}; pass rate= (--rate)"
         )

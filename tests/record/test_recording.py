@@ -138,3 +138,9 @@ def test_missing_and_unknown_units(noise):
         Recording.from_array(noise[:, :2], 1.0, names=names, gyro_unit="g", accel_unit="g")
     with pytest.raises(UnitError, match="increments"):
         Recording.from_array(noise[:, 0], 1.0, names=["delta_angle_x"], gyro_unit="deg/s")
+
+
+@pytest.mark.parametrize("rate", [None, "100", np.array([100.0]), np.nan, np.inf, 1j, 0, -1.0])
+def test_a_rate_that_is_no_positive_number_is_refused(rate):
+    with pytest.raises(RecordingError, match="sample rate must be a positive number of Hz"):
+        Recording.from_array(np.arange(100.0), rate, names=["gyro_x"], gyro_unit="rad/s")
