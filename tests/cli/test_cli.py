@@ -261,6 +261,15 @@ def test_help_and_version():
         assert word in shown
 
 
+def test_the_module_is_the_command():
+    command = [sys.executable, "-m", "allanjax", "convert", "3600", "deg/h", "--to", "deg/s"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("1 deg/s")
+    wrong = subprocess.run([*command, "--no-such"], capture_output=True, text=True, timeout=120)
+    assert wrong.returncode == 2 and "--no-such" in wrong.stderr
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME is a convention of Linux")
 def test_a_process_of_its_own_keeps_what_it_compiled(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "ALLANJAX_CACHE"}
