@@ -19,6 +19,7 @@ from allanjax.noise.notation import parse_model
 from allanjax.record.io import ReadOptions
 
 READING = {
+    "gaps": "fill",
     "rate": 200.0,
     "gyro_unit": "deg/h",
     "accel_unit": "mg",
