@@ -267,7 +267,8 @@ def test_the_module_is_the_command():
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("1 deg/s")
     wrong = subprocess.run([*command, "--no-such"], capture_output=True, text=True, timeout=120)
-    assert wrong.returncode == 2 and "--no-such" in wrong.stderr
+    assert wrong.returncode == 2
+    assert "--no-such" in wrong.stderr
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME is a convention of Linux")
