@@ -37,9 +37,9 @@ def imports(folder: Path) -> dict[str, set[str]]:
 
 
 def room(module: str) -> int:
-    """The place of a module's room in the list; the package itself, the door for users, is above all."""
+    """The place of a module's room in the list; the doors for users, the package and its command, are above."""
     _, *names = module.split(".")
-    return ROOMS.index(names[0]) if names else len(ROOMS)
+    return len(ROOMS) if names in ([], ["__main__"]) else ROOMS.index(names[0])
 
 
 def upward(found: dict[str, set[str]]) -> set[tuple[str, str]]:
