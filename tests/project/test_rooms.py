@@ -37,7 +37,7 @@ def imports(folder: Path) -> dict[str, set[str]]:
 
 
 def room(module: str) -> int:
-    """The place of a module's room in the list; the doors for users, the package and its command, are above."""
+    """The place of a module's room in the list; those for users, the package and its command, are above."""
     _, *names = module.split(".")
     return len(ROOMS) if names in ([], ["__main__"]) else ROOMS.index(names[0])
 
