@@ -9,8 +9,8 @@ import pytest
 from places import ROOT
 
 ROOMS = (
-    *("base", "record", "inspection", "noise", "allan", "spectrum", "estimate", "posterior"),
-    *("critic", "fleet", "report", "cli"),
+    *("base", "record", "inspection", "noise", "allan", "spectrum", "wavelets", "kalman", "estimate"),
+    *("posterior", "critic", "fleet", "calibration", "navigation", "report", "cli"),
 )
 PACKAGE = "allanjax"
 

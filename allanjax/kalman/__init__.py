@@ -1,0 +1,1 @@
+"""Kalman filters and smoothers that a noise model drives, and the exact likelihood."""

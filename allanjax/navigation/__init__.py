@@ -1,0 +1,1 @@
+"""What a noise model does to a navigator: growth of its errors, alignment, and the sample rate."""

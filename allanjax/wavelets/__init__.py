@@ -1,0 +1,1 @@
+"""Wavelet decomposition of records, wavelet variance and its covariance."""
