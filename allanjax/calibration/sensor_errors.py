@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -107,8 +106,24 @@ class Setting(NamedTuple):
         return np.where(np.isfinite(own), X, np.nan)[:, : len(self.units)]
 
 
+class Covariances(NamedTuple):
+    """Covariance of each axis's means of the positions: of all its noise, and of its white noise."""
+
+    full: Float[np.ndarray, "axes k k"]
+    white: Float[np.ndarray, "axes k k"]
+
+    @classmethod
+    def of(cls, positions: Sequence[Position], noise: Sequence[Sequence[Part]]) -> Covariances:
+        """Those of means over these positions, from the terms of each axis."""
+        start, length = (np.array([getattr(p, name) for p in positions]) for name in ("start", "duration"))
+        return cls(
+            np.stack([covariance_of_means(parts, start, length) for parts in noise]),
+            np.stack([white_covariance(parts, length) for parts in noise]),
+        )
+
+
 def errors_of(
-    setting: Setting, means: Float[np.ndarray, "k axes"], noise: Sequence[Sequence[Part]]
+    setting: Setting, means: Float[np.ndarray, "k axes"], noise: Covariances
 ) -> tuple[tuple[AxisCalibration, ...], Misfit]:
     """Errors of a sensor's axes from their means [rad/s or m/s²] in each position, and how well they fit.
 
@@ -118,9 +133,7 @@ def errors_of(
         FitError: a model without noise; orientations that could not be estimated.
     """
     axes, positions = setting.axes, setting.positions
-    start, length = (np.array([getattr(p, name) for p in positions]) for name in ("start", "duration"))
-    full = np.stack([covariance_of_means(parts, start, length) for parts in noise])
-    white = np.stack([white_covariance(parts, length) for parts in noise])
+    full, white = noise
     names, rows = tuple(axis.name for axis in axes), np.ones((len(positions), len(axes)), bool)
     alone: Solution | None = None
     if setting.known:
@@ -141,7 +154,7 @@ def errors_of(
         told = ", ".join(position.label for position in positions)
         raise RecordingError(
             f"the positions do not span: from {told} follow bias and scale factor of no {setting.sensor} "
-            f"axis; {_remedy(setting, axes[0])}"
+            f"axis{' beside its second order' if setting.second_order else ''}; {_remedy(setting, axes[0])}"
         )
     variance = found.covariance.diagonal().reshape(size)
     over_white = np.full(size, np.nan)
@@ -239,18 +252,18 @@ def _remedy(setting: Setting, axis: Axis) -> str:
     """Which positions to add so that all parameters of an axis are determined, in words."""
     if not setting.known:
         count = 12 if setting.second_order else 9
-        return f"it takes {count} orientations or more, some between the axes, or given orientations"
-    gyro = setting.sensor == "gyro"
-    candidates = six_positions(with_heading=gyro)
-    own = setting.design(axis, setting.known) / setting.units
-    added = setting.design(axis, candidates) / setting.units
-    own = own[np.isfinite(own[:, 0])]
-    for count in range(1, 5 if not gyro else 4):
-        for chosen in itertools.combinations(range(len(candidates)), count):
-            X = np.concatenate([own, added[list(chosen)]])
-            if is_determined(determined_directions(X, KNOWN)).all():
-                return f"it takes, e.g., {' and '.join(candidates[c].name for c in chosen)} as well"
-    return "it takes positions in between, given by directions"
+        return f"it takes {count} orientations or more, well spread, some between the axes; or given ones"
+    X = setting.design(axis, setting.known) / setting.units
+    X = X[np.isfinite(X[:, 0])]
+    added: list[str] = []
+    for candidate in six_positions(with_heading=setting.sensor == "gyro"):
+        before = determined_directions(X, KNOWN)
+        if is_determined(before).all():
+            break
+        more = np.concatenate([X, setting.design(axis, [candidate]) / setting.units])
+        if len(determined_directions(more, KNOWN)) > len(before):
+            X, added = more, [*added, candidate.name]
+    return f"it takes, e.g., {' and '.join(added)} as well"
 
 
 def _misfit(

@@ -13,7 +13,7 @@ from allanjax.calibration.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravi
 from allanjax.calibration.noise import Part, parts_of_fit, parts_of_model
 from allanjax.calibration.orientation import Orientation, OrientationLike, as_orientation, orientation_in
 from allanjax.calibration.result import USEFUL, AxisCalibration, Calibration, Misfit, Position, place_of
-from allanjax.calibration.sensor_errors import Setting, World, errors_of
+from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
@@ -88,7 +88,7 @@ def calibrate(
     turned, world = _orientations(given, orientations), _world(latitude, height, gravity)
     places, recordings, notes = _places(given, turned, starts, as_is)
     axes = _axes(recordings, turned, latitude, notes)
-    parts, noise = _noise(recordings, axes, model, fit, notes)
+    parts, source = _noise(recordings, axes, model, fit, notes)
     results: list[AxisCalibration] = []
     misfit: dict[Sensor, Misfit] = {}
     for sensor in SENSORS:
@@ -97,11 +97,12 @@ def calibrate(
             setting = Setting(own, places, world, second_order and sensor == "accel", orientation_error)
             columns = [axis.name for axis in own]
             means = np.stack([r.select(*columns).values.mean(axis=0) for r in recordings])
-            found, misfit[sensor] = errors_of(setting, means, [parts[name] for name in columns])
+            noise = Covariances.of(places, [parts[name] for name in columns])
+            found, misfit[sensor] = errors_of(setting, means, noise)
             results += found
     notes += _remarks(results, turned, world)
     g, g_std, _ = world
-    return Calibration(tuple(results), places, misfit, g, g_std, latitude, noise, tuple(notes))
+    return Calibration(tuple(results), places, misfit, g, g_std, latitude, source, tuple(notes))
 
 
 def _places(
