@@ -268,6 +268,16 @@ def test_free_orientations(anyhow):
     assert 0.35 < np.mean(p) < 0.65
 
 
+def test_free_orientations_tell_the_second_order(anyhow):
+    """Without noise to speak of: what is left is of the third order in the errors, 1e-3."""
+    errors = ERRORS._replace(SN=np.tril(ERRORS.SN), S2=np.array([2e-5, -1e-5, 3e-5]))
+    setting = Setting(ACCELEROMETERS, places(anyhow, known=False), WORLD, second_order=True)
+    noise = covariances(setting.positions, aj.Model(()) + aj.AngleRandomWalk(1e-7))
+    found, _ = errors_of(setting, errors.readings(G * anyhow), noise)
+    assert [r["second_order"].value for r in found] == pytest.approx(errors.S2, rel=1e-4)
+    assert [r["bias"].value for r in found] == pytest.approx(errors.b, rel=1e-4)
+
+
 def test_six_free_positions_tell_no_misalignment(six):
     found = aj.calibrate([dataclasses.replace(r, name="") for r in six.values()], gravity=G, model=NOISE)
     assert found["accel_z"]["scale_factor"].value == pytest.approx(ERRORS.SN[2, 2], abs=1e-4)
