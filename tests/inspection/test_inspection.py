@@ -379,7 +379,7 @@ def test_what_moves_is_no_measurement_of_the_sensor():
 
 
 def test_a_shift_of_a_single_window_has_the_size_of_the_motion():
-    """A swing of ±0.3 rad/s at 0.35 Hz, whose means over windows of 1.6 s differ by 0.3·sinc(0.55)·2 at most."""
+    """A swing of ±0.3 rad/s at 0.35 Hz: its means over windows of 1.6 s differ by 0.6·sinc(0.55) at most."""
     rate, n = 20.0, 36_000
     rng = np.random.default_rng(35)
     x = rng.standard_normal((n, 1)) * 1e-4 * np.sqrt(rate)
