@@ -35,6 +35,9 @@ from allanjax.fleet.stream import AllanAccumulator as AllanAccumulator
 from allanjax.fleet.stream import accumulate as accumulate
 from allanjax.inspection import Inspection as Inspection
 from allanjax.inspection import inspect as inspect
+from allanjax.navigation.alignment import Alignment as Alignment
+from allanjax.navigation.alignment import AxisAlignment as AxisAlignment
+from allanjax.navigation.alignment import align as align
 from allanjax.navigation.error_growth import ErrorGrowth as ErrorGrowth
 from allanjax.navigation.error_growth import Navigation as Navigation
 from allanjax.navigation.navigator import navigate as navigate

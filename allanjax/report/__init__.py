@@ -17,6 +17,7 @@ present(
         "Finding.__str__": "allanjax.report.critique_story.finding_text",
         "Fit.plot": "allanjax.report.allan_figure.plot_allan",
         "FleetResult.plot": "allanjax.report.fleet_figure.plot_fleet_result",
+        "Navigation.plot": "allanjax.report.navigation_figure.plot_navigation",
         "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",
         "Recording.from_dataframe": "allanjax.record.io.frames.from_dataframe",
         "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",

@@ -1,4 +1,4 @@
-"""Growth of a navigator's errors: against sums over all samples, a strapdown mechanization, and the thesis."""
+"""Growth of a navigator's errors: against dense covariances, a strapdown mechanization, and the thesis."""
 
 import dataclasses
 import math
