@@ -10,8 +10,8 @@ from allanjax.cli.common import epilog, failures_told, prepare, print_json
 from allanjax.cli.saved_fits import SavedFit, saved_fit
 
 HELP = (
-    "Say how fast the errors of attitude, velocity and position grow in a navigator at rest with these sensors, "
-    "and how well, and how soon, they level and find north."
+    "Say how fast the errors of attitude, velocity and position grow in a navigator at rest with these "
+    "sensors, and how well, and how soon, they level and find north."
 )
 EPILOG = epilog(
     "allanjax navigate allanjax-results/imu.json --latitude 51",
@@ -34,9 +34,7 @@ def command(
     gyro_bias: Annotated[str, typer.Option(help="What is left of the gyros' bias, 1σ.")] = "0 deg/h",
     accel_bias: Annotated[str, typer.Option(help="The same of the accelerometers.")] = "0 m/s²",
     schuler: Annotated[bool, typer.Option("--schuler", help="Include the Schuler loop.")] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Picture to write: .png, .svg, .pdf.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Picture to write, e.g. a .png.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, in SI.")] = False,
 ) -> None:
     prepare()
