@@ -124,5 +124,6 @@ def _functional(order: int, n: int, calibration: int, rate: float, stiffness: fl
 def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.ndarray, " lags"]) -> float:
     """Variance of an error, from G at the lags of phases among each other and to the calibration's start."""
     n = len(f.weights)
-    within = f.products @ near[:n] + f.bias**2 * near[0]
-    return max(float(within + 2.0 * f.bias * (f.weights @ far[:n])), 0.0)
+    # Not `@`: BLAS would start threads for each of many short products.
+    within = np.einsum("i,i", f.products, near[:n]) + f.bias**2 * near[0]
+    return max(float(within + 2.0 * f.bias * np.einsum("i,i", f.weights, far[:n])), 0.0)

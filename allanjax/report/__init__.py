@@ -21,6 +21,7 @@ present(
         "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",
         "Recording.from_dataframe": "allanjax.record.io.frames.from_dataframe",
         "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",
+        "SampleRates.plot": "allanjax.report.rates_figure.plot_sample_rates",
         "StateSpace.to_c_header": "allanjax.report.state_space_files.to_c_header",
         "StateSpace.to_matlab": "allanjax.report.state_space_files.to_matlab",
         "StateSpace.to_numpy": "allanjax.report.state_space_files.to_numpy",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM, _LINE = 0.85, 0.2, 0.75, 0.45, 0.2
+_LEFT, _RIGHT, _TOP, _BOTTOM, _LINE = 0.85, 0.2, 0.95, 0.1, 0.2
 _WIDTH, _HEIGHT, _GAP, _ROW = 2.9, 2.1, 0.55, 0.65
 # Causes below this share of the error at all times are not drawn.
 _DRAWN = 0.05
@@ -63,7 +63,7 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
                         panel.axvline(result.quarter_period, color="0.4", linewidth=0.8, linestyle=":")
         handles = [Line2D([], [], **{**MODEL, "label": "error, 1σ, with its 95 % interval"})]
         handles += [Line2D([], [], label=name, **of) for name, of in styles.items()]
-        place_of_key = height - _BOTTOM - lines * _LINE + 0.25
+        place_of_key = height - _BOTTOM - lines * _LINE
         add_legend(figure, handles, "upper left", _LEFT, place_of_key, ncols=len(columns))
         return save_and_close(figure, path)
 
