@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -43,7 +43,7 @@ def command(
 
     with failures_told():
         fit = saved_fit(result)
-        biases = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
+        biases: dict[str, Any] = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
         aligned = align(fit, latitude, azimuth, **biases)
         growth = navigate(fit, time, calibration=calibration, schuler=schuler, **biases)
         if out is not None:

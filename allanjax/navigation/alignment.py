@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
@@ -76,6 +76,10 @@ class AxisAlignment(ByValue):
     def angle(self) -> str:
         """Name of the angle: "azimuth" or "tilt"."""
         return "azimuth" if self.axis.sensor == "gyro" else "tilt"
+
+    def __repr__(self) -> str:
+        best = f"{significant(self.best / _DEG)} deg after {duration(self.best_time)}"
+        return f"<AxisAlignment {self.axis.name}: best {self.angle} {best}>"
 
     def verdict(self) -> str:
         """Whether and when the wanted error is reached, in words."""
@@ -252,12 +256,12 @@ def _of_axis(
     def angle(variance: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
         return np.sqrt(variance + bias**2) / per_angle
 
-    error, known, above = (angle(x) for x in (drawn.known.mean(axis=0), drawn.known, drawn.upper))
+    error, known, above = (angle(x) for x in (drawn.total, drawn.known, drawn.upper))
     lower, upper = (angle(end) for end in ends(drawn))
     white = drawn.mean.get(f"{noise.axis.name} angle random walk")
-    reached = {}
+    reached: dict[str, Any] = {}
     if wanted is not None:
-        low, high = ([_reached(time, row, wanted) for row in rows] for rows in (known, above))
+        low, high = (np.array([_reached(time, row, wanted) for row in rows]) for rows in (known, above))
         reached = {
             "wanted": wanted,
             "needed": _reached(time, error, wanted),
@@ -300,12 +304,14 @@ def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], want
     return float(time[k - 1] * (time[k] / time[k - 1]) ** share)
 
 
-def _interval(low: ArrayLike, high: ArrayLike, estimated: bool) -> tuple[float, float]:
+def _interval(
+    low: Float[np.ndarray, " draws"], high: Float[np.ndarray, " draws"], estimated: bool
+) -> tuple[float, float]:
     """Ends of the central 95 % interval of draws, some of which may be infinite; nan of what is exact."""
     if not estimated:
         return math.nan, math.nan
     pair = ((low, 0.025), (high, 0.975))
-    lower, upper = (float(np.quantile(np.asarray(x), q, method="nearest")) for x, q in pair)
+    lower, upper = (float(np.quantile(x, q, method="nearest")) for x, q in pair)
     return lower, upper
 
 

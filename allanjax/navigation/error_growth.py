@@ -70,6 +70,11 @@ class ErrorGrowth(ByValue):
             raise AllanjaxError(f"{self.quantity}: no error {channel}; there are {', '.join(self.channels)}")
         return self.error[self.channels.index(channel)]
 
+    def __repr__(self) -> str:
+        unit, scale = SHOWN[self.quantity]
+        last = (f"{c} {significant(float(self.of(c)[-1]) / scale)} {unit}" for c in self.channels)
+        return f"<ErrorGrowth {self.quantity} after {plain(float(self.time[-1]), 4)} s: {', '.join(last)}>"
+
     def largest(self, channel: str) -> list[str]:
         """The cause that contributes most, at each time."""
         causes = self.causes[channel]

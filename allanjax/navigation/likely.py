@@ -36,6 +36,11 @@ class Drawn(NamedTuple):
     known: Float[np.ndarray, "draws ..."]
     upper: Float[np.ndarray, "draws ..."]
 
+    @property
+    def total(self) -> Float[np.ndarray, ...]:
+        """The mean of all terms that were found."""
+        return sum(self.mean.values(), np.zeros_like(self.known[0]))
+
 
 class AxisNoise(NamedTuple):
     """Noise of an axis: sets of terms, and draws of their powers."""
@@ -156,18 +161,17 @@ def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None
     return float(convert(float(number), text, unit, sensor))
 
 
-def ends(drawn: Sequence[Drawn] | Drawn, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the central interval of a drawn variance: the lower of what was found, the upper of all."""
-    one = drawn if isinstance(drawn, Drawn) else together(drawn)
-    lower, upper = (1.0 - level) / 2.0, (1.0 + level) / 2.0
-    return np.quantile(one.known, lower, axis=0), np.quantile(one.upper, upper, axis=0)
+def ends(drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the central 95 % interval of a quantity: the lower of what was found, the upper of all."""
+    return np.quantile(drawn.known, 0.025, axis=0), np.quantile(drawn.upper, 0.975, axis=0)
 
 
 def together(parts: Sequence[Drawn]) -> Drawn:
     """Sum of independent quantities."""
     mean = {title: part for drawn in parts for title, part in drawn.mean.items()}
-    # Each is ordered by sets of terms, which are not to be paired.
-    order = [np.random.default_rng(k).permutation(len(drawn.known)) for k, drawn in enumerate(parts)]
+    # Each is ordered by sets of terms, which are not to be paired, and may have a draw more.
+    size = min(len(drawn.known) for drawn in parts)
+    order = [np.random.default_rng(k).permutation(size) for k in range(len(parts))]
     known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
     upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))
     return Drawn(mean, np.asarray(known), np.asarray(upper))

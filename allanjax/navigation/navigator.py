@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration
@@ -81,6 +81,26 @@ def navigate(
         raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
     steps, before = _whole_samples(given, calibration, sensors.rate)
+    found = _variances(sensors, steps, before, biases, float(gravity), schuler)
+    if not any(found.values()):
+        raise AllanjaxError(
+            f"no channel has a sensor: name axes as gyro_x, accel_z, not {', '.join(sensors.axes)}"
+        )
+    time = steps / sensors.rate
+    growths = tuple(_growth(q, of, time, sensors.estimated) for q, of in found.items() if of)
+    result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
+    return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
+
+
+def _variances(
+    sensors: Sensors,
+    steps: Int[np.ndarray, " t"],
+    before: int,
+    biases: Mapping[str, float],
+    gravity: float,
+    schuler: bool,
+) -> dict[str, dict[str, list[Drawn]]]:
+    """Variances of the errors by quantity and direction: a part of each sensor that makes them."""
     level = ErrorVariances((1, 2, 3), steps, before, sensors.rate, gravity / EARTH_RADIUS if schuler else 0.0)
     # Along the vertical gravity drives errors, and about it nothing does.
     vertical = level
@@ -110,14 +130,7 @@ def navigate(
         ):
             if parts:
                 found[quantity][channel.name] = parts
-    if not any(found.values()):
-        raise AllanjaxError(
-            f"no channel has a sensor: name axes as gyro_x, accel_z, not {', '.join(sensors.axes)}"
-        )
-    time = steps / sensors.rate
-    growths = tuple(_growth(q, of, time, sensors.estimated) for q, of in found.items() if of)
-    result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
-    return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
+    return found
 
 
 def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: float) -> tuple[np.ndarray, int]:
@@ -147,7 +160,7 @@ def _growth(
     quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], estimated: bool
 ) -> ErrorGrowth:
     summed = {name: together(parts) for name, parts in channels.items()}
-    error = np.array([np.sqrt(drawn.known.mean(axis=0)) for drawn in summed.values()])
+    error = np.array([np.sqrt(drawn.total) for drawn in summed.values()])
     lower, upper = np.sqrt(np.array([ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
     nothing = np.full_like(error, np.nan)
     return ErrorGrowth(

@@ -86,6 +86,11 @@ class AxisRates(ByValue):
             return None
         return _NEEDED[0] * self.bandwidth.value, _NEEDED[1] * self.bandwidth.value
 
+    def __repr__(self) -> str:
+        bandwidth = "unknown" if self.bandwidth is None else self.bandwidth.describe()
+        first, last = (plain(float(self.rates[k]), 4) for k in (0, -1))
+        return f"<AxisRates {self.axis.name}: {first} Hz down to {last} Hz, bandwidth {bandwidth}>"
+
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Rows of the printed table: axis, rate or quantity, value, aliased share."""
         name, unit = self.axis.name, default_coefficient_unit(self.axis.sensor, 0.5)
@@ -240,12 +245,14 @@ def _filtered_fits(recording: Recording) -> list[AxisFit]:
     inside = AngleRandomWalk() + RateRandomWalk()
     templates = [kind() * inside + Quantization() for kind in (LowPass1, Butterworth)]
     fits = [fit(recording, template, objective="whittle", as_is=True) for template in templates]
-    best: list[AxisFit | None] = []
+    best: dict[int, AxisFit] = {}
     for k in range(len(recording.axes)):
         fair = [f.results[k] for f in fits if f.results[k].measured and f.results[k].discrepancy == 0.0]
-        best.append(min(fair, key=lambda result: result.chi2) if fair else None)
-    searched = fit(recording, as_is=True) if None in best else None
-    return [searched.results[k] if searched and b is None else b for k, b in enumerate(best) if searched or b]
+        if fair:
+            best[k] = min(fair, key=lambda result: result.chi2)
+    if len(best) < len(recording.axes):
+        best = dict(enumerate(fit(recording, as_is=True).results)) | best
+    return list(best.values())
 
 
 def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:

@@ -75,17 +75,19 @@ def fit():
 
 
 def test_intervals_of_a_fit_hold_the_truth(fit):
-    """Best azimuth, its time and the time needed, of two gyros: six intervals of 95 %."""
+    """Best azimuth, its time and the time needed, of two gyros: of six intervals of 95 % one may miss."""
     least = math.sqrt(N * K / math.sqrt(3.0)) / EARTH
     exact = aj.align({"gyro_x": aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)}, 51.0, 1.5 * least, rate=2.0)
     truth, found = exact["gyro_x"], aj.align(fit, 51.0, 1.5 * least)
+    hits = []
     for result in found.values():
         for name in ("best", "best_time", "needed"):
             low, high = getattr(result, f"{name}_interval")
-            assert low <= getattr(truth, name) <= high, (result.axis.name, name)
+            hits.append(low <= getattr(truth, name) <= high)
             assert low <= getattr(result, name) <= high
             assert high < 10.0 * low
         assert result.out_of_reach < 0.05
+    assert sum(hits) >= 5
 
 
 def test_an_azimuth_at_the_edge_may_be_out_of_reach(fit):

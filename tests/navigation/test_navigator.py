@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -195,9 +196,19 @@ def test_a_fit_has_intervals_that_hold_its_own_errors(result, small_fit):
     for growth in result.values():
         assert np.all(growth.lower <= growth.error)
         assert np.all(growth.error <= growth.upper)
-        # Up to half the record; far beyond it a fit of 200 s knows little.
-        known = growth.time <= 100.0
-        assert np.all(growth.upper[:, known] < 10.0 * growth.lower[:, known])
+        # At first white noise dominates, which a fit of 200 s knows well; later it knows little.
+        assert np.all(growth.upper[:, 0] < 2.0 * growth.lower[:, 0])
+
+
+def test_results_are_equal_by_value_and_told_in_a_line(result):
+    again = pickle.loads(pickle.dumps(result))
+    assert again == result
+    assert hash(again) == hash(result)
+    assert repr(result["attitude"]).startswith("<ErrorGrowth attitude after 1,000 s: north ")
+    with pytest.raises(aj.AllanjaxError, match="no error of 'height'; there are attitude"):
+        result["height"]
+    with pytest.raises(aj.AllanjaxError, match="no error up; there are north, east, down"):
+        result["position"].of("up")
 
 
 def test_causes_add_up_to_the_error(result):
@@ -232,6 +243,20 @@ def test_the_table_the_frame_and_the_document_tell_the_same(result):
     row = frame[(frame.quantity == "position") & (frame.channel == "down")].iloc[-1]
     assert row.error == document["errors"]["position"]["channels"]["down"]["error"][-1]
     assert row.error == result["position"].of("down")[-1]
+
+
+@pytest.mark.usefixtures("no_windows")
+def test_the_picture_has_a_panel_an_error_with_its_causes(result, tmp_path):
+    figure = result.plot(tmp_path / "a.png")
+    titles = [panel.get_title(loc="left") for panel in figure.axes]
+    assert titles[0] == "attitude north [deg]"
+    assert len(titles) == 9
+    panel = figure.axes[titles.index("position down [m]")]
+    model = next(line for line in panel.lines if line.get_label() == "model")
+    np.testing.assert_allclose(model.get_ydata(), result["position"].of("down"))
+    shown = {line.get_label() for line in panel.lines} - {"model"}
+    assert set(result["position"].largest("down")) <= shown <= set(result["position"].causes["down"])
+    assert (tmp_path / "a.png").stat().st_size > 1000
 
 
 def test_the_loop_holds_errors_back_and_its_absence_is_told():
