@@ -196,8 +196,8 @@ def test_a_fit_has_intervals_that_hold_its_own_errors(result, small_fit):
     for growth in result.values():
         assert np.all(growth.lower <= growth.error)
         assert np.all(growth.error <= growth.upper)
-        # At first white noise dominates, which a fit of 200 s knows well; later it knows little.
-        assert np.all(growth.upper[:, 0] < 2.0 * growth.lower[:, 0])
+    # At first a gyro's white noise dominates, which a fit of 200 s knows to some 10 %.
+    assert np.all(result["attitude"].upper[:, 0] < 1.5 * result["attitude"].lower[:, 0])
 
 
 def test_results_are_equal_by_value_and_told_in_a_line(result):
