@@ -7,6 +7,7 @@ import typer
 
 from allanjax.base.plain import speak_plainly
 from allanjax.cli import (
+    calibrate,
     characterize,
     check,
     convert,
@@ -73,6 +74,7 @@ for _module in (
     horizon,
     navigate,
     statespace,
+    calibrate,
     simulate,
     convert,
     schema,
