@@ -1,6 +1,6 @@
 """Do a resting navigator's errors grow as told, do the intervals hold, and which sample rate is needed?
 
-    python benchmarks/studies/navigation.py [--quick] [--craft 200] [--records 20] [--results PATH]
+    python benchmarks/studies/navigation.py [--quick] [--craft 100] [--records 6] [--results PATH]
 
 The strapdown mechanization is written here, in NumPy: rotation matrices, the specific force resolved and
 integrated. It shares no code with the package, which makes its noise.
@@ -207,8 +207,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="few records of each")
-    parser.add_argument("--craft", type=int, default=200)
-    parser.add_argument("--records", type=int, default=20)
+    parser.add_argument("--craft", type=int, default=100)
+    parser.add_argument("--records", type=int, default=6)
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "navigation.md")
     options = parser.parse_args()
     craft, records = (20, 2) if options.quick else (options.craft, options.records)
