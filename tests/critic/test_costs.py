@@ -13,8 +13,8 @@ from allanjax.critic.search import _candidates, view_of
 
 # Lengths for which spectra are padded to the same length and Allan sums are of the same octave.
 SHORT, LONG = 6200, 7000
-# Transforms of the whole record in a critique of one axis without findings. Counted: 26 with these samples;
-# one more for each noise that a cause tries besides the best one.
+# Transforms of the whole record in a critique of one axis without findings. Counted: 23 with these samples
+# once the record's length is known, and a few more for each noise that a cause tries besides the best one.
 MOST_TRANSFORMS = 32
 _compiled = [0]
 
