@@ -257,9 +257,8 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
         first += len(shapes)
     along, owner = [], []
     for (level, _), start in zip(seen[1:], (at.first_markov, at.first_oscillator), strict=False):
-        for k in range(1, level.shape[1]):
-            along.append(level[:, k])
-            owner.append(np.arange(start, start + len(level)))
+        along += [level[:, k] for k in range(1, level.shape[1])]
+        owner += [np.arange(start, start + len(level))] * (level.shape[1] - 1)
     if others is not None:
         values, inside = theta[at.other_shapes :], slots.inside[first:]
         seen.append(fixed(others.expected(values, len(levels.shape)), inside))
