@@ -127,7 +127,7 @@ class AllanDesign(Design):
         if not self.shapes:
             return means
         for k, term in self._moving(shape).items():
-            means = means.at[k].set(_mean(term, self.geometry))
+            means = means.at[k].set(self.geometry.mean(term))
         return _chosen(means, self.columns)
 
     def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
@@ -218,7 +218,7 @@ def _constants(
 
     products, kernels = geometry.over_pairs(of_part)
     nothing = jnp.zeros(geometry.cluster_time.shape)
-    means = jnp.stack([nothing if k in moving else _mean(t, geometry) for k, t in enumerate(terms)])
+    means = jnp.stack([nothing if k in moving else geometry.mean(t) for k, t in enumerate(terms)])
     if moving:
         return _Constants(means, kernels, products)
     return _Constants(_chosen(means, columns), None, _bilinear(terms, geometry, products, columns))
@@ -249,13 +249,8 @@ def _moments_behind(
         return _products(kernels, kernels, part)
 
     products = _bilinear(seen, geometry, geometry.over_pairs(of_part), np.arange(len(seen)))
-    mean = sum(_mean(process, geometry) for process in seen)
+    mean = sum(geometry.mean(process) for process in seen)
     return jnp.asarray(mean), jnp.diag(geometry.symmetric(jnp.sum(products, axis=(0, 1))))
-
-
-def _mean(term: Process, geometry: AllanCovariance) -> Float[Array, " m"]:
-    """Allan variance of a term; zero where there is no estimate."""
-    return geometry.known(term.allan_variance(geometry.cluster_time), 0.0)
 
 
 def _products(
@@ -294,7 +289,7 @@ def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Arra
     much once more (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
     """
     i, j = geometry.pairs
-    mean = term.allan_variance(geometry.cluster_time)
+    mean = geometry.mean(term)
     common = term.power_scatter(geometry.duration)
     clusters = geometry.cluster_time[i] / geometry.duration
     return mean[i] * mean[j] * (common + jnp.where(i == j, common + 1.5 * clusters, 0.0))
