@@ -77,5 +77,7 @@ from allanjax.report.files import write_json as write_json
 from allanjax.report.spectrum_figure import plot_psd as plot_psd
 from allanjax.spectrum.psd import PowerSpectrum as PowerSpectrum
 from allanjax.spectrum.psd import power_spectrum as power_spectrum
+from allanjax.wavelets.variance import WaveletVariance as WaveletVariance
+from allanjax.wavelets.variance import wavelet_variance as wavelet_variance
 
 __version__: str

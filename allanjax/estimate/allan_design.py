@@ -37,7 +37,7 @@ class _Constants(NamedTuple):
 
 
 class AllanDesign(Design):
-    """Model of the Allan variances at the cluster sizes of `geometry`.
+    """Model of Allan variances at the cluster sizes of `geometry`, or of wavelet variances at its levels.
 
     Lengths, rates, cluster sizes, and which of the basic terms the model has, are data. Other terms are part
     of the structure, not their values: a program is compiled once for each set of these.
@@ -71,8 +71,18 @@ class AllanDesign(Design):
         `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays
         have a `capacity` of so many cluster sizes and terms at least: compiled functions serve others, too.
         """
+        oscillates = any(term.oscillates for term in model.terms)
+        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
+        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, capacity=capacity[0], **order)
+        return cls.of_geometry(model, rate, geometry, capacity[1])
+
+    @classmethod
+    def of_geometry(
+        cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0
+    ) -> AllanDesign:
+        """Design of a noise model for the estimates of a quadrature, with room for so many terms at least."""
         others: list[NoiseTerm] = []
-        columns = np.full(max(capacity[1], len(model)), -1)
+        columns = np.full(max(slots, len(model)), -1)
         for k, term in enumerate(model.sampled(rate).terms):
             row = [type(basic) for basic in _BASIC].index(type(term)) if _is_basic(term) else -1
             if row < 0 or row in columns:
@@ -84,8 +94,6 @@ class AllanDesign(Design):
             for p in free_shapes(model)
         )
         oscillates = any(term.oscillates for term in model.terms)
-        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
-        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, capacity=capacity[0], **order)
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
         # What pads is beyond all rows.
         columns = np.where(columns < 0, len(_BASIC) + len(others), columns)
