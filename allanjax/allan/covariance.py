@@ -247,7 +247,7 @@ class AllanCovariance(eqx.Module):
         """Symmetric matrix with these values for the pairs; zero where there is no estimate."""
         return jnp.asarray(values).at[jnp.asarray(self.place)].get(mode="fill", fill_value=0.0)
 
-    def of_terms(self, terms: Sequence[NoiseTerm]) -> Float[Array, "m m"]:
+    def of_terms(self, terms: Sequence[Process]) -> Float[Array, "m m"]:
         """Covariance [rate⁴] of the estimates for a sum of terms, as sampled."""
         kernels = [(term.deterministic, self.kernel(term)) for term in terms]
         nothing = jnp.zeros(self.lags.shape)

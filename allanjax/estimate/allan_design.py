@@ -77,9 +77,7 @@ class AllanDesign(Design):
         return cls.of_geometry(model, rate, geometry, capacity[1])
 
     @classmethod
-    def of_geometry(
-        cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0
-    ) -> AllanDesign:
+    def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
         """Design of a noise model for the estimates of a quadrature, with room for so many terms at least."""
         others: list[NoiseTerm] = []
         columns = np.full(max(slots, len(model)), -1)

@@ -54,7 +54,9 @@ def fit_allan(
         values: the record, without which lines and resonances cannot be found.
     """
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
-    results, scatter = _fit_estimates(design, curve.variance, (curve.n, curve.rate), axes, template, active, values)
+    results, scatter = _fit_estimates(
+        design, curve.variance, (curve.n, curve.rate), axes, template, active, values
+    )
     means = [_moments_of(design, template, result)[0] for result in results]
     return results, _with_model_edf(curve, results, means, scatter)
 

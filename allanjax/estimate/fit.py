@@ -60,8 +60,8 @@ def fit(
     `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all that
     the record knows of its spectrum: more efficient where terms are alike in the Allan curve, and for
     lines by far. Ramps, lines and regressors are profiled out exactly.
-    `objective="wavelet"`: the wavelet variances (see `wavelet_variance`) of all levels are fitted as the Allan
-    variances are. With "haar" these are half the Allan variances at octaves.
+    `objective="wavelet"`: the wavelet variances (see `wavelet_variance`) of all levels are fitted as the
+    Allan variances are. With "haar" these are half the Allan variances at octaves.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.

@@ -2,16 +2,16 @@
 
 A coefficient W_j at level j is a sum of samples whose weights h_j sum to zero, that is, of phases whose
 weights annihilate a constant and a trend: its covariance follows from the phase covariance G, or from the
-spectrum S of the samples, which is the cosine sum of −δ²G (`noise.process`). With H_j the transfer function of
-h_j, frequencies in cycles per sample and R the sample rate,
+spectrum S of the samples, which is the cosine sum of −δ²G (`noise.process`). With H_j the transfer function
+of h_j, frequencies in cycles per sample and R the sample rate,
 
     E V_j = 2R ∫₀^½ |H_j|² S df,    Σ_s C_jk(s)² = 2R² ∫₀^½ |H_j|² |H_k|² S² df,
 
-where V_j is the mean of W_j² over the M_j coefficients that no end of the record has touched, and C_jk(s) the
-covariance of W_j and W_k at lag s. For many coefficients cov(V_j, V_k) is 2 Σ_s C_jk(s)²/max(M_j, M_k)
-(Percival & Walden 2000, section 8.3). At the highest levels there are few: there it is multiplied by the ratio
-of the exact sum over pairs of coefficients to this one under white noise, which within the octave of a level
-all noise resembles.
+where V_j is the mean of W_j² over the M_j coefficients that no end of the record has touched, and C_jk(s)
+the covariance of W_j and W_k at lag s. For many coefficients cov(V_j, V_k) is 2 Σ_s C_jk(s)²/max(M_j, M_k)
+(Percival & Walden 2000, section 8.3). At the highest levels they are few: there it is multiplied by the
+ratio of the exact sum over pairs of coefficients to this one under white noise, which all noise resembles
+within the octave of a level.
 
 S is smooth: it enters by its values at a few frequencies an octave, whose weights are integrals of the gains
 times Lagrange polynomials. They are data, so that one program serves records of any length and rate. The Haar
@@ -19,6 +19,8 @@ wavelet has another formula, which is exact: its variance is half the Allan vari
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -92,8 +94,8 @@ class WaveletCovariance(AllanCovariance):
         return self._density(term) @ self.gains
 
     def _density(self, term: Process) -> Float[Array, " lags"]:
-        frequency = jnp.asarray(self.lags)[:, 0]
-        return jnp.asarray(term.sampled_psd(frequency, 1.0 / jnp.asarray(self.sample_interval)))
+        rate: Any = 1.0 / jnp.asarray(self.sample_interval)
+        return jnp.asarray(term.sampled_psd(jnp.asarray(self.lags)[:, 0], rate))
 
 
 def _quadrature() -> tuple[
@@ -125,8 +127,8 @@ def _few_coefficients(
     size = 1 << (2 * len(impulses[-1])).bit_length()
     transforms = [np.fft.rfft(h, size) for h in impulses]
     lag = np.rint(np.fft.fftfreq(size) * size)
-    for a, (k, h, H) in enumerate(zip(counted, impulses, transforms, strict=True)):
-        for other, g, G in list(zip(counted, impulses, transforms, strict=True))[a:]:
+    for a, (k, H) in enumerate(zip(counted, transforms, strict=True)):
+        for other, G in zip(counted[a:], transforms[a:], strict=True):
             squares = np.fft.irfft(H * G.conj(), size) ** 2
             Mh, Mg = count[[k, other]] / 2**thin
             pairs = np.clip(np.minimum(Mh + lag, Mg) - np.maximum(lag, 0), 0.0, None)

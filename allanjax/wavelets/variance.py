@@ -2,9 +2,9 @@
 
 At level j it is the mean square of the coefficients of the maximal overlap transform (MODWT), with unit
 scaling gain, of which those that depend on samples beyond the record are left out (Percival & Walden 2000,
-section 8.3: the unbiased estimate). Level j covers the octave from rate/2^(j+1) to rate/2^j nominally, and has
-the scale 2^(j−1) samples. With the Haar wavelet it is half the overlapping Allan variance at clusters as long
-as the scale, to rounding.
+section 8.3: the unbiased estimate). Level j covers the octave from rate/2^(j+1) to rate/2^j nominally, and
+has the scale 2^(j−1) samples. With the Haar wavelet it is half the overlapping Allan variance at clusters as
+long as the scale, to rounding.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.noise.terms import AngleRandomWalk, NoiseTerm
+from allanjax.noise.process import Process
+from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.axes import names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import default_coefficient_unit, unit_scale
 from allanjax.record.validation import Source, check_values
+from allanjax.spectrum.autocorrelation import square_unit
 from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.wavelets.covariance import WaveletCovariance
 from allanjax.wavelets.filters import WaveletFilter
@@ -123,7 +124,7 @@ class WaveletVariance(ByValue):
         columns |= {f"{end} [Hz]": x for end, x in zip(("from", "to"), self.band.T, strict=True)}
         lower, upper = self.confidence_interval(0.68)
         for k, name in enumerate(self.names):
-            unit, scale = ("", 1.0) if self.axes is None else variance_unit(self.axes[k])
+            unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
             for label, x in (("", self.variance), (" lower_68", lower), (" upper_68", upper)):
                 columns[f"{name}{label}" + (f" [{unit}]" if unit else "")] = x[:, k] / scale
             columns[f"{name} degrees of freedom"] = self.edf[:, k]
@@ -152,13 +153,6 @@ class WaveletVariance(ByValue):
 def bands(level: Int[np.ndarray, " m"], rate: float) -> Float[np.ndarray, "m 2"]:
     """Nominal lowest and highest frequency of the details at each level [Hz]."""
     return rate / 2.0 ** np.stack([level + 1.0, level], axis=1)
-
-
-def variance_unit(axis: Axis) -> tuple[str, float]:
-    """Display unit of an axis's wavelet variance, and its factor to SI."""
-    unit = default_coefficient_unit(axis.sensor, 0.0)
-    name = f"({unit})²" if "/" in unit else f"{unit}²"
-    return name, unit_scale(unit, axis.sensor) ** 2
 
 
 def wavelet_variance(
@@ -205,7 +199,7 @@ def wavelet_variance(
     return WaveletVariance(
         level=level,
         variance=variance,
-        count=n - np.array([found.length(j) for j in level]) + 1,
+        count=n - np.array([found.length(int(j)) for j in level]) + 1,
         edf=np.broadcast_to(edf[:, None], variance.shape),
         n=n,
         rate=rate,
@@ -228,7 +222,7 @@ def mean_squares(
 def _filtered(
     x: Float[np.ndarray, " n"], coefficients: tuple[float, ...], step: int
 ) -> Float[np.ndarray, " valid"]:
-    """Samples after a filter with `step` samples from one coefficient to the next, where it is within them."""
+    """Samples after a filter with `step` samples from one coefficient to the next, within them."""
     valid = len(x) - step * (len(coefficients) - 1)
     found = np.zeros(valid)
     for k, c in enumerate(reversed(coefficients)):
@@ -266,7 +260,7 @@ def moments(
 
 @eqx.filter_jit
 def _moments(
-    terms: tuple[NoiseTerm, ...], geometry: AllanCovariance
+    terms: tuple[Process, ...], geometry: AllanCovariance
 ) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
     mean: Array = sum(geometry.mean(term) for term in terms)  # type: ignore[assignment]
     return mean, geometry.of_terms(terms)
