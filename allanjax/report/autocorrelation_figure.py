@@ -96,7 +96,7 @@ def _draw(panel: Axes, found: Autocorrelation, k: int) -> None:
         dotted: dict[str, Any] = {"color": "0.5", "linewidth": 0.8, "linestyle": ":"}
         panel.axhline(value[0] / np.e, **dotted)
         panel.axvline(found.lag[below[0]], **dotted)
-    panel.set_xlim(0.0, found.lag[-1])
+    panel.set_xlim(-0.02 * found.lag[-1], found.lag[-1])
     panel.set_xlabel("lag [s]")
     panel.set_ylabel(label_in("autocorrelation", unit))
     add_grid(panel)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches.
-_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _PANEL, _GAP = 8.0, 1.1, 0.2, 0.75, 0.5, 0.85, 0.12
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _PANEL, _GAP = 8.4, 1.5, 0.2, 0.75, 0.5, 0.85, 0.12
 # More samples than this are drawn as the range of each of so many stretches.
 _DRAWN = 4000
 
