@@ -15,7 +15,7 @@ from allanjax.allan.covariance import AllanCovariance
 from allanjax.base.linalg import CholeskyWhitened, whiten
 from allanjax.estimate.design import Design, FreeShape, free_shapes, with_shapes
 from allanjax.noise.model import Model
-from allanjax.noise.process import Process
+from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import NoiseTerm, basic_terms
 
 # Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
@@ -234,16 +234,9 @@ def moments_behind(
     model: Model, geometry: AllanCovariance
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Expectation and variance of Allan variances under a sampled model with values, response included."""
-    # Numbers are data: other values and rates need no compilation.
-    seen = jax.tree.map(lambda x: np.asarray(x) if _is_data(x) else x, model.seen)
-    mean, variance = jax.device_get(_moments_behind(seen, geometry))
+    mean, variance = jax.device_get(_moments_behind(numbers_as_data(model.seen), geometry))
     rows = int(geometry.count)
     return mean[:rows], variance[:rows]
-
-
-def _is_data(x: Any) -> bool:
-    """Whether a number of a process is no limit, such as an infinite cutoff, that decides on its formula."""
-    return isinstance(x, float) and abs(x) < np.inf
 
 
 @eqx.filter_jit

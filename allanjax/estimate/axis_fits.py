@@ -33,8 +33,6 @@ from allanjax.wavelets.variance import geometry_of, mean_squares
 
 # Cluster sizes and terms that a fit's arrays have room for: with four an octave, sizes of 6·10⁷ samples.
 _CAPACITY = (96, 6)
-# Levels of wavelet variances for which they have room: those of 10⁷ samples.
-_WAVELET_LEVELS = 24
 
 
 def fit_allan(
@@ -79,7 +77,7 @@ def fit_wavelet(
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
     of_record = recording.n, recording.rate
-    geometry = geometry_of(found, levels, *of_record, _WAVELET_LEVELS)
+    geometry = geometry_of(found, levels, *of_record)
     design = AllanDesign.of_geometry(template, recording.rate, geometry, _CAPACITY[1])
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
     return _fit_estimates(design, variance, of_record, recording.axes, template, active, None)[0]

@@ -39,10 +39,12 @@ _SHARE = 0.5
 def unit_densities(frequency: Float[np.ndarray, " m"], rate: float) -> Float[np.ndarray, "m terms"]:
     """One-sided density of each of these terms with coefficient 1, at frequencies [Hz].
 
-    That of quantization is 8 sin²(πf/rate)·rate (4.28), whose slope is 2 well below the Nyquist frequency.
+    It is that of samples, means over their intervals, with aliases: near the Nyquist frequency it leaves the
+    straight line, as a real spectrum does. Quantization has 8 sin²(πf/rate)·rate (4.28).
     """
-    terms = (term().with_unit_amplitude().sampled(rate) for term in SLOPES)
-    return np.stack([2.0 * np.asarray(term.psd(frequency)) for term in terms], axis=1)
+    terms = [term().with_unit_amplitude() for term in SLOPES]
+    densities = [t.psd(frequency) if t.deterministic else t.sampled_psd(frequency, rate) for t in terms]
+    return np.stack([2.0 * np.asarray(density) for density in densities], axis=1)
 
 
 def slope_stretch(

@@ -24,7 +24,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.noise.process import Process
+from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.axes import names_of
 from allanjax.record.io.given import RecordingLike, samples_of
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+# Levels for which compiled functions have room: those of 10⁷ samples.
+_CAPACITY = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,17 +234,12 @@ def _filtered(
 
 
 def geometry_of(
-    wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], n: int, rate: float, capacity: int = 0
+    wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], n: int, rate: float
 ) -> AllanCovariance:
     """Quadrature for the covariance of estimates at these levels, of the Haar wavelet for twice of them."""
     if wavelet.name == "haar":
-        return AllanCovariance.of(n, rate, 2 ** (levels - 1), capacity=capacity)
-    return WaveletCovariance.of_levels(n, rate, wavelet, levels, capacity)
-
-
-def scale_of(wavelet: WaveletFilter) -> float:
-    """Size of the wavelet variance in what `geometry_of` is for: half of Allan variances with "haar"."""
-    return 0.5 if wavelet.name == "haar" else 1.0
+        return AllanCovariance.of(n, rate, 2 ** (levels - 1), capacity=_CAPACITY)
+    return WaveletCovariance.of_levels(n, rate, wavelet, levels, _CAPACITY)
 
 
 def moments(
@@ -253,9 +251,9 @@ def moments(
         if term.narrow_band or (term.deterministic and term.oscillates):
             raise AllanjaxError(f"{term.name()} has no covariance of wavelet variances: leave it out")
     geometry = geometry_of(wavelet, levels, n, rate)
-    mean, covariance = _moments(model.sampled(rate).seen, geometry)
-    scale = scale_of(wavelet)
-    return scale * np.asarray(mean), scale**2 * np.asarray(covariance)
+    mean, covariance = _moments(numbers_as_data(model.sampled(rate).seen), geometry)
+    m, scale = len(levels), 0.5 if wavelet.name == "haar" else 1.0
+    return scale * np.asarray(mean)[:m], scale**2 * np.asarray(covariance)[:m, :m]
 
 
 @eqx.filter_jit
