@@ -10,6 +10,7 @@ present(
         "AllanDeviation.plot": "allanjax.report.allan_figure.plot_allan",
         "Autocorrelation.plot": "allanjax.report.autocorrelation_figure.plot_autocorrelation",
         "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
+        "Calibration.plot": "allanjax.report.calibration_figure.plot_calibration",
         "Critique.__str__": "allanjax.report.critique_story.critique_text",
         "Critique.details": "allanjax.report.critique_story.details",
         "Critique.plot": "allanjax.report.critique_figure.plot_critique",
