@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import stdtrit
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import RecordingError
@@ -71,6 +72,7 @@ class Setting(NamedTuple):
         world: what acts on the sensor.
         second_order: whether readings have a part in proportion to the square of the input.
         orientation_error: standard deviation of the orientations about each axis across [rad].
+        lacks_drift: whether the noise model is of a record too short to show the drift between positions.
     """
 
     axes: tuple[Axis, ...]
@@ -78,6 +80,7 @@ class Setting(NamedTuple):
     world: World
     second_order: bool = False
     orientation_error: float = 0.0
+    lacks_drift: bool = False
 
     @property
     def sensor(self) -> Sensor:
@@ -156,7 +159,8 @@ def errors_of(
             f"the positions do not span: from {told} follow bias and scale factor of no {setting.sensor} "
             f"axis{' beside its second order' if setting.second_order else ''}; {_remedy(setting, axes[0])}"
         )
-    variance = found.covariance.diagonal().reshape(size)
+    wider, quantiles = by_scatter(found.chi2, found.dof) if setting.lacks_drift else (1.0, _QUANTILES)
+    variance = wider**2 * found.covariance.diagonal().reshape(size)
     over_white = np.full(size, np.nan)
     if alone is not None:
         over_white = np.sqrt(variance / np.maximum(alone.covariance.diagonal().reshape(size), 1e-300))
@@ -164,17 +168,18 @@ def errors_of(
     for k, (axis, values) in enumerate(zip(axes, found.values.reshape(size), strict=True)):
         labels = _labels(axis, setting.second_order)
         remark = "" if determined[k].all() else _remedy(setting, axis)
-        estimates, wider = {}, {}
+        estimates, widening = {}, {}
         for label, j in labels.items():
             known = bool(determined[k, j])
             # What is not known of gravity is not known of the scale.
             common = setting.world.gravity_std / setting.world.gravity if label == "scale_factor" else 0.0
             common = common if setting.sensor == "accel" else 0.0
             std = math.hypot(math.sqrt(max(variance[k, j], 0.0)), common)
-            estimates[label] = _estimate(axis, label, float(values[j]), std, known, remark)
-            wider[label] = float(over_white[k, j]) if known else np.nan
+            value = float(values[j]) if known else math.nan
+            estimates[label] = _estimate(axis, label, value, std if known else math.nan, remark, quantiles)
+            widening[label] = float(over_white[k, j]) if known else np.nan
         _check_direction(estimates["scale_factor"])
-        results.append(AxisCalibration(axis, estimates, wider))
+        results.append(AxisCalibration(axis, estimates, widening))
     return tuple(results), _misfit(found, rows, names, positions)
 
 
@@ -216,14 +221,24 @@ def _labels(axis: Axis, second_order: bool) -> dict[str, int]:
     return {"bias": 0, "scale_factor": 1 + own, **others, **({"second_order": 4} if second_order else {})}
 
 
-def _estimate(axis: Axis, label: str, value: float, std: float, known: bool, remark: str) -> Estimate:
+def by_scatter(chi2: float, dof: int) -> tuple[float, tuple[float, float]]:
+    """How many times wider errors are where the means scatter more than the noise model says, and quantiles.
+
+    The ratio of Birge (1932, Phys. Rev. 40:207) and Student's law of its degrees of freedom.
+    """
+    if dof == 0 or chi2 <= dof:
+        return 1.0, _QUANTILES
+    outer, inner = stdtrit(dof, [0.975, 0.84])
+    return math.sqrt(chi2 / dof), (float(outer), float(inner))
+
+
+def _estimate(
+    axis: Axis, label: str, value: float, std: float, remark: str, quantiles: tuple[float, float]
+) -> Estimate:
+    """A parameter that is nan if it is not determined; then the remark says what to do."""
     bias = "mg" if axis.sensor == "accel" else "deg/h"
     unit = bias if label == "bias" else _UNITS.get(label, "µrad")
-    if not known:
-        value = std = math.nan
-    # By convention or by what defines the axes.
-    held = known and std == 0.0
-    ends = [(value - z * std, value + z * std) for z in _QUANTILES]
+    ends = [(value - z * std, value + z * std) for z in quantiles]
     return Estimate(
         axis=axis,
         label=label,
@@ -234,8 +249,9 @@ def _estimate(axis: Axis, label: str, value: float, std: float, known: bool, rem
         unit=si_unit(unit),
         usual_unit=unit,
         source="calibration",
-        held=held,
-        remark="" if known else remark,
+        # By convention or by what defines the axes.
+        held=std == 0.0,
+        remark=remark if math.isnan(value) else "",
     )
 
 

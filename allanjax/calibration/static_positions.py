@@ -13,7 +13,7 @@ from allanjax.calibration.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravi
 from allanjax.calibration.noise import Part, parts_of_fit, parts_of_model
 from allanjax.calibration.orientation import Orientation, OrientationLike, as_orientation, orientation_in
 from allanjax.calibration.result import USEFUL, AxisCalibration, Calibration, Misfit, Position, place_of
-from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
+from allanjax.calibration.sensor_errors import Covariances, Setting, World, by_scatter, errors_of
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
@@ -64,7 +64,8 @@ def calibrate(
             part of the scale factors' intervals.
         model: noise model with values, or one for each axis or sensor by name.
         fit: fit of a long recording of the same sensor, which knows the drift best. Without either, the
-            longest of the positions is fitted.
+            longest of the positions is fitted, and where the means scatter more than it says, the intervals
+            are as much wider.
         starts: when each recording starts [s]; without, each follows the one before it at once.
         second_order: whether to estimate the second-order scale factor S2·f² of accelerometers (in (2.23)
             the square is missing), too.
@@ -94,12 +95,15 @@ def calibrate(
     for sensor in SENSORS:
         own = tuple(axis for axis in axes if axis.sensor == sensor)
         if own:
-            setting = Setting(own, places, world, second_order and sensor == "accel", orientation_error)
+            square = second_order and sensor == "accel"
+            unknown = model is None and fit is None
+            setting = Setting(own, places, world, square, orientation_error, unknown)
             columns = [axis.name for axis in own]
             means = np.stack([r.select(*columns).values.mean(axis=0) for r in recordings])
             noise = Covariances.of(places, [parts[name] for name in columns])
             found, misfit[sensor] = errors_of(setting, means, noise)
             results += found
+            notes += _scatter(setting, misfit[sensor])
     notes += _remarks(results, turned, world)
     g, g_std, _ = world
     return Calibration(tuple(results), places, misfit, g, g_std, latitude, source, tuple(notes))
@@ -230,8 +234,8 @@ def _noise(
         source = f"fitted to the longest position, {longest.name or 'unnamed'}, {duration(longest.duration)}"
         if len(recordings) > 1:
             notes.append(
-                "drift that is slower than the noise model's record is not in it: give the fit of a long "
-                "recording (fit=, --fit) for the intervals to hold then"
+                "drift that is slower than the noise model's record is told from the scatter of the means "
+                "alone: give the fit of a long recording (fit=, --fit) for narrower intervals"
             )
     notes += [f"{a.name}: {fit[a.name].verdict()}" for a in axes if not fit[a.name].measured]
     return {a.name: parts_of_fit(fit, a.name) for a in axes}, source
@@ -246,6 +250,17 @@ def _model_of(model: ModelLike | Mapping[str, ModelLike], axis: Axis) -> ModelLi
             f"no noise model for {axis.name}: add it to model= by {axis.name!r} or {axis.sensor!r}"
         )
     return found
+
+
+def _scatter(setting: Setting, misfit: Misfit) -> list[str]:
+    """Note that the means scatter more than a noise model says that may lack drift, if they do."""
+    wider, _ = by_scatter(misfit.chi2, misfit.dof)
+    if not (setting.lacks_drift and wider > 1.0):
+        return []
+    return [
+        f"{setting.sensor}: the means scatter {significant(wider)} times as much as this noise model says: "
+        "the intervals are as much wider, and follow Student's law"
+    ]
 
 
 def _remarks(

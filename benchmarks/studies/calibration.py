@@ -101,8 +101,8 @@ def calibrations(kind: str, units: Sequence[Unit]) -> tuple[np.ndarray, np.ndarr
     ratios, errors, p = [], [], []
     axes = tuple(Axis(f"accel_{a}", "accel", "m/s²") for a in "xyz")
     places = [Position(name, as_orientation(name), k * (T + PAUSE), T) for k, name in enumerate(UPS)]
-    setting = Setting(axes, tuple(places), World(G, 0.0, None))
-    for records in ([u.long for u in units], [u.first for u in units]):
+    for lacks_drift, records in enumerate(([u.long for u in units], [u.first for u in units])):
+        setting = Setting(axes, tuple(places), World(G, 0.0, None), lacks_drift=bool(lacks_drift))
         fits = aj.fit_many(aj.allan_deviation(np.concatenate(records, axis=1), RATE), TERMS[kind])
         for k, unit in enumerate(units):
             models = [model_of(fits.coefficients, v) for v in fits.value[3 * k : 3 * k + 3]]
@@ -113,7 +113,8 @@ def calibrations(kind: str, units: Sequence[Unit]) -> tuple[np.ndarray, np.ndarr
                 for label, c in result.coefficients.items():
                     place = {"bias": 0, "scale_factor": 1 + i}.get(label)
                     place = 1 + "xyz".index(label[-1]) if place is None else place
-                    value[i, place], std[i, place] = c.value, c.std
+                    # So that 1.96 is the limit for all.
+                    value[i, place], std[i, place] = c.value, np.diff(c.interval)[0] / 2.0 / 1.96
             errors.append(value - unit.truth)
             ratios.append(errors[-1] / std)
             p.append(misfit.p_value)
@@ -125,7 +126,7 @@ def calibrations(kind: str, units: Sequence[Unit]) -> tuple[np.ndarray, np.ndarr
             plain, left = np.linalg.lstsq(X, y, rcond=None)[:2]
             std = N / np.sqrt(T) * size * np.ones((3, 1))
             if limit == "residuals":
-                # Two degrees of freedom; so that 1.96 is the limit for all.
+                # Two degrees of freedom.
                 std = np.sqrt(left / 2.0)[:, None] * size * student.ppf(0.975, 2) / 1.96
             errors.append(plain.T - unit.truth)
             ratios.append(errors[-1] / std)

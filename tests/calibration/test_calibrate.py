@@ -168,6 +168,26 @@ def test_intervals_hold_the_truth(case):
     assert np.mean(np.square(ours)) < np.mean(np.square(ordinary))
 
 
+def test_drift_that_the_model_lacks_widens_the_intervals():
+    """300 calibrations with a drift of the means, 5 times as large as the white noise that the model has.
+
+    It is drawn independently for each mean, as residuals take it to be. The share scatters by 0.007.
+    """
+    drift = 5.0 * N / np.sqrt(T)
+    rng, setting = np.random.default_rng(15), Setting(ACCELEROMETERS, places(SIX), WORLD, lacks_drift=True)
+    noise = covariances(setting.positions, aj.Model((aj.AngleRandomWalk(N),)))
+    hits: dict[bool, list[bool]] = {True: [], False: []}
+    for _ in range(300):
+        means = ERRORS.readings(UPS * G) + drift * rng.standard_normal((6, 3))
+        for widened, sums in hits.items():
+            found, _ = errors_of(setting._replace(lacks_drift=widened), means, noise)
+            for i, result in enumerate(found):
+                lower, upper = result["scale_factor"].interval
+                sums.append(lower <= ERRORS.SN[i, i] <= upper)
+    assert 0.92 <= np.mean(hits[True]) <= 0.98
+    assert np.mean(hits[False]) < 0.5
+
+
 # ------------------------------------------------------------------------------- what positions determine
 def test_positions_that_do_not_span_are_refused(six):
     with pytest.raises(aj.RecordingError, match=r"do not span: from x up, y up .* as well"):
