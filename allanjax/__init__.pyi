@@ -86,7 +86,15 @@ from allanjax.report.files import write_coefficients_csv as write_coefficients_c
 from allanjax.report.files import write_curve_csv as write_curve_csv
 from allanjax.report.files import write_json as write_json
 from allanjax.report.spectrum_figure import plot_psd as plot_psd
+from allanjax.spectrum.autocorrelation import Autocorrelation as Autocorrelation
+from allanjax.spectrum.autocorrelation import autocorrelation as autocorrelation
 from allanjax.spectrum.psd import PowerSpectrum as PowerSpectrum
 from allanjax.spectrum.psd import power_spectrum as power_spectrum
+from allanjax.wavelets.decomposition import WaveletDecomposition as WaveletDecomposition
+from allanjax.wavelets.decomposition import wavelet_decomposition as wavelet_decomposition
+from allanjax.wavelets.denoising import Denoised as Denoised
+from allanjax.wavelets.denoising import denoise as denoise
+from allanjax.wavelets.variance import WaveletVariance as WaveletVariance
+from allanjax.wavelets.variance import wavelet_variance as wavelet_variance
 
 __version__: str

@@ -239,11 +239,15 @@ class AllanCovariance(eqx.Module):
 
         return jax.vmap(of_pair, in_axes=1, out_axes=1)(jnp.asarray(self.lags), offsets)
 
+    def mean(self, term: Process) -> Float[Array, " m"]:
+        """Allan variance of a term [rate²]; zero where there is no estimate."""
+        return self.known(term.allan_variance(self.cluster_time), 0.0)
+
     def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
         """Symmetric matrix with these values for the pairs; zero where there is no estimate."""
         return jnp.asarray(values).at[jnp.asarray(self.place)].get(mode="fill", fill_value=0.0)
 
-    def of_terms(self, terms: Sequence[NoiseTerm]) -> Float[Array, "m m"]:
+    def of_terms(self, terms: Sequence[Process]) -> Float[Array, "m m"]:
         """Covariance [rate⁴] of the estimates for a sum of terms, as sampled."""
         kernels = [(term.deterministic, self.kernel(term)) for term in terms]
         nothing = jnp.zeros(self.lags.shape)

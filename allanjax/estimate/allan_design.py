@@ -15,7 +15,7 @@ from allanjax.allan.covariance import AllanCovariance
 from allanjax.base.linalg import CholeskyWhitened, whiten
 from allanjax.estimate.design import Design, FreeShape, free_shapes, with_shapes
 from allanjax.noise.model import Model
-from allanjax.noise.process import Process
+from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import NoiseTerm, basic_terms
 
 # Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
@@ -37,7 +37,7 @@ class _Constants(NamedTuple):
 
 
 class AllanDesign(Design):
-    """Model of the Allan variances at the cluster sizes of `geometry`.
+    """Model of Allan variances at the cluster sizes of `geometry`, or of wavelet variances at its levels.
 
     Lengths, rates, cluster sizes, and which of the basic terms the model has, are data. Other terms are part
     of the structure, not their values: a program is compiled once for each set of these.
@@ -71,8 +71,16 @@ class AllanDesign(Design):
         `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays
         have a `capacity` of so many cluster sizes and terms at least: compiled functions serve others, too.
         """
+        oscillates = any(term.oscillates for term in model.terms)
+        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
+        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, capacity=capacity[0], **order)
+        return cls.of_geometry(model, rate, geometry, capacity[1])
+
+    @classmethod
+    def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
+        """Design of a noise model for the estimates of a quadrature, with room for so many terms at least."""
         others: list[NoiseTerm] = []
-        columns = np.full(max(capacity[1], len(model)), -1)
+        columns = np.full(max(slots, len(model)), -1)
         for k, term in enumerate(model.sampled(rate).terms):
             row = [type(basic) for basic in _BASIC].index(type(term)) if _is_basic(term) else -1
             if row < 0 or row in columns:
@@ -84,8 +92,6 @@ class AllanDesign(Design):
             for p in free_shapes(model)
         )
         oscillates = any(term.oscillates for term in model.terms)
-        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
-        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, capacity=capacity[0], **order)
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
         # What pads is beyond all rows.
         columns = np.where(columns < 0, len(_BASIC) + len(others), columns)
@@ -127,7 +133,7 @@ class AllanDesign(Design):
         if not self.shapes:
             return means
         for k, term in self._moving(shape).items():
-            means = means.at[k].set(_mean(term, self.geometry))
+            means = means.at[k].set(self.geometry.mean(term))
         return _chosen(means, self.columns)
 
     def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
@@ -218,7 +224,7 @@ def _constants(
 
     products, kernels = geometry.over_pairs(of_part)
     nothing = jnp.zeros(geometry.cluster_time.shape)
-    means = jnp.stack([nothing if k in moving else _mean(t, geometry) for k, t in enumerate(terms)])
+    means = jnp.stack([nothing if k in moving else geometry.mean(t) for k, t in enumerate(terms)])
     if moving:
         return _Constants(means, kernels, products)
     return _Constants(_chosen(means, columns), None, _bilinear(terms, geometry, products, columns))
@@ -228,16 +234,9 @@ def moments_behind(
     model: Model, geometry: AllanCovariance
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Expectation and variance of Allan variances under a sampled model with values, response included."""
-    # Numbers are data: other values and rates need no compilation.
-    seen = jax.tree.map(lambda x: np.asarray(x) if _is_data(x) else x, model.seen)
-    mean, variance = jax.device_get(_moments_behind(seen, geometry))
+    mean, variance = jax.device_get(_moments_behind(numbers_as_data(model.seen), geometry))
     rows = int(geometry.count)
     return mean[:rows], variance[:rows]
-
-
-def _is_data(x: Any) -> bool:
-    """Whether a number of a process is no limit, such as an infinite cutoff, that decides on its formula."""
-    return isinstance(x, float) and abs(x) < np.inf
 
 
 @eqx.filter_jit
@@ -249,13 +248,8 @@ def _moments_behind(
         return _products(kernels, kernels, part)
 
     products = _bilinear(seen, geometry, geometry.over_pairs(of_part), np.arange(len(seen)))
-    mean = sum(_mean(process, geometry) for process in seen)
+    mean = sum(geometry.mean(process) for process in seen)
     return jnp.asarray(mean), jnp.diag(geometry.symmetric(jnp.sum(products, axis=(0, 1))))
-
-
-def _mean(term: Process, geometry: AllanCovariance) -> Float[Array, " m"]:
-    """Allan variance of a term; zero where there is no estimate."""
-    return geometry.known(term.allan_variance(geometry.cluster_time), 0.0)
 
 
 def _products(
@@ -294,7 +288,7 @@ def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Arra
     much once more (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
     """
     i, j = geometry.pairs
-    mean = term.allan_variance(geometry.cluster_time)
+    mean = geometry.mean(term)
     common = term.power_scatter(geometry.duration)
     clusters = geometry.cluster_time[i] / geometry.duration
     return mean[i] * mean[j] * (common + jnp.where(i == j, common + 1.5 * clusters, 0.0))

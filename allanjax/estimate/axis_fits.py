@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import upper_tail
+from allanjax.base.errors import FitError
 from allanjax.estimate.allan_design import AllanDesign, moments_behind
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
 from allanjax.estimate.design import free_powers, free_shapes, of_owners
@@ -27,6 +28,8 @@ from allanjax.estimate.whittle import WhittleFit, fit_axis
 from allanjax.noise.model import Model
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
+from allanjax.wavelets.filters import WaveletFilter
+from allanjax.wavelets.variance import geometry_of, mean_squares
 
 # Cluster sizes and terms that a fit's arrays have room for: with four an octave, sizes of 6·10⁷ samples.
 _CAPACITY = (96, 6)
@@ -49,6 +52,51 @@ def fit_allan(
         values: the record, without which lines and resonances cannot be found.
     """
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
+    results, scatter = _fit_estimates(
+        design, curve.variance, (curve.n, curve.rate), axes, template, active, values
+    )
+    means = [_moments_of(design, template, result)[0] for result in results]
+    return results, _with_model_edf(curve, results, means, scatter)
+
+
+def fit_wavelet(
+    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"], wavelet: str
+) -> tuple[AxisFit, ...]:
+    """Fit every axis of a recording by generalized least squares of its wavelet variances.
+
+    Raises:
+        FitError: a term that these variances do not see, or too few levels.
+    """
+    found = WaveletFilter.of(wavelet)
+    for term in template.terms:
+        if term.deterministic or term.narrow_band:
+            raise FitError(
+                f"the variances of {wavelet} do not determine {term.name()}: leave it out of the model, or "
+                'give wavelet="haar"'
+            )
+    levels = np.arange(1, found.most_levels(recording.n) + 1)
+    check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
+    of_record = recording.n, recording.rate
+    geometry = geometry_of(found, levels, *of_record)
+    design = AllanDesign.of_geometry(template, recording.rate, geometry, _CAPACITY[1])
+    variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
+    return _fit_estimates(design, variance, of_record, recording.axes, template, active, None)[0]
+
+
+def _fit_estimates(
+    design: AllanDesign,
+    variances: Float[np.ndarray, "m axes"],
+    of_record: tuple[int, float],
+    axes: Sequence[Axis],
+    template: Model,
+    active: Bool[np.ndarray, "axes terms"],
+    values: Float[np.ndarray, "n axes"] | None,
+) -> tuple[tuple[AxisFit, ...], list[Float[np.ndarray, " m"]]]:
+    """Fits of every axis to its estimates, and the variances of these under the fits; see `fit_allan`.
+
+    `of_record`: number of samples and their rate [Hz].
+    """
+    n, rate = of_record
     records = [None] * len(axes) if values is None else values.T
     # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
@@ -56,11 +104,11 @@ def fit_allan(
     results, scatter = [], []
     for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
         here = active[[k]]
-        variance = curve.variance[:, [k]].T
-        starts = find_starts(template, design, variance, here, [x], curve.n, curve.rate)
+        variance = variances[:, [k]].T
+        starts = find_starts(template, design, variance, here, [x], n, rate)
         lines = {}
         if wanted and x is not None:
-            found = take_out_lines(x - x.mean(), curve.rate, wanted)[1]
+            found = take_out_lines(x - x.mean(), rate, wanted)[1]
             lines = dict(zip(indices, found, strict=True))
         for i, line in lines.items():
             if template.terms[i].has_free_amplitude:
@@ -68,18 +116,17 @@ def fit_allan(
             of_line = [p.term == i for p in free_shapes(template)]
             starts.shape[:, :, of_line] = np.log(line.frequency)
         solution, inference, (misfit,) = solve_and_infer(design, variance, free, here, starts)
-        (coefficients,) = coefficients_of(template, [axis], here, solution, inference, curve.n, curve.rate)
+        (coefficients,) = coefficients_of(template, [axis], here, solution, inference, n, rate)
         for i, line in lines.items():
             square = (line.amplitude / line.amplitude_std) ** 2
-            of_square = (square, line.amplitude_std, 2, line, curve.n)
+            of_square = (square, line.amplitude_std, 2, line, n)
             coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_square))
-        dof = len(curve.cluster_size) - estimated(template, active[k])
+        dof = len(variances) - estimated(template, active[k])
         solution = jax.tree.map(lambda x: x[0], solution)
         result = _axis_fit(axis, template, active[k], coefficients, solution, dof)
         results.append(with_misfit(result, misfit))
         scatter.append(np.asarray(inference.estimate_variance)[0])
-    means = [_moments_of(design, template, result)[0] for result in results]
-    return tuple(results), _with_model_edf(curve, results, means, scatter)
+    return tuple(results), scatter
 
 
 def solve_and_infer(
@@ -160,6 +207,16 @@ def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> So
         return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
 
     return jax.tree.map(of, new, old)
+
+
+def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
+    """Raise FitError if there are no more estimates, called so, of n samples than free parameters."""
+    free_count = sum(p.free for p in template.parameters)
+    if count <= free_count:
+        raise FitError(
+            f"{name or 'the recording'}: {n} samples give {count} {estimates}, too few for {free_count} "
+            "parameters; record longer or use fewer terms"
+        )
 
 
 def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:

@@ -1,4 +1,4 @@
-"""Fits of a noise model to a recording, by its Allan variances or by Whittle's likelihood."""
+"""Fits of a noise model to a recording, by its Allan or wavelet variances or by Whittle's likelihood."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.estimate.axis_fits import fit_allan, fit_whittle, with_curve
+from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, fit_whittle, with_curve
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.extension.search import Extension, extended
 from allanjax.estimate.ranking import select_terms
@@ -31,7 +31,7 @@ from allanjax.record.recording import Axis, DeadAxis, Recording
 # Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
 _PER_OCTAVE = 4
 
-Objective = Literal["allan", "whittle"]
+Objective = Literal["allan", "whittle", "wavelet"]
 
 
 def fit(
@@ -39,6 +39,7 @@ def fit(
     model: ModelLike | None = None,
     objective: Objective = "allan",
     *,
+    wavelet: str = "haar",
     regressors: Sequence[str] = (),
     as_is: bool = False,
     vibrating: bool = False,
@@ -59,6 +60,8 @@ def fit(
     `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all that
     the record knows of its spectrum: more efficient where terms are alike in the Allan curve, and for
     lines by far. Ramps, lines and regressors are profiled out exactly.
+    `objective="wavelet"`: the wavelet variances (see `wavelet_variance`) of all levels are fitted as the
+    Allan variances are. With "haar" these are half the Allan variances at octaves.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
@@ -69,7 +72,9 @@ def fit(
             ones and a Markov process; for the basic terms not chosen there is an upper limit. Where no set
             of terms follows the data, the spectrum is searched for a filter, resonances, lines and further
             Markov processes, and what is found is fitted jointly (`AxisFit.own_template`, `plain`).
-        objective: "allan" or "whittle".
+        objective: "allan", "whittle" or "wavelet".
+        wavelet: an orthogonal wavelet by its name in PyWavelets, for "wavelet"; all but "haar" leave ramps
+            and lines undetermined.
         regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
             with "whittle" only.
         as_is: whether to use all of the recording whatever it looks like; the warnings stay.
@@ -89,7 +94,7 @@ def fit(
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
     seen = inspected(recording, model, regressors, as_is, vibrating)
-    return fit_inspected(recording, seen, model, objective, regressors, plain)
+    return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet)
 
 
 def fit_inspected(
@@ -99,15 +104,16 @@ def fit_inspected(
     objective: Objective,
     regressors: Sequence[str] = (),
     plain: bool = False,
+    wavelet: str = "haar",
 ) -> Fit:
     """Fit of a recording whose inspection is known already; see `fit`."""
     if objective not in get_args(Objective):
-        raise AllanjaxError(f'the objective must be "allan" or "whittle", not {objective!r}')
+        raise AllanjaxError(f'the objective must be "allan", "whittle" or "wavelet", not {objective!r}')
     # What is wrong with them is said before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:
         quiet = seen.quiet(recording)
-        found = _fitted(quiet, model, objective, regressors, plain)
+        found = _fitted(quiet, model, objective, regressors, plain, wavelet)
         if quiet.missing is not None:
             found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)
@@ -137,16 +143,24 @@ def _fitted(
     objective: Objective,
     regressors: Sequence[str],
     plain: bool,
+    wavelet: str,
 ) -> Fit:
     """Fit of all samples of a recording."""
     given = _regressors(recording, regressors, objective)
     release_programs(0.75)
     selection = select_terms(recording) if model is None else None
     template, active = terms_to_fit(model, selection, recording.axes, objective)
-    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+    octaves = objective == "wavelet" and wavelet == "haar"
+    curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)
     check_length(curve, template, recording.name)
-    if objective == "allan":
+    if objective == "allan" or octaves:
+        # Wavelet variances of Haar are half the Allan variances at octaves.
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
+    elif objective == "wavelet":
+        unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
+        template, active = template.without(unused), active[:, active.any(axis=0)]
+        results = fit_wavelet(recording, template, active, wavelet)
+        results, curve = with_curve(curve, template, results)
     else:
         axes = range(len(recording.axes))
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
@@ -254,13 +268,7 @@ def terms_to_fit(
 
 def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
     """Raise FitError if there are no more Allan variances than parameters."""
-    free_count = sum(p.free for p in template.parameters)
-    if len(curve.cluster_size) <= free_count:
-        raise FitError(
-            f"{name or 'the recording'}: {curve.n} samples give "
-            f"{len(curve.cluster_size)} Allan variances, too few for {free_count} parameters; "
-            "record longer or use fewer terms"
-        )
+    check_count(len(curve.cluster_size), "Allan variances", curve.n, template, name)
 
 
 def _check_distinct(template: Model) -> None:
@@ -280,7 +288,7 @@ def _with_known_transients(template: Model, objective: Objective) -> Model:
     for k, term in enumerate(template.terms):
         if not isinstance(term, Transient):
             continue
-        if objective == "allan":
+        if objective != "whittle":
             raise FitError(f'{term.name()} has no Allan variance of its own: give objective="whittle"')
         shapes = [p.name for p in term.parameters()[1:]]
         for shape in shapes:

@@ -125,3 +125,11 @@ class Process(eqx.Module):
         if xp is np and T.size and not isinstance(at(T.flat[0]), jax.Array):
             return xp.array([at(t) for t in T.flat]).reshape(T.shape)
         return jax.vmap(at)(T.ravel()).reshape(T.shape)
+
+
+def numbers_as_data(processes: tuple[Process, ...]) -> tuple[Process, ...]:
+    """Processes whose numbers are arrays, so that other values need no compilation of a jitted function.
+
+    Limits, such as an infinite cutoff, decide on a formula and stay.
+    """
+    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) and abs(x) < np.inf else x, processes)

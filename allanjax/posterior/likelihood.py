@@ -70,7 +70,8 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     """Likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else that of its Allan variances.
 
     Raises:
-        FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum.
+        FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum, or
+            was fitted to wavelet variances.
     """
     result = fit[axis]
     parameters = tuple(p for p in fit.template.parameters if p.free)
@@ -82,6 +83,10 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
         raise FitError(
             f"{axis}: the spectrum that was fitted is not in the file that the fit was loaded from; "
             "fit the recording again to sample"
+        )
+    if fit.objective == "wavelet":
+        raise FitError(
+            f'{axis}: a fit of wavelet variances has no likelihood to sample; fit with objective="whittle"'
         )
     # The Allan variances do not determine the frequency of a line.
     lines = [k for k, term in enumerate(fit.template.terms) if term.deterministic]

@@ -8,6 +8,7 @@ from allanjax.base.presented import present
 present(
     {
         "AllanDeviation.plot": "allanjax.report.allan_figure.plot_allan",
+        "Autocorrelation.plot": "allanjax.report.autocorrelation_figure.plot_autocorrelation",
         "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
         "Calibration.plot": "allanjax.report.calibration_figure.plot_calibration",
         "Critique.__str__": "allanjax.report.critique_story.critique_text",
@@ -26,5 +27,7 @@ present(
         "StateSpace.to_c_header": "allanjax.report.state_space_files.to_c_header",
         "StateSpace.to_matlab": "allanjax.report.state_space_files.to_matlab",
         "StateSpace.to_numpy": "allanjax.report.state_space_files.to_numpy",
+        "WaveletDecomposition.plot": "allanjax.report.wavelet_figure.plot_decomposition",
+        "WaveletVariance.plot": "allanjax.report.wavelet_figure.plot_wavelet_variance",
     }
 )

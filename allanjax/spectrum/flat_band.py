@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike, Float, Int
 from allanjax.base.chi_squared import quantile, upper_tail
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.estimate import Estimate
-from allanjax.noise.terms import AngleRandomWalk
+from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis
 
 # A flat part spans this factor in frequency, has so many points, and a slope known to be less than this.
@@ -36,15 +36,25 @@ def coloured_density(
 ) -> Float[np.ndarray, " m"]:
     """Contribution of flicker, random walk and quantization to the density [its unit] at each frequency [Hz].
 
-    That is c₁/f + c₂/f² + c₃ sin²(πf/rate) of their sum with a constant, fitted with coefficients that are
-    not negative, weighted with the degrees of freedom at the sum itself, robust to lines.
+    That is c₁/f + c₂/f² + c₃ sin²(πf/rate) of their sum with a constant, see `component_densities`.
     """
-    from scipy.optimize import nnls
-
     shapes = np.stack(
         [np.ones_like(frequency), 1.0 / frequency, frequency**-2.0, np.sin(np.pi * frequency / rate) ** 2],
         axis=1,
     )
+    return component_densities(density, dof, shapes)[:, 1:].sum(axis=1)
+
+
+def component_densities(
+    density: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"], shapes: Float[np.ndarray, "m k"]
+) -> Float[np.ndarray, "m k"]:
+    """Densities [that of the first argument] of which a rough sum of these shapes is made.
+
+    It is fitted with coefficients that are not negative, weighted with the degrees of freedom at the sum
+    itself, robust to lines.
+    """
+    from scipy.optimize import nnls
+
     precision = np.sqrt(dof / 2.0)
     model, outlying = density, np.zeros_like(density)
     for _ in range(_REWEIGHTINGS):
@@ -54,7 +64,7 @@ def coloured_density(
         coefficients = nnls(scaled / size, density * weight)[0] / size
         model = shapes @ coefficients
         outlying = abs(density / model - 1.0) * precision
-    return shapes[:, 1:] @ coefficients[1:]
+    return shapes * coefficients
 
 
 def flattest(
@@ -109,24 +119,25 @@ def flattest(
     return int(first[best]), int(last[best])
 
 
-def spectral_random_walk(
-    density: float, coloured: float, dof: float, axis: Axis, band: tuple[float, float]
+def spectral_coefficient(
+    term: type[NoiseTerm], square: float, others: float, dof: float, axis: Axis, band: tuple[float, float]
 ) -> Estimate:
-    """N = √(density / 2), Hou (2004) eq. (3.41), from a mean density [SI] and its coloured part.
+    """Coefficient of a noise term from the mean of a density over that of the term with coefficient 1.
 
-    Other noise can only add to the density: `excess` is what it seems to add to N, which is part of `std` and
-    of the intervals but not of `value`, and is taken as known to within half of itself.
+    Of white noise the density over 2: N = √(density / 2), Hou (2004) eq. (3.41).
 
     Args:
-        density, coloured: mean density in the band, and what is not white of it.
+        term: the term's class.
+        square: that mean, the coefficient's square [SI].
+        others: what other noise contributes to it.
         dof: degrees of freedom of that mean.
         axis: whose it is.
         band: lowest and highest frequency [Hz] averaged.
     """
     from scipy.special import ndtri
 
-    value = float(np.sqrt(density / 2.0))
-    excess = value * (1.0 - float(np.sqrt(max(1.0 - coloured / density, 0.0))))
+    value = float(np.sqrt(square))
+    excess = value * (1.0 - float(np.sqrt(max(1.0 - others / square, 0.0))))
 
     def interval(level: float) -> tuple[float, float]:
         lower, upper = (value * float(np.sqrt(factor)) for factor in chi_squared_factors(dof, level))
@@ -135,9 +146,9 @@ def spectral_random_walk(
 
     return Estimate(
         source="spectrum",
-        label=AngleRandomWalk.name(),
-        term=AngleRandomWalk.name(),
-        parameter=AngleRandomWalk.amplitude_parameter(),
+        label=term.name(),
+        term=term.name(),
+        parameter=term.amplitude_parameter(),
         axis=axis,
         value=value,
         std=float(np.hypot(value / np.sqrt(2.0 * dof), excess)),

@@ -18,6 +18,8 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
 from allanjax.noise.estimate import Estimate
+from allanjax.noise.readings import AxisReadings, Readings
+from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.axes import names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
@@ -27,8 +29,10 @@ from allanjax.spectrum.flat_band import (
     chi_squared_factors,
     coloured_density,
     flattest,
-    spectral_random_walk,
+    spectral_coefficient,
 )
+from allanjax.spectrum.slopes import SLOPES, slope_stretch
+from allanjax.spectrum.windows import ordinate_correlation, window_weights, without_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,10 +47,10 @@ _SINGLE = 32
 _PER_OCTAVE = 16
 # By default a record is as long as so many of Welch's segments; no segment has fewer samples.
 _SEGMENTS = 8
-# Distance from which on ordinates are taken as uncorrelated under any window.
-_CORRELATED = 32
-# Correlations of ordinates depend on the window's shape alone: a short one shows them.
-_SHORT_WINDOW = 4096
+_NO_UNIT = (
+    "{} the samples' unit, which an array does not have: make a recording of it, "
+    "Recording.from_array(values, rate, gyro_unit=…)"
+)
 
 
 # --- Averaging over frequency -------------------------------------------------------------------------------
@@ -183,7 +187,7 @@ class PowerSpectrum(ByValue):
 
         In (3.41) N is in deg/√h and the density in (deg/h)²/Hz; here both are SI, see `in_unit`. Intervals
         are those of the mean's χ² law, and reach below it by what flicker, rate random walk and quantization
-        seem to contribute to the band (see `flat_band.spectral_random_walk`).
+        seem to contribute to the band (see `flat_band.spectral_coefficient`).
 
         Args:
             axis: the axis's name.
@@ -194,10 +198,7 @@ class PowerSpectrum(ByValue):
         """
         k = self._index(axis)
         if self.axes is None:
-            raise AllanjaxError(
-                "N needs the samples' unit, which an array does not have: make a recording of it, "
-                "Recording.from_array(values, rate, gyro_unit=…)"
-            )
+            raise AllanjaxError(_NO_UNIT.format("N needs"))
         low, high = self.flat_band(axis) if band is None else band
         inside = (low <= self.frequency) & (self.frequency <= high)
         if not inside.any():
@@ -209,7 +210,46 @@ class PowerSpectrum(ByValue):
         density = count @ self.density[inside, k] / count.sum()
         coloured = count @ self._coloured(k)[inside] / count.sum()
         dof = float(self.degrees_of_freedom(count.sum()))
-        return spectral_random_walk(float(density), float(coloured), dof, self.axes[k], (low, high))
+        halves = float(density) / 2.0, float(coloured) / 2.0
+        return spectral_coefficient(AngleRandomWalk, *halves, dof, self.axes[k], (low, high))
+
+    def readings(self) -> Readings:
+        """Coefficients of quantization, N, B, K and R of every axis read off the slopes of the density.
+
+        A term is read off a contiguous stretch of an octave or more of the spectrum averaged after table 3.4,
+        if the density over that of the term alone is flat there by the rule of `flat_band` (its log-log slope
+        is within ±0.5 of the term's by two standard errors, it is not bent and has no line), and if of a
+        rough sum of all five terms more than half is the term's. The lowest two ordinates are left out. Of
+        such stretches the one whose mean has the least expected square error is taken; N is that of
+        `random_walk`. Where there is none, the estimate is None and the reason says so. R stands for a
+        flicker rate ramp (4.58): a straight drift ramp is taken out before and has no density.
+
+        Raises:
+            AllanjaxError: samples without unit.
+        """
+        if self.axes is None:
+            raise AllanjaxError(_NO_UNIT.format("coefficients need"))
+        title = "slopes of the power spectral density, each over an octave or more"
+        return Readings(title, tuple(self._readings(k, axis) for k, axis in enumerate(self.axes)))
+
+    def _readings(self, k: int, axis: Axis) -> AxisReadings:
+        s = self.averaged()
+        share = s.degrees_of_freedom(s.count.sum()) * s.count / s.count.sum()
+        edges = (np.append(0, np.cumsum(s.count)) + 0.5) * s.frequency[0]
+        estimates: dict[str, Estimate | None] = {}
+        for term in SLOPES:
+            found = slope_stretch(s.frequency, s.density[:, k], s.count, s.dof, share, s.rate, term)
+            if found is None or term is AngleRandomWalk:
+                estimates[term.name()] = None if found is None else s.random_walk(axis.name)
+                continue
+            stretch, square, others = found
+            band = float(edges[stretch.start]), float(edges[stretch.stop])
+            dof = float(s.degrees_of_freedom(s.count[stretch].sum()))
+            estimates[term.name()] = spectral_coefficient(term, square, others, dof, axis, band)
+        reasons = {
+            t.name(): f"no octave of slope {slope:+d} that is mostly its own" for t, slope in SLOPES.items()
+        }
+        return AxisReadings(axis, estimates, {k: v for k, v in reasons.items() if estimates[k] is None})
 
     def _coloured(self, k: int) -> Float[np.ndarray, " m"]:
         """Density of an axis that is not white noise, at this spectrum's frequencies."""
@@ -316,7 +356,7 @@ def power_spectrum(
     elif segment_time is not None:
         raise AllanjaxError("segment_time is for method='welch': the logarithmic average has one segment")
     overlap = length // 2
-    weights = _window(window, length)
+    weights = window_weights(window, length)
 
     def periodogram(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " frequencies"]:
         if method == "welch":
@@ -324,7 +364,7 @@ def power_spectrum(
 
             return welch(x, rate, window=weights, noverlap=overlap)[1]
         # The periodogram of scipy.signal takes seven times as long.
-        return 2.0 * abs(rfft(_without_line(x) * weights)) ** 2 / (rate * (weights @ weights))
+        return 2.0 * abs(rfft(without_line(x) * weights)) ** 2 / (rate * (weights @ weights))
 
     # Axis by axis: transforms of all axes of a long record would fill the memory.
     count = (length + 1) // 2 - 1
@@ -339,7 +379,7 @@ def power_spectrum(
         method="welch",
         window=window,
         segments=segments,
-        correlation=_correlation(window, length, segments),
+        correlation=ordinate_correlation(window, length, segments),
         axes=axes,
     )
     if method == "logarithmic":
@@ -357,40 +397,3 @@ def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
             f"{_SEGMENTS} samples, at least and {n / rate:g} s, the record, at most"
         )
     return round(segment_time * rate)
-
-
-def _window(name: str, length: int) -> Float[np.ndarray, " length"]:
-    """Weights of a window by its name in `scipy.signal`; AllanjaxError if there is none."""
-    if name == "hann":
-        # The one that is usual, as `scipy.signal` has it, which takes half a second to load.
-        return np.sin(np.pi * np.arange(length) / length) ** 2
-    from scipy.signal import get_window
-
-    try:
-        return get_window(name, length)
-    except (ValueError, TypeError) as error:
-        raise AllanjaxError(
-            f"unknown window {name!r}: expected one that scipy.signal.get_window knows by name, e.g. 'hann'"
-        ) from error
-
-
-def _without_line(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-    """Samples minus their least-squares straight line, in far less time than `scipy.signal.detrend`."""
-    t = np.arange(len(x)) - (len(x) - 1) / 2.0
-    x = x - x.mean()
-    return x - (t @ x) / (t @ t) * t
-
-
-def _correlation(window: str, length: int, segments: int) -> Float[np.ndarray, " lags"]:
-    """Squared correlation of ordinates d = 0, 1, 2, … apart, summed over the segments.
-
-    c(d) = Σ_m (1 − |m|/segments) |Σ_t w(t) w(t + m·step) e^{2πi·d·t/length}|² / (Σ w²)² with a step of half
-    the length. Welch (1967) has d = 0. Only neighbouring segments overlap, m = ±1.
-    """
-    short = min(length, _SHORT_WINDOW) // 2 * 2
-    w = _window(window, short)
-    half = short // 2
-    squares = abs(np.fft.rfft(w**2)) ** 2
-    if segments > 1:
-        squares = squares + 2.0 * (1.0 - 1.0 / segments) * abs(np.fft.rfft(w[:half] * w[half:], short)) ** 2
-    return squares[:_CORRELATED] / (w @ w) ** 2

@@ -48,22 +48,24 @@ def recording_of(x: np.ndarray) -> aj.Recording:
 
 
 def fit_all(
-    recording: aj.Recording, model: aj.Model | None = None, objective: str = "allan"
+    recording: aj.Recording, model: aj.Model | None = None, objective: str = "allan", **options: str
 ) -> tuple[list[aj.AxisFit | None], TermSelection | None]:
     """The fit of every axis, None where there is no result or an exception; and the ranking of terms."""
     try:
-        fit = aj.fit(recording, model, objective, as_is=True, vibrating=True)
+        fit = aj.fit(recording, model, objective, as_is=True, vibrating=True, **options)
     except Exception:
         # One axis may have spoilt it for all.
         singles = [recording_of(x[:, None]) for x in recording.values.T]
-        axes = [_fit_one(single, model, objective) for single in singles]
+        axes = [_fit_one(single, model, objective, **options) for single in singles]
         return axes, None if model else select_terms(recording)
     return [axis if axis.converged else None for axis in fit.results], fit.selection
 
 
-def _fit_one(recording: aj.Recording, model: aj.Model | None, objective: str) -> aj.AxisFit | None:
+def _fit_one(
+    recording: aj.Recording, model: aj.Model | None, objective: str, **options: str
+) -> aj.AxisFit | None:
     try:
-        (axis,) = aj.fit(recording, model, objective, as_is=True, vibrating=True).results
+        (axis,) = aj.fit(recording, model, objective, as_is=True, vibrating=True, **options).results
     except Exception:
         return None
     return axis if axis.converged else None

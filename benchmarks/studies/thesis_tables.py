@@ -3,8 +3,8 @@
     python benchmarks/studies/thesis_tables.py [--hours 2] [--seed 1] [--results PATH]
 
 Each record is analysed twice: by `allanjax.fit`, which is not told which terms are there, and as the thesis
-did it, by lines of fixed slope in the log-log plot of the Allan deviation, with the error of its (4.66). The
-truth is the thesis's own value.
+did it, by lines of fixed slope in the log-log plot of the Allan deviation, with the error of its (4.66); and
+by the slopes of the power spectral density, as its table 3.5. The truth is the thesis's own value.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from allanjax.noise.terms import (
     RateRandomWalk,
 )
 from allanjax.record.units import unit_scale
+from allanjax.spectrum.psd import power_spectrum
 
 # Slope of each term in the plot, and the cluster time [s] at which its line has the coefficient's value.
 SLOPES: dict[type[NoiseTerm], tuple[float, float]] = {
@@ -45,6 +46,8 @@ SLOPES: dict[type[NoiseTerm], tuple[float, float]] = {
     RateRandomWalk: (0.5, 3.0),
     DriftRamp: (1.0, math.sqrt(2.0)),
 }
+# Table 3.5: angle random walk read off the density, deg/√h.
+TABLE_3_5 = {("cimu", "gyro_x"): 0.0015, ("motionpak2", "gyro_x"): 0.5}
 # A point belongs to a term's region if the curve's slope there is this close to the term's.
 SLOPE_TOLERANCE = 0.15
 # The thesis reads up to clusters whose error by (4.66) is a third.
@@ -69,6 +72,11 @@ class Row:
     truth: Tabulated
     found: Estimate | None
     reading: Reading
+    slope: Estimate | None
+
+    @property
+    def slope_covers(self) -> bool:
+        return self.slope is not None and self.slope.interval[0] <= self.truth.value <= self.slope.interval[1]
 
     @property
     def fit_covers(self) -> bool:
@@ -117,6 +125,7 @@ def analyse(hours: float, seed: int) -> Iterator[tuple[list[Row], str]]:
             result = fit(recording)
             fitted = time.perf_counter() - start
             curve = allan_deviation(recording)
+            slopes = power_spectrum(recording).readings()
             rows = []
             for column, axis in enumerate(recording.axes):
                 for term, truth in preset[axis.name].coefficients.items():
@@ -126,7 +135,9 @@ def analyse(hours: float, seed: int) -> Iterator[tuple[list[Row], str]]:
                     )
                     reading = read_slope(curve, column, term)
                     in_unit = Reading(reading.value / scale, reading.error / scale)
-                    rows.append(Row(preset.name, axis.name, label, truth, found, in_unit))
+                    slope = slopes[axis.name][label]
+                    slope = None if slope is None else slope.in_unit(truth.unit)
+                    rows.append(Row(preset.name, axis.name, label, truth, found, in_unit, slope))
             extra = [
                 f"{c.axis.name} {c.label}"
                 for c in (c for axis in result.results if axis.converged for c in axis.coefficients.values())
@@ -177,6 +188,29 @@ def comparison(rows: list[Row]) -> str:
     return table([*head, "slope reading ± (4.66)", "covers"], lines)
 
 
+def density_table(rows: list[Row]) -> str:
+    """What the slopes of the power spectral density give, in Markdown, beside table 3.5."""
+    head = ["unit", "axis", "coefficient", "truth", "table 3.5", "slope of the PSD ± 1σ", "95 % interval"]
+    lines = []
+    for row in rows:
+        printed = TABLE_3_5.get((row.sensor, row.axis)) if row.label == "angle_random_walk" else None
+        cells = ["none", "", ""]
+        if row.slope is not None:
+            value = format_with_error(row.slope.value, row.slope.std)
+            interval = " … ".join(f"{end:.5g}" for end in row.slope.interval)
+            cells = [value, interval, "yes" if row.slope_covers else "**no**"]
+        truth = f"{row.truth.value:g} {row.truth.unit}"
+        name = row.label.replace("_", " ")
+        lines.append([row.sensor, row.axis, name, truth, "" if printed is None else f"{printed:g}", *cells])
+    read = [row for row in rows if row.slope is not None]
+    errors = [abs(row.slope.value / row.truth.value - 1.0) for row in read if row.slope is not None]
+    return (
+        f"{table([*head, 'covers'], lines)}\n\n- {len(read)} of {len(rows)} coefficients were read; of these "
+        f"the 95 % interval holds the truth for {sum(row.slope_covers for row in read)}. The median error is "
+        f"{100 * np.median(errors):.3g} %, the largest {100 * np.max(errors):.3g} %."
+    )
+
+
 def summary(rows: list[Row]) -> str:
     """Counts of covered coefficients, and the typical errors."""
     count = len(rows)
@@ -210,7 +244,9 @@ def main() -> None:
     text = (
         f"# The thesis's tables, recovered\n\n{options.hours:g} h simulated for each unit, "
         f"seed {options.seed}; the fit chooses among the five basic terms itself.\n\n"
-        f"{comparison(rows)}\n\n{summary(rows)}\n\n{chr(10).join(timings)}\n\n## Machine\n\n{describe()}\n"
+        f"{comparison(rows)}\n\n{summary(rows)}\n\n## Slopes of the power spectral density (table 3.5)\n\n"
+        "Read by `power_spectrum(recording).readings()`, each over an octave or more of its slope.\n\n"
+        f"{density_table(rows)}\n\n## Time\n\n{chr(10).join(timings)}\n\n## Machine\n\n{describe()}\n"
     )
     publish(text, options.results)
 

@@ -1,0 +1,280 @@
+"""Autocorrelation of a static recording, and the Gauss–Markov process read off it: Hou (2004) section 3.4.1.
+
+The estimate at lag τ = k/rate is R̂(τ) = Σ_t x_t x_{t+k}/(n − k), x being the samples without their mean:
+(3.29), unbiased but for the mean, which lowers it by that mean's variance. Its scatter under a stationary
+Gaussian model with autocovariance R follows from Bartlett (1946),
+
+    Var R̂(k) ≈ Σ_m [(1 − |m|/(n − k)) R(m)² + R(m + k) R(m − k)]/(n − k),
+
+of which (3.32), (4/T) ∫₀^∞ R² dt, is the bound for any lag. R is minus the second difference of the phase
+covariance G over the squared sample interval. Terms that are not stationary have no R: with them there is no
+standard error.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.presented import presented
+from allanjax.base.wording import duration
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
+from allanjax.noise.modelled import Modelling, models_of
+from allanjax.noise.readings import AxisReadings, Readings
+from allanjax.record.axes import names_of
+from allanjax.record.io.given import RecordingLike, samples_of
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.validation import Source, check_values
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# By default lags go to this part of the record.
+_LONGEST = 0.1
+# Autocovariance at the end of the record, relative to that at lag zero, from which on it has no end in it.
+_ENDED = 0.05
+# Half widths of 95 % and 68 % intervals in standard deviations.
+_WIDTHS = (1.959964, 0.994458)
+
+
+@dataclass(frozen=True, eq=False)
+class Autocorrelation(ByValue):
+    """Estimated autocorrelation of each axis, mean subtracted, against the lag.
+
+    Attributes:
+        lag: [m] lags [s], from 0 on.
+        value: [m, axes] autocorrelation [(rad/s)² or (m/s²)², or the array's unit squared].
+        standard_error: [m, axes] standard errors under the models, nan where there is none; they are of the
+            scatter from record to record of neighbouring lags that go up and down together.
+        remarks: of each axis what its standard errors stand for, or why there are none.
+        n: rate samples per axis.
+        rate: sample rate [Hz].
+        axes: the recording's axes, or None for an array.
+    """
+
+    lag: Float[np.ndarray, " m"]
+    value: Float[np.ndarray, "m axes"]
+    standard_error: Float[np.ndarray, "m axes"]
+    remarks: tuple[str, ...]
+    n: int
+    rate: float
+    axes: tuple[Axis, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes; "0", "1", … for an array."""
+        return names_of(self.axes, self.value.shape[1])
+
+    def markov(self) -> Readings:
+        """Variance σ² and correlation time 1/β of a Gauss–Markov process (3.30), as the thesis reads them.
+
+        σ² is the value at lag zero and 1/β the lag at which it has fallen to σ²/e (3.31). Both have the
+        relative standard error √(2/(βT)) of (3.34), T being the record's length: a bound for the
+        autocorrelation of the process itself. It knows nothing of other noise, which is to be taken out
+        before (`wavelet_decomposition`), nor of the bias that subtracting the mean and reading off one lag
+        have; see `benchmarks/results/autocorrelation.md`. There is no reading where the autocorrelation does
+        not fall to σ²/e.
+
+        Raises:
+            AllanjaxError: samples without unit.
+        """
+        if self.axes is None:
+            raise AllanjaxError(
+                "σ² needs the samples' unit, which an array does not have: give gyro_unit= or accel_unit="
+            )
+        title = "Gauss–Markov process read off the autocorrelation, with the accuracy of (3.34)"
+        return Readings(title, tuple(self._markov(k, axis) for k, axis in enumerate(self.axes)))
+
+    def _markov(self, k: int, axis: Axis) -> AxisReadings:
+        R = self.value[:, k]
+        below = np.flatnonzero(np.e * R < R[0])
+        labels = ("markov variance", "markov correlation time")
+        if not below.size:
+            reason = f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}"
+            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
+        i = below[0]
+        time = float(np.interp(-R[0] / np.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
+        accuracy = markov_accuracy(time, self.n / self.rate)
+        remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
+        found: dict[str, Estimate | None] = {}
+        units = (square_unit(axis)[0], "s")
+        for label, value, unit in zip(labels, (float(R[0]), time), units, strict=True):
+            std = accuracy * value
+            wide, narrow = ((max(value - z * std, 0.0), value + z * std) for z in _WIDTHS)
+            found[label] = Estimate(
+                axis=axis,
+                label=label,
+                value=value,
+                std=std,
+                interval=wide,
+                interval_68=narrow,
+                usual_unit=unit,
+                source="spectrum",
+                remark=remark,
+            )
+        return AxisReadings(axis, found)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Table with one row a lag: each axis's autocorrelation and its standard error.
+
+        Headings state the units, (deg/h)² or µg²; those of an array without units are in its own.
+        """
+        import pandas as pd
+
+        columns = {"lag [s]": self.lag}
+        for k, name in enumerate(self.names):
+            unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
+            unit = f" [{unit}]" if unit else ""
+            columns[f"{name}{unit}"] = self.value[:, k] / scale
+            columns[f"{name} standard error{unit}"] = self.standard_error[:, k] / scale
+        return pd.DataFrame(columns)
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Figure:
+        """Draw the autocorrelation with its 95 % band; see `plot_autocorrelation`."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        lines = [repr(self)]
+        for k, (name, remark) in enumerate(zip(self.names, self.remarks, strict=True)):
+            unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
+            lines.append(f"{name}: {self.value[0, k] / scale:.4g} {unit} at lag 0; {remark}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.names) if self.axes else f"{self.value.shape[1]} axes"
+        return (
+            f"Autocorrelation({names}; {self.n} samples at {self.rate:.6g} Hz; "
+            f"lags up to {duration(self.lag[-1])})"
+        )
+
+
+def markov_accuracy(correlation_time: float, length: float) -> float:
+    """Accuracy √(2/(βT)) of the autocorrelation of a Gauss–Markov process, Hou (2004) eq. (3.34).
+
+    Args:
+        correlation_time: 1/β [s].
+        length: of the record, T [s].
+    """
+    return float(np.sqrt(2.0 * correlation_time / length))
+
+
+def square_unit(axis: Axis) -> tuple[str, float]:
+    """Display unit of the square of an axis's rate, and its factor to SI."""
+    unit = default_coefficient_unit(axis.sensor, 0.0)
+    name = f"({unit})²" if "/" in unit else f"{unit}²"
+    return name, unit_scale(unit, axis.sensor) ** 2
+
+
+def autocorrelation(
+    data: RecordingLike,
+    rate: float | None = None,
+    *,
+    model: Modelling | None = None,
+    longest_lag: float | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> Autocorrelation:
+    """Autocorrelation of every axis, Hou (2004) eq. (3.29), with its standard error under a model.
+
+    Args:
+        data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
+        rate: sample rate [Hz], for an array only: a recording has its own.
+        model: the noise model of these samples with its values, or a fit of them, for the standard errors.
+            It must be stationary: bias instability, random walks of the rate, ramps and other terms without
+            an autocovariance leave their axis without standard errors, and `remarks` says so.
+        longest_lag: longest lag [s]; by default a tenth of the record.
+        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
+            autocorrelation is in the array's own squared, whatever that is.
+
+    Raises:
+        AllanjaxError: no rate or not a positive one, samples that are not finite or constant, a longest lag
+            beyond the record; a fit without a result for an axis, a model without a value.
+    """
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    labels = names_of(axes, values.shape[1])
+    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
+    n = len(values)
+    longest = _LONGEST * n / rate if longest_lag is None else longest_lag
+    lags = int(np.floor(longest * rate * (1.0 + 1e-9))) + 1
+    if not 2 <= lags <= n - 1:
+        raise AllanjaxError(
+            f"a longest_lag of {longest:g} s does not fit a record of {n / rate:g} s at {rate:g} Hz"
+        )
+    pairs = n - np.arange(lags)
+    value = np.stack([_sums(x - x.mean(), lags) / pairs for x in values.T], axis=1)
+    models = [None] * len(labels) if model is None else models_of(model, labels)
+    errors, remarks = zip(*(_standard_error(m, n, rate, lags) for m in models), strict=True)
+    return Autocorrelation(np.arange(lags) / rate, value, np.stack(errors, axis=1), remarks, n, rate, axes)
+
+
+def _sums(x: Float[np.ndarray, " n"], lags: int) -> Float[np.ndarray, " lags"]:
+    """Sums of products of values 0, 1, 2 … apart, by the fast Fourier transform."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(len(x) + lags, real=True)
+    return irfft(abs(rfft(x, size)) ** 2, size)[:lags]
+
+
+def _standard_error(
+    model: Model | None, n: int, rate: float, lags: int
+) -> tuple[Float[np.ndarray, " lags"], str]:
+    """Standard error at each lag under a model, and a remark on it; nan if there is none."""
+    nothing = np.full(lags, np.nan)
+    if model is None:
+        return nothing, "no standard error without a model"
+    R, unstable = autocovariance(model, n, rate)
+    if unstable:
+        return (
+            nothing,
+            f"no standard error: the correlation of {' and of '.join(unstable)} outlasts the record",
+        )
+    # Both sums are over positive and negative m.
+    m, pairs = np.arange(n), n - np.arange(lags)
+    squares = R**2
+    both = np.where(m > 0, 2.0, 1.0)
+    sums, moments = np.cumsum(both * squares), np.cumsum(both * m * squares)
+    tapered = sums[pairs - 1] - moments[pairs - 1] / pairs
+    # Σ_m R(m + k) R(m − k) is the convolution of R with itself at lag 2k.
+    full = np.concatenate([R[:0:-1], R])
+    again = _sums(full, min(2 * lags - 1, len(full)))[::2]
+    variance = (tapered + np.pad(again, (0, lags - len(again)))) / pairs
+    return np.sqrt(np.maximum(variance, 0.0)), "standard errors by Bartlett's formula under the model"
+
+
+def autocovariance(model: Model, n: int, rate: float) -> tuple[Float[np.ndarray, " n"], tuple[str, ...]]:
+    """Autocovariance of n samples under the stationary terms of a model, and the names of the others.
+
+    It is −δ²G/h², h being the sample interval. G is known up to a multiple of t², so that R is known up to a
+    constant: that is taken from the end of the record, where a stationary term has R = 0. A term whose R has
+    not come to rest there is counted among the others.
+    """
+    seen = model.sampled(rate)
+    total, others = np.zeros(n), []
+    for term, label in zip(seen.seen, seen.term_labels, strict=True):
+        lag: Any = np.arange(2 * n + 1) / rate
+        G = np.asarray(term.phase_covariance(lag))
+        H = -(rate**2) * (np.append(G[1], G[:-2]) - 2.0 * G[:-1] + G[1:])
+        R = H[:n] - H[-1]
+        if term.deterministic or not abs(R[n // 2 :]).max() <= _ENDED * abs(R[0]):
+            others.append(label.replace("_", " "))
+        total += R
+    return total, tuple(others)

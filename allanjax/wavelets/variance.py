@@ -1,0 +1,264 @@
+"""Wavelet variance of a static recording: its power in octaves of frequency, free of the record's ends.
+
+At level j it is the mean square of the coefficients of the maximal overlap transform (MODWT), with unit
+scaling gain, of which those that depend on samples beyond the record are left out (Percival & Walden 2000,
+section 8.3: the unbiased estimate). Level j covers the octave from rate/2^(j+1) to rate/2^j nominally, and
+has the scale 2^(j−1) samples. With the Haar wavelet it is half the overlapping Allan variance at clusters as
+long as the scale, to rounding.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from allanjax.allan.covariance import AllanCovariance
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.presented import presented
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.process import Process, numbers_as_data
+from allanjax.noise.terms import AngleRandomWalk
+from allanjax.record.axes import names_of
+from allanjax.record.io.given import RecordingLike, samples_of
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.validation import Source, check_values
+from allanjax.spectrum.autocorrelation import square_unit
+from allanjax.spectrum.flat_band import chi_squared_factors
+from allanjax.wavelets.covariance import WaveletCovariance
+from allanjax.wavelets.filters import WaveletFilter
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Levels for which compiled functions have room: those of 10⁷ samples.
+_CAPACITY = 24
+
+
+@dataclass(frozen=True, eq=False)
+class WaveletVariance(ByValue):
+    """Estimated wavelet variance of each axis by level.
+
+    Attributes:
+        level: [m] levels, from 1 on.
+        variance: [m, axes] wavelet variances [rate²: (rad/s)² or (m/s²)², or the array's unit squared].
+        count: [m] coefficients averaged.
+        edf: [m, axes] equivalent degrees of freedom, 2·E[V]²/Var[V]; under white noise unless a model was
+            given.
+        n: rate samples per axis.
+        rate: sample rate [Hz].
+        wavelet: its name in PyWavelets.
+        axes: the recording's axes, or None for an array.
+    """
+
+    level: Int[np.ndarray, " m"]
+    variance: Float[np.ndarray, "m axes"]
+    count: Int[np.ndarray, " m"]
+    edf: Float[np.ndarray, "m axes"]
+    n: int
+    rate: float
+    wavelet: str = "haar"
+    axes: tuple[Axis, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes; "0", "1", … for an array."""
+        return names_of(self.axes, self.variance.shape[1])
+
+    @property
+    def scale(self) -> Float[np.ndarray, " m"]:
+        """Scales 2^(level − 1)/rate [s], which are the cluster times of the Allan variance."""
+        return 2.0 ** (self.level - 1) / self.rate
+
+    @property
+    def band(self) -> Float[np.ndarray, "m 2"]:
+        """Nominal lowest and highest frequency of each level [Hz]."""
+        return bands(self.level, self.rate)
+
+    @property
+    def standard_error(self) -> Float[np.ndarray, "m axes"]:
+        """Standard error of the variance: variance · √(2/edf)."""
+        return self.variance * np.sqrt(2.0 / self.edf)
+
+    def confidence_interval(
+        self, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, "m axes"], Float[np.ndarray, "m axes"]]:
+        """Lower and upper end of the central interval of the variance, by the χ² law.
+
+        Raises:
+            AllanjaxError: `level` not between 0 and 1.
+        """
+        lower, upper = chi_squared_factors(self.edf, level)
+        return self.variance * lower, self.variance * upper
+
+    def expectation(self, model: ModelLike) -> Float[np.ndarray, " m"]:
+        """Expected wavelet variances [rate²] under a noise model with values."""
+        return self._moments(model)[0]
+
+    def covariance(self, model: ModelLike) -> Float[np.ndarray, "m m"]:
+        """Covariance of the estimates of one axis [rate⁴] under a noise model with values.
+
+        Raises:
+            AllanjaxError: a parameter without a value; a line or a narrow resonance, whose wavelet variances
+                have no such covariance.
+        """
+        return self._moments(model)[1]
+
+    def _moments(self, model: ModelLike) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"]]:
+        return moments(as_model(model), WaveletFilter.of(self.wavelet), self.level, self.n, self.rate)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Table with one row a level: band, and each axis's variance, 68 % interval and degrees of freedom.
+
+        Headings state the units, (deg/h)² or µg²; variances of an array without units are in its own.
+        """
+        import pandas as pd
+
+        columns = {"level": self.level, "scale [s]": self.scale}
+        columns |= {f"{end} [Hz]": x for end, x in zip(("from", "to"), self.band.T, strict=True)}
+        lower, upper = self.confidence_interval(0.68)
+        for k, name in enumerate(self.names):
+            unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
+            for label, x in (("", self.variance), (" lower_68", lower), (" upper_68", upper)):
+                columns[f"{name}{label}" + (f" [{unit}]" if unit else "")] = x[:, k] / scale
+            columns[f"{name} degrees of freedom"] = self.edf[:, k]
+        return pd.DataFrame(columns)
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Figure:
+        """Draw the variances with their 68 % intervals against the scale; see `plot_wavelet_variance`."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.names) if self.axes else f"{self.variance.shape[1]} axes"
+        first, last = self.scale[[0, -1]]
+        return (
+            f"WaveletVariance({self.wavelet}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
+            f"{len(self.level)} levels of scales from {first:.4g} s to {last:.4g} s)"
+        )
+
+
+def bands(level: Int[np.ndarray, " m"], rate: float) -> Float[np.ndarray, "m 2"]:
+    """Nominal lowest and highest frequency of the details at each level [Hz]."""
+    return rate / 2.0 ** np.stack([level + 1.0, level], axis=1)
+
+
+def wavelet_variance(
+    data: RecordingLike,
+    rate: float | None = None,
+    *,
+    wavelet: str = "haar",
+    levels: int | None = None,
+    model: ModelLike | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
+    names: Sequence[str] | None = None,
+) -> WaveletVariance:
+    """Wavelet variance of every axis by the unbiased estimate of the maximal overlap transform.
+
+    Args:
+        data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
+        rate: sample rate [Hz], for an array only: a recording has its own.
+        wavelet: an orthogonal wavelet by its name in PyWavelets, such as "db2" or "sym4". Longer filters
+            leave less of neighbouring octaves in a level, and have fewer levels. All but "haar" do not see a
+            drift ramp.
+        levels: number of levels; by default all of which the record determines a coefficient.
+        model: a noise model with values, under which the degrees of freedom are; white noise if there is
+            none.
+        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
+            variances are in the array's own, whatever that is.
+
+    Raises:
+        AllanjaxError: no rate or not a positive one, samples that are not finite or constant, too few for
+            the levels, an unknown wavelet; PyWavelets is not installed ("haar" needs it not).
+    """
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    labels = names_of(axes, values.shape[1])
+    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
+    found, n = WaveletFilter.of(wavelet), len(values)
+    most = found.most_levels(n)
+    if levels is not None and not 1 <= levels <= most:
+        raise AllanjaxError(f"{n} samples have 1 to {most} levels of {wavelet}, not {levels}")
+    level = np.arange(1, (levels or most) + 1)
+    variance = np.stack([mean_squares(x, found, level[-1]) for x in values.T], axis=1)
+    noise = Model((AngleRandomWalk(1.0),)) if model is None else as_model(model)
+    expected, covariance = moments(noise, found, level, n, rate)
+    edf = 2.0 * expected**2 / np.diag(covariance)
+    return WaveletVariance(
+        level=level,
+        variance=variance,
+        count=n - np.array([found.length(int(j)) for j in level]) + 1,
+        edf=np.broadcast_to(edf[:, None], variance.shape),
+        n=n,
+        rate=rate,
+        wavelet=wavelet,
+        axes=axes,
+    )
+
+
+def mean_squares(
+    x: Float[np.ndarray, " n"], wavelet: WaveletFilter, levels: int
+) -> Float[np.ndarray, " levels"]:
+    """Mean squares of the coefficients of each level that no end of the record has touched."""
+    smooth, found = x - x.mean(), []
+    for k in range(levels):
+        found.append(np.mean(_filtered(smooth, wavelet.high, 2**k) ** 2))
+        smooth = _filtered(smooth, wavelet.low, 2**k)
+    return np.array(found)
+
+
+def _filtered(
+    x: Float[np.ndarray, " n"], coefficients: tuple[float, ...], step: int
+) -> Float[np.ndarray, " valid"]:
+    """Samples after a filter with `step` samples from one coefficient to the next, within them."""
+    valid = len(x) - step * (len(coefficients) - 1)
+    found = np.zeros(valid)
+    for k, c in enumerate(reversed(coefficients)):
+        found += c * x[k * step : k * step + valid]
+    return found
+
+
+def geometry_of(
+    wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], n: int, rate: float
+) -> AllanCovariance:
+    """Quadrature for the covariance of estimates at these levels, of the Haar wavelet for twice of them."""
+    if wavelet.name == "haar":
+        return AllanCovariance.of(n, rate, 2 ** (levels - 1), capacity=_CAPACITY)
+    return WaveletCovariance.of_levels(n, rate, wavelet, levels, _CAPACITY)
+
+
+def moments(
+    model: Model, wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], n: int, rate: float
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"]]:
+    """Expectation and covariance of wavelet variances under a noise model with values."""
+    model.check_complete()
+    for term in model.terms:
+        if term.narrow_band or (term.deterministic and term.oscillates):
+            raise AllanjaxError(f"{term.name()} has no covariance of wavelet variances: leave it out")
+    geometry = geometry_of(wavelet, levels, n, rate)
+    mean, covariance = _moments(numbers_as_data(model.sampled(rate).seen), geometry)
+    m, scale = len(levels), 0.5 if wavelet.name == "haar" else 1.0
+    return scale * np.asarray(mean)[:m], scale**2 * np.asarray(covariance)[:m, :m]
+
+
+@eqx.filter_jit
+def _moments(
+    terms: tuple[Process, ...], geometry: AllanCovariance
+) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
+    mean: Array = sum(geometry.mean(term) for term in terms)  # type: ignore[assignment]
+    return mean, geometry.of_terms(terms)
