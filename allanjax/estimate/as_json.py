@@ -220,7 +220,6 @@ def _averaged(averaged: Averaged | None) -> dict[str, Any] | None:
 
 
 def _coefficient(c: Estimate) -> dict[str, Any]:
-    shown, si = c.in_unit(), c.in_unit(c.si_unit)
     return {
         "label": c.label,
         "term": c.term,
@@ -230,10 +229,14 @@ def _coefficient(c: Estimate) -> dict[str, Any]:
         "rivals": list(c.rivals),
         "held": c.held,
         "measured": c.measured,
-        "unit": shown.unit,
-        **_numbers(shown),
-        "si": {"unit": si.unit, **_numbers(si)},
+        **in_both_units(c),
     }
+
+
+def in_both_units(c: Estimate) -> dict[str, Any]:
+    """Value, scatter and intervals of an estimate in the unit in which it is shown, and in SI."""
+    shown, si = c.in_unit(), c.in_unit(c.si_unit)
+    return {"unit": shown.unit, **_numbers(shown), "si": {"unit": si.unit, **_numbers(si)}}
 
 
 def _numbers(c: Estimate) -> dict[str, Any]:
