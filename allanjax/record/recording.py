@@ -153,6 +153,13 @@ class Recording(ByValue):
         return tuple(axis.name for axis in self.axes)
 
     @property
+    def recorded(self) -> tuple[Float[np.ndarray, " recorded"], ...]:
+        """Samples of each axis without those that were missing and have been drawn."""
+        if self.missing is None:
+            return tuple(self.values.T)
+        return tuple(x[~lost] for x, lost in zip(self.values.T, self.missing.T, strict=True))
+
+    @property
     def own_scales(self) -> Float[np.ndarray, " axes"]:
         """Factor of each axis from its own unit to the SI rate."""
         return scales_of(self.axes, self.rate)
