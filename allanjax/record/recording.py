@@ -19,6 +19,7 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
+from allanjax.record.gaps import longest_stretch, stretch_told
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
@@ -71,7 +72,7 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
         auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
         name: str = "",
-        gaps: Literal["error", "fill"] = "error",
+        gaps: Literal["error", "segments", "fill"] = "error",
     ) -> "Recording":
         """Make a recording from an array, one column per axis.
 
@@ -87,7 +88,8 @@ class Recording(ByValue):
                 that sensor; `notes` say so.
             auxiliary: other columns of the same length, e.g. a temperature.
             name: a name for display.
-            gaps: what to do about samples that are nan, as in `read`.
+            gaps: what to do about samples that are nan: "error", the default, says where the first is;
+                "segments" takes the longest stretch without any; "fill" draws them given the others.
 
         Raises:
             RecordingError: wrong shape, names or rate, fewer than 16 samples, values that are not
@@ -130,6 +132,14 @@ class Recording(ByValue):
                     f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
                     f"({len(table)},)"
                 )
+        if gaps not in ("error", "segments", "fill"):
+            raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")
+        if gaps == "segments":
+            rows, count = longest_stretch(table, np.zeros(len(table), bool))
+            if count > 1:
+                notes += (stretch_told(rows, len(table), count),)
+            table, source = table[rows], source.after(rows.start)
+            extra = {key: column[rows] for key, column in extra.items()}
         return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
 
     @property

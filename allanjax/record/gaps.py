@@ -5,8 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from allanjax.record.io.timestamps import after_gaps
-
 
 def without_repeats(
     values: Float[np.ndarray, "samples axes"], times: Float[np.ndarray, " samples"]
@@ -17,17 +15,19 @@ def without_repeats(
 
 
 def longest_stretch(
-    values: Float[np.ndarray, "samples axes"], times: Float[np.ndarray, " samples"] | None
+    values: Float[np.ndarray, "samples axes"], after_gap: Bool[np.ndarray, " samples"]
 ) -> tuple[slice, int]:
     """Rows of the longest stretch in which no sample is missing, and how many stretches there are.
 
-    An axis that has no value at all is not counted.
+    An axis that has no value at all is not counted. `after_gap` are samples before which others are missing.
+
+    Others are left out: a difference of clusters of length T needs a stretch of 2T, so that slow terms are
+    those of the longest one in any case, and between stretches they are not independent, as a sum of
+    likelihoods would take them to be. All samples are used where the missing ones are drawn.
     """
     lost = np.isnan(values)
     whole = ~lost[:, ~lost.all(axis=0)].any(axis=1)
-    begins = whole & ~np.concatenate([[False], whole[:-1]])
-    if times is not None:
-        begins |= whole & after_gaps(times)
+    begins = whole & (after_gap | ~np.concatenate([[False], whole[:-1]]))
     first = np.flatnonzero(begins)
     if not first.size:
         return slice(0, 0), 0
@@ -36,6 +36,14 @@ def longest_stretch(
     lengths = np.add.reduceat(whole.astype(int), first)
     k = int(np.argmax(lengths))
     return slice(int(first[k]), int(min(first[k] + lengths[k], ends[k]))), len(first)
+
+
+def stretch_told(rows: slice, n: int, count: int) -> str:
+    """Which samples were taken, in a note."""
+    return (
+        f"samples {rows.start} to {rows.stop - 1} of {n} taken, the longest of {count} stretches without "
+        "gaps; gaps='fill' (--gaps fill) uses all"
+    )
 
 
 def on_grid(
