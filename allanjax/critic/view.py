@@ -55,8 +55,7 @@ class View:
         found: causes found so far.
         structure: filter and resonances that were found, with the noise that they were fitted with.
         nuisances: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
-        drawn: samples that were missing, and have been drawn given the others when the record was read: they
-            are `imputed` from the first, nothing is looked for in them, and standard deviations are wider.
+        drawn: samples that were missing and drawn given the others: `imputed` from the first.
     """
 
     axis: Axis
@@ -78,9 +77,8 @@ class View:
         """Those of the record's samples that were not missing."""
         return samples if self.drawn is None else samples[~self.drawn]
 
-    @functools.cached_property
-    def _widening(self) -> float:
-        """Factor on standard deviations for the samples that were missing."""
+    @property
+    def _wide(self) -> float:
         return 1.0 if self.drawn is None else float(widening(self.drawn[:, None])[0])
 
     @property
@@ -297,13 +295,13 @@ class View:
 
     def estimate(self, label: str, value: float, std: float, unit: str, limit: Limit = "") -> Estimate:
         """Parameter of a finding in this axis, see `parameter_estimate`."""
-        return parameter_estimate(self.axis, label, value, std * self._widening, unit, limit)
+        return parameter_estimate(self.axis, label, value, std * self._wide, unit, limit)
 
     def log_estimate(self, label: str, log: float, std: float, limit: Limit, unit: str) -> Estimate:
         """Parameter that is known by its logarithm and the standard deviation of that."""
         value = float(np.exp(log))
-        wide = value * std * self._widening
-        return parameter_estimate(self.axis, label, value, wide, unit, limit, log_normal=True)
+        std *= value * self._wide
+        return parameter_estimate(self.axis, label, value, std, unit, limit, log_normal=True)
 
     def time_estimate(self, label: str, sample: float, std: float) -> Estimate:
         """Time of a sample; within its deviation of an end of the record, a limit."""
@@ -369,11 +367,7 @@ class Candidate:
 
 
 class Cause(ABC):
-    """An effect that a sensor's model may lack.
-
-    A subclass has a `name`, and a method `detect` that returns the best candidate in a view, or None where
-    there is nothing worth testing.
-    """
+    """An effect that a sensor's model may lack; a subclass has a `name`, and the method `detect`."""
 
     name: str
     #: Whether it is seen in the samples themselves and must be undone before anything else is looked for.

@@ -66,45 +66,15 @@ class Likelihood(eqx.Module):
         """Log-likelihood [nats] up to a constant; NaN or −inf where the noise has no power."""
 
 
-class WiderLikelihood(Likelihood):
-    """Likelihood of a complete record for one of which samples were missing: wider by a factor."""
-
-    complete: Likelihood
-    factor: Float[np.ndarray, ""]
-
-    @classmethod
-    def of(cls, complete: Likelihood, factor: float) -> WiderLikelihood:
-        """Likelihood whose standard deviations, that of the powers among them, are wider by this factor."""
-        return cls(
-            complete.parameters,
-            complete.start,
-            complete.scatter * factor,
-            complete.lower,
-            complete.upper,
-            complete.prior_scale * np.sqrt(factor),
-            complete.found,
-            complete,
-            np.array(factor),
-        )
-
-    def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
-        return self.complete(values) / self.factor**2
-
-
 def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     """Likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else that of its Allan variances.
 
-    Where samples were missing it is wider, as the fit's intervals are.
+    It is that of a complete record: see `wider` for one of which samples were missing.
 
     Raises:
         FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum.
     """
-    complete = _of_complete(fit, fit[axis], axis)
-    return complete if fit[axis].widening == 1.0 else WiderLikelihood.of(complete, fit[axis].widening)
-
-
-def _of_complete(fit: Fit, result: AxisFit, axis: str) -> Likelihood:
-    """Likelihood as if no sample had been missing."""
+    result = fit[axis]
     parameters = tuple(p for p in fit.template.parameters if p.free)
     if not result.converged:
         raise FitError(f"{axis}: no result to sample around, {result.reason}")

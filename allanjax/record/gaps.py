@@ -1,9 +1,11 @@
 """Stretches without gaps, and samples on the even grid of times that gaps leave places in."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from allanjax.record.validation import Source
 
 
 def without_repeats(
@@ -59,3 +61,15 @@ def on_grid(
     full[places] = values
     grid = np.arange(n)
     return full, {name: np.interp(grid, places, column) for name, column in auxiliary.items()}
+
+
+def runs_of(missing: Bool[np.ndarray, "samples axes"], labels: Sequence[str]) -> dict[str, list[int]]:
+    """First sample and the one after the last of every gap, in turn, by the axes' labels."""
+    edges = (np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist() for lost in missing.T)
+    return dict(zip(labels, edges, strict=True))
+
+
+def check_choice(gaps: str, source: Source) -> None:
+    """Raise RecordingError if `gaps` is no choice of what to do about missing samples."""
+    if gaps not in ("error", "segments", "fill"):
+        raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")

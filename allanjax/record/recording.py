@@ -19,7 +19,7 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import longest_stretch, stretch_told
+from allanjax.record.gaps import check_choice, longest_stretch, runs_of, stretch_told
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
@@ -88,8 +88,7 @@ class Recording(ByValue):
                 that sensor; `notes` say so.
             auxiliary: other columns of the same length, e.g. a temperature.
             name: a name for display.
-            gaps: what to do about samples that are nan: "error", the default, says where the first is;
-                "segments" takes the longest stretch without any; "fill" draws them given the others.
+            gaps: what to do about samples that are nan, as in `read`.
 
         Raises:
             RecordingError: wrong shape, names or rate, fewer than 16 samples, values that are not
@@ -132,8 +131,7 @@ class Recording(ByValue):
                     f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
                     f"({len(table)},)"
                 )
-        if gaps not in ("error", "segments", "fill"):
-            raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")
+        check_choice(gaps, source)
         if gaps == "segments":
             rows, count = longest_stretch(table, np.zeros(len(table), bool))
             if count > 1:
@@ -165,9 +163,8 @@ class Recording(ByValue):
     @property
     def recorded(self) -> tuple[Float[np.ndarray, " recorded"], ...]:
         """Samples of each axis without those that were missing and have been drawn."""
-        if self.missing is None:
-            return tuple(self.values.T)
-        return tuple(x[~lost] for x, lost in zip(self.values.T, self.missing.T, strict=True))
+        missing = np.zeros_like(self.values, bool) if self.missing is None else self.missing
+        return tuple(x[~lost] for x, lost in zip(self.values.T, missing.T, strict=True))
 
     @property
     def own_scales(self) -> Float[np.ndarray, " axes"]:
@@ -224,7 +221,7 @@ class Recording(ByValue):
             "axes": {label: [x.name, x.sensor, x.unit] for label, x in zip(labels, self.axes, strict=True)},
             "si": si,
             "auxiliary": list(self.auxiliary),
-            "missing": {} if self.missing is None else _runs(self.missing, labels),
+            "missing": {} if self.missing is None else runs_of(self.missing, labels),
             "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
         }
         return frame
@@ -331,12 +328,6 @@ class Recording(ByValue):
         )
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
         return f"{table}<ul>{notes}</ul>" if notes else table
-
-
-def _runs(missing: Bool[np.ndarray, "samples axes"], labels: Sequence[str]) -> dict[str, list[int]]:
-    """First sample and the one after the last of every gap, in turn, by the axes' labels."""
-    edges = (np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist() for lost in missing.T)
-    return dict(zip(labels, edges, strict=True))
 
 
 def build(
