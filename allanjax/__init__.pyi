@@ -21,9 +21,9 @@ from allanjax.estimate.bulk import fit_many as fit_many
 from allanjax.estimate.check import Check as Check
 from allanjax.estimate.check import check as check
 from allanjax.estimate.fit import fit as fit
-from allanjax.estimate.horizon import AxisHorizon as AxisHorizon
-from allanjax.estimate.horizon import Horizon as Horizon
 from allanjax.estimate.horizon import horizon as horizon
+from allanjax.estimate.horizon_result import AxisHorizon as AxisHorizon
+from allanjax.estimate.horizon_result import Horizon as Horizon
 from allanjax.estimate.loading import load as load
 from allanjax.estimate.ranking import select_terms as select_terms
 from allanjax.estimate.result import AxisFit as AxisFit

@@ -7,7 +7,7 @@ difference (Allan), the third (Hadamard), or the second averaged over one cluste
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -22,6 +22,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
 from allanjax.record.axes import names_of
+from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -208,6 +209,9 @@ def allan_deviation(
             deviations are in the array's own, whatever that is.
 
     The degrees of freedom are those under white noise, which dominates most curves at short cluster times.
+    Of a recording in which missing samples were drawn (`gaps="fill"`) all clusters are used, and the degrees
+    of freedom are fewer: ν/(1/(1 − f) + f) for a share f. Clusters of what is there alone have more scatter,
+    and behind a filter another expectation (`benchmarks/results/gaps.md`).
 
     Raises:
         AllanjaxError: no rate or not a positive one, samples that are not finite, too few of them, an unknown
@@ -230,7 +234,8 @@ def allan_deviation(
                 "the pyramid has overlapping Allan variances of rates at octaves only: leave out kind, "
                 'data_type, overlapping and cluster_times, or take estimator="exact"'
             )
-        return AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
+        found = AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
+        return replace(found, edf=found.edf / _lost(data))
     n = values.shape[0] - (data_type == "phase")
     sizes = cluster_sizes(n, rate, cluster_times, kind)
     variance = np.asarray(
@@ -246,10 +251,17 @@ def allan_deviation(
         cluster_size=sizes,
         deviation=np.sqrt(variance),
         count=difference_count(n, sizes, kind, overlapping),
-        edf=np.broadcast_to(edf[:, None], variance.shape),
+        edf=np.broadcast_to(edf[:, None] / _lost(data), variance.shape),
         n=n,
         rate=float(rate),
         kind=kind,
         overlapping=overlapping,
         axes=axes,
     )
+
+
+def _lost(data: RecordingLike) -> Float[np.ndarray, " axes"] | float:
+    """Factor by which the degrees of freedom of each axis are fewer for samples that were missing."""
+    if not isinstance(data, Recording) or data.missing is None:
+        return 1.0
+    return widening(data.missing) ** 2

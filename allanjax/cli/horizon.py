@@ -1,19 +1,21 @@
 """The command `allanjax horizon`."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import epilog, failures_told, prepare
+from allanjax.cli.common import epilog, failures_told, prepare, print_json
 from allanjax.cli.saved_fits import SavedFit, saved_fit
 
 HELP = (
-    "Say which white noise N and random walk K a Kalman filter needs that is corrected every so many "
-    "seconds: those that predict the error of the whole fitted model, and those that bound it."
+    "Say which white noise N and random walk K (or Gauss–Markov process) a Kalman filter needs that is "
+    "corrected every so many seconds: those that predict the error of the whole fitted model, and those that "
+    "bound it."
 )
 EPILOG = epilog(
     "allanjax horizon allanjax-results/imu.json --horizon 10",
     "allanjax horizon imu.json --horizon 60 --axis gyro_x --probability 0.99",
+    "allanjax horizon imu.json --horizon 10 --process markov --json",
 )
 
 
@@ -21,11 +23,20 @@ def command(
     result: SavedFit,
     seconds: Annotated[float, typer.Option("--horizon", help="Time between corrections in s.")],
     axis: Annotated[str | None, typer.Option(help="One axis, e.g. gyro_x; by default all.")] = None,
+    process: Annotated[
+        Literal["walk", "markov"],
+        typer.Option(help="What the bias is to the filter: a random walk, or a Gauss–Markov process."),
+    ] = "walk",
     probability: Annotated[float, typer.Option(help="That of the bounds.")] = 0.95,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     prepare()
     from allanjax.estimate.horizon import horizon
 
     with failures_told():
         fit = saved_fit(result)
-        print(horizon(fit, seconds, axes=axis, probability=probability))
+        found = horizon(fit, seconds, process=process, axes=axis, probability=probability)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        print(found)

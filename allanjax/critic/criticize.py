@@ -60,7 +60,8 @@ def criticize(
     def searched(k: int) -> Search:
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
+        drawn = None if recording.missing is None else recording.missing[:, k]
+        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
         return search(view, causes, per_axis, tell)
 
     # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
@@ -91,8 +92,9 @@ def criticize(
     def judged(k: int) -> AxisCritique:
         s, result = searches[k], fit.results[k]
         axis = s.start.axis
-        before = _compared(k, first, s.start.raw, recording)
-        after = _compared(k, last, s.end.samples if s.preprocessed else s.start.raw, recording)
+        before = _compared(k, first, s.start.recorded(s.start.raw), recording)
+        now = s.end.samples if s.preprocessed else s.start.raw
+        after = _compared(k, last, s.end.recorded(now), recording)
         tell(f"{axis.name}: measuring the gain")
         middle = [residuals(k, stage) for stage in range(1, len(stages[k]) - 1)]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]

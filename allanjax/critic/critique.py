@@ -9,6 +9,7 @@ from allanjax.critic.result import Critique
 from allanjax.critic.view import FALSE_ALARMS, Cause
 from allanjax.estimate.result import Fit
 from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.io.options import GapChoice
 
 
 def critique(
@@ -22,6 +23,7 @@ def critique(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
+    gaps: GapChoice | None = None,
 ) -> Critique:
     """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
 
@@ -40,6 +42,7 @@ def critique(
             axes. Basic terms that a given model lacks come on top (`Cause.min_log_odds`, as often again).
         progress: called with a text that says what is being done.
         rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.
+        gaps: what to do about missing samples, as in `read`; of an array those that are nan.
 
     Raises:
         AllanjaxError: `fit` is of other axes; `false_alarms` is not between 0 and 1.
@@ -48,7 +51,7 @@ def critique(
     # What it needs takes long to load.
     from allanjax.critic.criticize import criticize
 
-    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
 
     # Sooner than a fit would, so that it does not happen while axes are criticized.
     release_programs(0.5)

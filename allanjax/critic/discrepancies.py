@@ -21,7 +21,7 @@ from allanjax.inspection.levels import lattice
 
 def discrepancies(
     record: StageResiduals,
-    raw: Float[np.ndarray, " n"],
+    raw: Float[np.ndarray, " recorded"],
     others: Mapping[str, StageResiduals] | None = None,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
     seed: int = 0,
@@ -30,7 +30,8 @@ def discrepancies(
 
     Args:
         record: the axis.
-        raw: its samples as recorded [SI]; imputed ones once a cause that makes them what they are was found.
+        raw: its samples as recorded [SI], without those that were missing; imputed ones once a cause that
+            makes them what they are was found.
         others, auxiliary: other axes and other channels, by name.
         seed: seed of the simulation in which repeated values are counted.
     """
@@ -81,7 +82,7 @@ def _varying(
     return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
 
 
-def _lattice(record: StageResiduals, raw: Float[np.ndarray, " n"]) -> Discrepancy:
+def _lattice(record: StageResiduals, raw: Float[np.ndarray, " recorded"]) -> Discrepancy:
     """Share of the samples on a lattice; one finer than the noise is only how the file writes numbers."""
     q = lattice(raw)
     if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
@@ -89,16 +90,16 @@ def _lattice(record: StageResiduals, raw: Float[np.ndarray, " n"]) -> Discrepanc
     return Discrepancy("lattice", 0.0, "", 1.0, 0.0, "1", TINY)
 
 
-def _repeated(record: StageResiduals, raw: Float[np.ndarray, " n"], seed: int) -> Discrepancy:
+def _repeated(record: StageResiduals, raw: Float[np.ndarray, " recorded"], seed: int) -> Discrepancy:
     """Share of samples equal to the one before, in simulations of the recording's resolution too."""
     gaps = np.diff(np.unique(raw))
     q = float(gaps.min()) if len(gaps) else 0.0
     count = int(np.sum(raw[1:] == raw[:-1]))
     simulated = 0
     if q > 0.0:
-        x = np.rint((record.simulate(seed) + float(np.mean(raw))) / q)
+        x = np.rint((record.simulate(seed)[: len(raw)] + float(np.mean(raw))) / q)
         simulated = int(np.sum(x[1:] == x[:-1]))
     # Two counts of one expectation: which of the two an event is in is a matter of chance.
     p = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY)
-    n = record.n - 1
+    n = len(raw) - 1
     return Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)

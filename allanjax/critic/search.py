@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
@@ -314,15 +314,18 @@ def view_of(
     rate: float,
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     baseline: tuple[Model, Model] | None,
+    drawn: Bool[np.ndarray, " n"] | None = None,
 ) -> View:
     """First view of an axis, in which the baseline's other than basic terms are subtracted or in the factor.
 
-    The baseline is a fitted model and the template of its terms; None: all basic terms are allowed.
+    The baseline is a fitted model and the template of its terms; None: all basic terms are allowed. Samples
+    that were missing are `drawn`.
     """
     n = len(x)
+    drawn = np.zeros(n, bool) if drawn is None else drawn
     family = family_of(n, rate)
     if baseline is None:
-        return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, np.zeros(n, bool))
+        return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, drawn, drawn=drawn)
     model, template = baseline
     allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
     basic = [name for name in model.term_labels if name in EVERYTHING]
@@ -343,7 +346,7 @@ def view_of(
     # A baseline without any basic noise still needs one to be compared with.
     if not set(allowed) - {RAMP}:
         allowed = ("angle_random_walk", *allowed)
-    return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, np.zeros(n, bool))
+    return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, drawn, drawn=drawn)
 
 
 def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Float[np.ndarray, " n"]:

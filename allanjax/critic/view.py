@@ -20,7 +20,7 @@ from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estim
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.record.completion import in_time
+from allanjax.record.completion import in_time, widening
 from allanjax.record.recording import Axis
 
 # Steadier subsets of the terms, which are searched too: noise that drifts may be an effect in disguise.
@@ -55,6 +55,7 @@ class View:
         found: causes found so far.
         structure: filter and resonances that were found, with the noise that they were fitted with.
         nuisances: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
+        drawn: samples that were missing and drawn given the others: `imputed` from the first.
     """
 
     axis: Axis
@@ -70,6 +71,15 @@ class View:
     found: tuple[str, ...] = ()
     structure: Structure | None = None
     nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()
+    drawn: Bool[np.ndarray, " n"] | None = None
+
+    def recorded(self, samples: Float[np.ndarray, " n"]) -> Float[np.ndarray, " recorded"]:
+        """Those of the record's samples that were not missing."""
+        return samples if self.drawn is None else samples[~self.drawn]
+
+    @property
+    def _wide(self) -> float:
+        return 1.0 if self.drawn is None else float(widening(self.drawn[:, None])[0])
 
     @property
     def n(self) -> int:
@@ -292,12 +302,13 @@ class View:
 
     def estimate(self, label: str, value: float, std: float, unit: str, limit: Limit = "") -> Estimate:
         """Parameter of a finding in this axis, see `parameter_estimate`."""
-        return parameter_estimate(self.axis, label, value, std, unit, limit)
+        return parameter_estimate(self.axis, label, value, std * self._wide, unit, limit)
 
     def log_estimate(self, label: str, log: float, std: float, limit: Limit, unit: str) -> Estimate:
         """Parameter that is known by its logarithm and the standard deviation of that."""
         value = float(np.exp(log))
-        return parameter_estimate(self.axis, label, value, value * std, unit, limit, log_normal=True)
+        std *= value * self._wide
+        return parameter_estimate(self.axis, label, value, std, unit, limit, log_normal=True)
 
     def time_estimate(self, label: str, sample: float, std: float) -> Estimate:
         """Time of a sample; within its deviation of an end of the record, a limit."""
@@ -363,11 +374,7 @@ class Candidate:
 
 
 class Cause(ABC):
-    """An effect that a sensor's model may lack.
-
-    A subclass has a `name`, and a method `detect` that returns the best candidate in a view, or None where
-    there is nothing worth testing.
-    """
+    """An effect that a sensor's model may lack; a subclass has a `name`, and the method `detect`."""
 
     name: str
     #: Whether it is seen in the samples themselves and must be undone before anything else is looked for.

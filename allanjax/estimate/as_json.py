@@ -72,6 +72,7 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "dof": 0,
         "p_value": None,
         "discrepancy": None,
+        "widening": 1.0,
         "measured": False,
         "moving": False,
         "misfit": None,
@@ -101,6 +102,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "dof": int(result.dof),
         "p_value": finite_or_none(result.p_value) if result.converged else None,
         "discrepancy": finite_or_none(result.discrepancy) if result.converged else None,
+        "widening": result.widening,
         "measured": result.measured,
         "moving": result.moving,
         "misfit": None if result.misfit is None else _misfit(result.misfit),
@@ -220,7 +222,6 @@ def _averaged(averaged: Averaged | None) -> dict[str, Any] | None:
 
 
 def _coefficient(c: Estimate) -> dict[str, Any]:
-    shown, si = c.in_unit(), c.in_unit(c.si_unit)
     return {
         "label": c.label,
         "term": c.term,
@@ -230,10 +231,14 @@ def _coefficient(c: Estimate) -> dict[str, Any]:
         "rivals": list(c.rivals),
         "held": c.held,
         "measured": c.measured,
-        "unit": shown.unit,
-        **_numbers(shown),
-        "si": {"unit": si.unit, **_numbers(si)},
+        **in_both_units(c),
     }
+
+
+def in_both_units(c: Estimate) -> dict[str, Any]:
+    """Value, scatter and intervals of an estimate in the unit in which it is shown, and in SI."""
+    shown, si = c.in_unit(), c.in_unit(c.si_unit)
+    return {"unit": shown.unit, **_numbers(shown), "si": {"unit": si.unit, **_numbers(si)}}
 
 
 def _numbers(c: Estimate) -> dict[str, Any]:

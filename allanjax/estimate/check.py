@@ -18,6 +18,7 @@ from allanjax.estimate.result import Fit
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Recording
 
 SCHEMA_VERSION = 1
@@ -110,6 +111,7 @@ def check(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
+    gaps: GapChoice | None = None,
 ) -> Check:
     """Say line by line whether a recording is fit for the estimation of noise coefficients.
 
@@ -122,6 +124,7 @@ def check(
         vibrating: whether the platform moves or vibrates, and is to: motion is no reason to stop then.
         rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
             and a file may state their own.
+        gaps: what to do about missing samples, as in `read`; of an array those that are nan.
 
     Returns:
         The lines. A file whose time stamps, or whose axes, allow no recording has one line, which says why.
@@ -130,7 +133,7 @@ def check(
         RecordingError, UnitError: what is given cannot be read for another reason, such as a missing unit.
     """
     try:
-        given = as_recording(recording, rate, gyro_unit, accel_unit, names)
+        given = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     except RecordingError as error:
         name = Path(recording).name if isinstance(recording, str | os.PathLike) else ""
         return unreadable(error, name)

@@ -26,6 +26,7 @@ from allanjax.noise.terms import Markov, Telegraph, basic_terms
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, DeadAxis, Recording
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
@@ -48,6 +49,7 @@ def fit(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
+    gaps: GapChoice | None = None,
 ) -> Fit:
     """Estimate the coefficients of a noise model from every axis of a recording.
 
@@ -82,6 +84,7 @@ def fit(
         plain: whether to leave it at the terms where they do not suffice.
         rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
             and a file may state their own.
+        gaps: what to do about missing samples, as in `read`; of an array those that are nan.
 
     Returns:
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
@@ -92,7 +95,7 @@ def fit(
     """
     if model in get_args(Objective):
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
-    recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     seen = inspected(recording, model, regressors, as_is, vibrating)
     return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet)
 
@@ -113,7 +116,9 @@ def fit_inspected(
     _regressors(recording, regressors, objective)
     if not seen.refusal:
         quiet = seen.quiet(recording)
-        found = _fitted(quiet, model, objective, regressors, plain, wavelet)
+        # As if it were complete; what that claims too much is made good afterwards.
+        whole = dataclasses.replace(quiet, missing=None)
+        found = _fitted(whole, model, objective, regressors, plain, wavelet)
         if quiet.missing is not None:
             found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)

@@ -160,6 +160,7 @@ def _result(
         dof=a["dof"],
         p_value=_number(a["p_value"]),
         discrepancy=_number(a["discrepancy"]),
+        widening=a.get("widening", 1.0),
         _coefficients=coefficients,
         _covariance=_matrix(a["covariance"]["values"]),
         _model=(fitted_model if own is None else extended_model)(template, coefficients),

@@ -90,6 +90,8 @@ class AxisFit(ByValue, AxisEstimates):
             filter, resonances and lines; by Whittle's likelihood. N is the density at low frequencies, of
             white noise with what resonances with Q < 4 and processes of less than 20 samples have there.
         plain: the fit without these.
+        widening: factor by which standard deviations are larger than those of a complete record, see
+            `completion.widening`; that of `sample`, too.
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
@@ -124,6 +126,7 @@ class AxisFit(ByValue, AxisEstimates):
     moving: bool = False
     own_template: Model | None = None
     plain: AxisFit | None = None
+    widening: float = 1.0
 
     def _checked(self) -> None:
         if not self.converged:
@@ -152,6 +155,7 @@ class AxisFit(ByValue, AxisEstimates):
             _coefficients={label: c.widened(factor) for label, c in self._coefficients.items()},
             _covariance=self._covariance * factor**2,
             plain=None if self.plain is None else self.plain.widened(factor),
+            widening=self.widening * factor,
         )
 
     @property

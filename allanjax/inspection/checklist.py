@@ -47,7 +47,7 @@ def lines_of(recording: Recording, seen: Inspection) -> Iterator[Line]:
     """Checks of a recording that need no fit, given its inspection."""
     yield from _times(recording, seen)
     yield _told("repeated samples", "look", seen.about("repeats"), "no more than rounding makes")
-    steps = [lattice(column) for column in recording.values.T]
+    steps = [lattice(column) for column in recording.recorded]
     yield _resolution(recording, seen, steps)
     yield _saturation(recording, steps)
     dead = [f"{dead.axis.name}: {dead.reason}" for dead in recording.dead]
@@ -119,7 +119,7 @@ def _resolution(recording: Recording, seen: Inspection, steps: Sequence[float | 
 def _saturation(recording: Recording, steps: Sequence[float | None]) -> Line:
     """Axes with more samples at their largest or smallest value than a tail would leave there."""
     clipped = []
-    for axis, column, q in zip(recording.axes, recording.values.T, steps, strict=True):
+    for axis, column, q in zip(recording.axes, recording.recorded, steps, strict=True):
         for level, side in ((column.max(), 1.0), (column.min(), -1.0)):
             if is_piled_up(side * column, q):
                 share = plain(100.0 * float(np.mean(column == level)), 2)

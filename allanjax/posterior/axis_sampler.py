@@ -20,6 +20,7 @@ from allanjax.posterior.priors import Prior, default_priors
 from allanjax.posterior.result import AxisPosterior, PosteriorWarning
 from allanjax.posterior.sampling import Chains, Convergence, LogPosterior, Target, first_walkers, run
 from allanjax.posterior.unsampled_limits import absent_amplitude
+from allanjax.posterior.wider import WiderLikelihood
 
 # Default number of walkers, or four a parameter if that is more.
 _WALKERS = 32
@@ -62,7 +63,9 @@ class AxisSampler:
 
     def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
         """Posterior of an axis whose model is the fit's."""
-        likelihood = likelihood_of(self.fit, name)
+        likelihood, widening = likelihood_of(self.fit, name), self.fit[name].widening
+        if widening != 1.0:
+            likelihood = WiderLikelihood.of(likelihood, widening)
         posterior = LogPosterior.of(likelihood, self._all_priors(likelihood))
         sampled = self._sampled(likelihood, name)
         walkers = self._walkers(len(sampled))

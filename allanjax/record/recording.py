@@ -19,6 +19,7 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
+from allanjax.record.gaps import check_choice, longest_stretch, runs_of, stretch_told
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
@@ -71,7 +72,7 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
         auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
         name: str = "",
-        gaps: Literal["error", "fill"] = "error",
+        gaps: Literal["error", "segments", "fill"] = "error",
     ) -> "Recording":
         """Make a recording from an array, one column per axis.
 
@@ -130,6 +131,13 @@ class Recording(ByValue):
                     f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
                     f"({len(table)},)"
                 )
+        check_choice(gaps, source)
+        if gaps == "segments":
+            rows, count = longest_stretch(table, np.zeros(len(table), bool))
+            if count > 1:
+                notes += (stretch_told(rows, len(table), count),)
+            table, source = table[rows], source.after(rows.start)
+            extra = {key: column[rows] for key, column in extra.items()}
         return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
 
     @property
@@ -151,6 +159,12 @@ class Recording(ByValue):
     def names(self) -> tuple[str, ...]:
         """Names of the axes."""
         return tuple(axis.name for axis in self.axes)
+
+    @property
+    def recorded(self) -> tuple[Float[np.ndarray, " recorded"], ...]:
+        """Samples of each axis without those that were missing and have been drawn."""
+        missing = np.zeros_like(self.values, bool) if self.missing is None else self.missing
+        return tuple(x[~lost] for x, lost in zip(self.values.T, missing.T, strict=True))
 
     @property
     def own_scales(self) -> Float[np.ndarray, " axes"]:
@@ -207,7 +221,7 @@ class Recording(ByValue):
             "axes": {label: [x.name, x.sensor, x.unit] for label, x in zip(labels, self.axes, strict=True)},
             "si": si,
             "auxiliary": list(self.auxiliary),
-            "missing": {} if self.missing is None else _runs(self.missing, labels),
+            "missing": {} if self.missing is None else runs_of(self.missing, labels),
             "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
         }
         return frame
@@ -314,12 +328,6 @@ class Recording(ByValue):
         )
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
         return f"{table}<ul>{notes}</ul>" if notes else table
-
-
-def _runs(missing: Bool[np.ndarray, "samples axes"], labels: Sequence[str]) -> dict[str, list[int]]:
-    """First sample and the one after the last of every gap, in turn, by the axes' labels."""
-    edges = (np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist() for lost in missing.T)
-    return dict(zip(labels, edges, strict=True))
 
 
 def build(

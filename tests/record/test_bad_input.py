@@ -8,7 +8,7 @@ import pytest
 from scipy.io import savemat
 
 from allanjax.base.errors import AllanjaxError, RecordingError, UnitError
-from allanjax.record.io import read, write
+from allanjax.record.io import read, read_chunks, write
 from allanjax.record.recording import Recording
 
 HEADER = ["gyro_x [deg/s]", "gyro_y [deg/s]", "gyro_z [deg/s]"]
@@ -116,7 +116,51 @@ def test_header_of_another_length(text, noise):
 @pytest.mark.parametrize("delimiter", [";", "\t", " "])
 def test_decimal_commas(text, noise, delimiter):
     rows = [delimiter.join(repr(value).replace(".", ",") for value in row) for row in noise[:, :3].tolist()]
-    _fails(text([delimiter.join(SIX[:3]), *rows]), "line 2", "decimal comma", "decimal point", rate=100)
+    recording = read(text([delimiter.join(SIX[:3]), *rows]), rate=100, gyro_unit="deg/s")
+    np.testing.assert_allclose(recording.own_values, noise[:, :3], rtol=1e-12)
+    assert "numbers with decimal commas" in recording.notes
+
+
+def test_decimal_commas_beside_whole_numbers_and_what_excel_writes_first(text, noise):
+    rows = [f"{10 * k};{x!r}".replace(".", ",") for k, x in enumerate(noise[:, 0].tolist())]
+    recording = read(text(["sep=;", "time [ms];gyro_x [deg/s]", *rows]))
+    assert recording.rate == pytest.approx(100.0)
+    np.testing.assert_allclose(recording.own_values[:, 0], noise[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("end", ["1.0,2.0", "1.0,2.", "1"])
+def test_a_file_that_ends_within_a_line(text, noise, end):
+    lines = _lines(noise)
+    whole = read(text(lines), rate=100)
+    path = text(lines)
+    path.write_text("\n".join([*lines, end]))
+    recording = read(path, rate=100)
+    assert np.array_equal(recording.values, whole.values)
+    assert any(f"the file ends within a line, {end!r}: left out" in note for note in recording.notes)
+    assert np.array_equal(np.concatenate([*read_chunks(path, rate=100, chunk=N)]), whole.values)
+    # A line that is whole is read, and one that is short though it ended is an error.
+    path.write_text("\n".join(lines))
+    assert read(path, rate=100).n == whole.n
+    path.write_text("\n".join([*lines, end, ""]))
+    with pytest.raises(RecordingError, match=f"line {len(lines) + 1}"):
+        read(path, rate=100)
+
+
+def test_a_header_that_comes_again(text, noise):
+    lines = _lines(noise)
+    _fails(text([*lines[:9], lines[0], *lines[9:]]), "line 10", "the header once more", rate=100)
+
+
+def test_stamps_that_are_all_the_same(text, noise):
+    path = text(_timed(noise, np.zeros(N)))
+    _fails(path, "is the same throughout", "no times were recorded", "--time none")
+    assert read(path, time="none", rate=100).n == N
+
+
+def test_a_workbook_is_refused_with_the_remedy(tmp_path):
+    path = tmp_path / "imu.xlsx"
+    path.write_bytes(b"PK\x03\x04" + bytes(100))
+    _fails(path, "save a workbook as CSV")
 
 
 def test_too_short(text, noise):

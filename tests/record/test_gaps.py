@@ -9,6 +9,7 @@ from scipy.signal import butter, freqz, lfilter
 import allanjax as aj
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.record.completion import completed, in_time, predicted, widening
+from allanjax.record.io.given import as_recording
 
 RATE, N = 100.0, 20_000
 
@@ -244,3 +245,49 @@ def test_intervals_allow_for_what_is_missing(written):
     widths = [np.ptp(np.log(result["N"].interval)) for result in (one, other)]
     assert widths[0] == pytest.approx(factor * widths[1], rel=1e-4)
     assert aj.check(recording)["gaps"].verdict == "look"
+
+
+@pytest.mark.parametrize("kind", ["frame", "array", "file"])
+def test_whatever_is_given_is_filled_or_cut_as_a_file_is(kind, written):
+    """Nan in a column: the recording is the one that `read` makes of a file."""
+    table = whole(3000).drop(columns=["time [s]", "temperature"])
+    table.iloc[1000, 1] = np.nan
+    path = written(table)
+    given = {"frame": table, "array": table.to_numpy(), "file": path}[kind]
+    told = {"names": [label.split()[0] for label in table], "gyro_unit": "rad/s"} if kind == "array" else {}
+    for gaps in ("segments", "fill"):
+        found, recording = as_recording(given, RATE, gaps=gaps, **told), aj.read(path, rate=RATE, gaps=gaps)
+        assert found.n == (3000 if gaps == "fill" else 1999)
+        assert np.array_equal(found.values, recording.values)
+    for command in (aj.fit, aj.check, aj.critique):
+        with pytest.raises(RecordingError, match="must be error, segments or fill"):
+            command(given, rate=RATE, gaps="drop", **told)
+    with pytest.raises(RecordingError, match="1 value is not a finite number"):
+        aj.fit(given, "N", rate=RATE, **told)
+
+
+def test_an_array_says_what_was_left_out_and_which_choices_there_are():
+    x = np.random.default_rng(1).standard_normal((200, 1))
+    x[[50, 60]] = np.nan
+    cut = aj.Recording.from_array(x, RATE, gyro_unit="rad/s", names=["gyro_x"], gaps="segments")
+    assert np.array_equal(cut.values, x[61:])
+    assert any("samples 61 to 199 of 200 taken, the longest of 3" in note for note in cut.notes)
+    with pytest.raises(RecordingError, match="must be error, segments or fill, not 'drop'"):
+        aj.Recording.from_array(x, RATE, gyro_unit="rad/s", names=["gyro_x"], gaps="drop")
+    with pytest.raises(AllanjaxError, match="no gaps: leave out gaps"):
+        aj.fit(cut, gaps="fill")
+
+
+def test_allan_deviations_of_a_filled_record_have_fewer_degrees_of_freedom():
+    """The scatter is that of n(1 − f) samples, and that of f·n draws, of each axis by its own share."""
+    x = np.random.default_rng(21).standard_normal((512, 2))
+    x[::4, 1] = np.nan
+    recording = aj.Recording.from_array(x, 1.0, gyro_unit="rad/s", names=["gyro_x", "gyro_y"], gaps="fill")
+    for estimator in ("exact", "pyramid"):
+        filled, whole = (
+            aj.allan_deviation(data, estimator=estimator, **rate)
+            for data, rate in ((recording, {}), (recording.values, {"rate": 1.0}))
+        )
+        np.testing.assert_array_equal(filled.deviation, whole.deviation)
+        np.testing.assert_array_equal(filled.edf[:, 0], whole.edf[:, 0])
+        np.testing.assert_allclose(filled.edf[:, 1] * (1.0 / 0.75 + 0.25), whole.edf[:, 1], rtol=1e-12)

@@ -42,7 +42,8 @@ class Disturbance(Cause):
         for _ in range(2):
             e = in_time(view.coefficients / np.sqrt(view.variance(quiet.noise)))
             e /= 1.4826 * float(np.median(abs(e)))
-            squares = e**2
+            # What was drawn is no disturbance, nor part of one.
+            squares = np.where(view.imputed, 1.0, e**2)
             loudest = _loudest(squares, block)
             if loudest is None:
                 return None

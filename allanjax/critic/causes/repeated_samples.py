@@ -28,13 +28,14 @@ class RepeatedSamples(Cause):
     is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
-        same = repeats(view.raw)
-        count = int(same.sum())
+        recorded = view.recorded(view.raw)
+        same = repeats(view.raw, recorded)
+        count, n = int(same.sum()), len(recorded)
         if count < _LEAST:
             return None
-        chance = _by_chance(view.raw)
-        z = (count - view.n * chance) / np.sqrt(view.n * chance * (1.0 - chance) + 1.0)
-        share = count / view.n
+        chance = _by_chance(recorded)
+        z = (count - n * chance) / np.sqrt(n * chance * (1.0 - chance) + 1.0)
+        share = count / n
         if chance > 0.0 and (z < _DOUBTLESS or share < chance + _PREDICTED):
             return None
         # In a continuous output no sample repeats another: how improbable it is then is not a number.
@@ -43,10 +44,10 @@ class RepeatedSamples(Cause):
         return Candidate(
             self.name,
             [
-                view.estimate("fraction", share, np.sqrt(share * (1.0 - share) / view.n), "1"),
+                view.estimate("fraction", share, np.sqrt(share * (1.0 - share) / n), "1"),
                 view.estimate("longest", longest, 0.0, "samples"),
             ],
-            _gain(count, view.n, share, chance) if known else float("nan"),
+            _gain(count, n, share, chance) if known else float("nan"),
             float(norm.sf(z)) if known else None,
             impute_gaussian(view, same),
             lambda: _held_out(same, chance) if known else float("nan"),
@@ -54,10 +55,13 @@ class RepeatedSamples(Cause):
         )
 
 
-def repeats(raw: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether a sample equals the one before, other than at the limits of a clipped output."""
+def repeats(raw: Float[np.ndarray, " n"], recorded: Float[np.ndarray, " recorded"]) -> Bool[np.ndarray, " n"]:
+    """Whether a sample equals the one before, other than at the limits of a clipped output.
+
+    These are those of the samples that were not missing, which have been drawn and repeat none.
+    """
     same = np.concatenate([[False], raw[1:] == raw[:-1]])
-    return same & (raw < raw.max()) & (raw > raw.min())
+    return same & (raw < recorded.max()) & (raw > recorded.min())
 
 
 def _by_chance(raw: Float[np.ndarray, " n"]) -> float:

@@ -19,13 +19,15 @@ class Rounding(Cause):
     is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
-        q = lattice(view.raw)
+        q = lattice(view.recorded(view.raw))
         if q is None or not np.array_equal(view.samples, view.raw):
             return None
         # No noise has less than half of its differences' variance around its local mean.
         if q < HARMLESS * 0.5 * float(np.std(np.diff(view.samples))):
             return None
-        x, sigma = draw_between(view.samples, view.samples - q / 2.0, view.samples + q / 2.0, view.n)
+        # Samples that were missing have been drawn as they are.
+        half = q / 2.0 if view.drawn is None else np.where(view.drawn, 0.0, q / 2.0)
+        x, sigma = draw_between(view.samples, view.samples - half, view.samples + half, view.n)
         if q < HARMLESS * sigma:
             return None
         # It is in the samples themselves: that all of them are so close to multiples is no chance.

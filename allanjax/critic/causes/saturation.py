@@ -17,22 +17,23 @@ class Saturation(Cause):
     is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
-        raw = view.raw
-        q = lattice(raw)
-        sides = [side for side in (1.0, -1.0) if is_piled_up(side * raw, q)]
+        raw, recorded = view.raw, view.recorded(view.raw)
+        q = lattice(recorded)
+        sides = [side for side in (1.0, -1.0) if is_piled_up(side * recorded, q)]
         if not sides:
             return None
         lower, upper = view.samples.copy(), view.samples.copy()
         far = 1e3 * float(np.std(raw)) + 1e-300
-        count = 0
+        every = np.zeros(view.n, bool)
         levels: list[Estimate] = []
         for side in sides:
-            level = side * float(np.max(side * raw))
+            level = side * float(np.max(side * recorded))
             clipped = raw == level
-            count += int(clipped.sum())
+            every |= clipped
             (upper if side > 0.0 else lower)[clipped] += side * far
             name = "upper_level" if side > 0.0 else "lower_level"
             levels.append(view.amplitude_estimate(name, level, 0.0))
+        count = int(every.sum())
         if count > 0.9 * view.n:
             return None
         x, sigma = draw_between(view.samples, lower, upper, count)
@@ -44,7 +45,7 @@ class Saturation(Cause):
             [*levels, view.estimate("fraction", count / view.n, 0.0, "1")],
             float("nan"),
             None,
-            view.with_samples(x, (raw == raw.max()) | (raw == raw.min())),
+            view.with_samples(x, every),
             lambda: float("nan"),
             bound=float(np.exp(-min(odds, 700.0))),
         )

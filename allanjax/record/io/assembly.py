@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.columns import Column
-from allanjax.record.io.gaps import longest_stretch, on_grid, without_repeats
+from allanjax.record.gaps import longest_stretch, on_grid, stretch_told, without_repeats
 from allanjax.record.io.layout import find_layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Table, as_float, is_numeric
-from allanjax.record.io.timestamps import MAX_RATE_DIFFERENCE, rate_from_times, seconds_from_first
+from allanjax.record.io.timestamps import MAX_RATE_DIFFERENCE, after_gaps, rate_from_times, seconds_from_first
 from allanjax.record.recording import Recording, build, rows_between
 from allanjax.record.validation import Source, check_length, check_rate
 
@@ -94,13 +94,10 @@ def _with_gaps(
             stretch = stretch.taken(kept)
     if options.gaps == "fill":
         return stretch, source, notes
-    rows, count = longest_stretch(stretch.values, stretch.times)
+    n, times = len(stretch.values), stretch.times
+    rows, count = longest_stretch(stretch.values, np.zeros(n, bool) if times is None else after_gaps(times))
     if count > 1:
-        n = len(stretch.values)
-        notes += (
-            f"samples {rows.start} to {rows.stop - 1} of {n} taken, the longest of {count} stretches without "
-            "gaps",
-        )
+        notes += (stretch_told(rows, n, count),)
     source = source.after(rows.start)
     check_length(rows.stop - rows.start, source)
     return stretch.taken(rows), source, notes

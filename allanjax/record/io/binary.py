@@ -46,7 +46,7 @@ def _npy_columns(path: Path, source: Source) -> tuple[Columns, tuple[str, ...] |
 def read_npz(path: Path, source: Source) -> Table:
     """Named arrays: columns, `gyro` and `accel` of shape [samples, 3], scalars `rate`, `fs` or `dt`."""
     if not zipfile.is_zipfile(path):
-        raise source.error("a damaged .npz file; save it again")
+        raise source.error("a damaged .npz file, save it again; or another archive: save a workbook as CSV")
     with damage_told(source, ".npz", "save plain arrays of numbers"):
         with zipfile.ZipFile(path) as archive:
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]

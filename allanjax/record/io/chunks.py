@@ -137,8 +137,9 @@ def open_chunks(
     kind = format_of(path, source)
     if not kind.in_chunks:
         raise source.error(
-            f"a file of this kind (.{kind.name}) can not be read in chunks; save it as .npy, Parquet, HDF5 "
-            "or CSV, or read it as a whole by read()"
+            f"a file of this kind ({kind.name}) can not be read in chunks: read it as a whole by read() "
+            "(without --stream), or save it once as .npy, Parquet, HDF5 or CSV, e.g. by "
+            "write(read(path), 'imu.parquet')"
         )
     table = kind.table(path, source, options)
     first = next(table.rows(chunk), None)

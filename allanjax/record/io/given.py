@@ -12,7 +12,7 @@ from allanjax.record.columns import recognise
 from allanjax.record.io import read
 from allanjax.record.io.assembly import assemble
 from allanjax.record.io.chunks import ChunkedRecording
-from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.table import Table
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.validation import Source, check_rate
@@ -32,6 +32,7 @@ def as_recording(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
+    gaps: GapChoice | None = None,
 ) -> Recording:
     """Recording from samples, a data frame or a file; a recording is returned as it is.
 
@@ -41,6 +42,7 @@ def as_recording(
         rate, gyro_unit, accel_unit: sample rate [Hz] and units of the samples; a recording has its own, and
             columns may state theirs.
         names: names of the columns; for a data frame and a file the columns to take, as in `read`.
+        gaps: what to do about samples that are missing, as in `read`; of an array those that are nan.
 
     Raises:
         RecordingError, UnitError: something is missing or wrong; the message says what to give.
@@ -48,24 +50,29 @@ def as_recording(
     """
     if isinstance(data, Recording):
         given = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names}
+        given["gaps"] = gaps
         superfluous = [name for name, value in given.items() if value is not None]
         if superfluous:
             raise AllanjaxError(
-                f"a recording has its own rate, units and names: leave out {', '.join(superfluous)}"
+                f"a recording has its own rate, units and names, and no gaps: leave out "
+                f"{', '.join(superfluous)}"
             )
         return data
     if isinstance(data, str | os.PathLike):
-        return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names)
+        return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names, gaps=gaps)
+    options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
     columns = _columns(data)
     if columns is not None:
         table = Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
-        return assemble(table, "", ReadOptions(rate, gyro_unit, accel_unit, names))
+        return assemble(table, "", options)
     values, rate = _samples(data, rate)
     if gyro_unit is None and accel_unit is None and names is None:
         raise AllanjaxError(
             'an array needs the unit of its samples: give gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
         )
-    return Recording.from_array(values, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names)
+    return Recording.from_array(
+        values, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps or "error"
+    )
 
 
 def samples_of(

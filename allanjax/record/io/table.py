@@ -171,5 +171,6 @@ def as_float(
         cell = values[bad[0]]
         comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell))
         text = repr(cell) + (" (write numbers with a decimal point)" if comma else "")
+        text += ", the header once more (delete that line)" if str(cell).strip() == label else ""
         raise bad_cells(label, bad.size, int(bad[0]), source, None if pd.isna(cell) else text)
     return numbers

@@ -25,10 +25,11 @@ _COMMENT_MARKS = ("#", "%", "//")
 _SAVE_AGAIN = "copy, save or compress it again"
 # Lines among which the first row of numbers is sought.
 _LINES_BEFORE_DATA = 1000
-# Lines of numbers with decimal commas.
-_DECIMAL_COMMA = re.compile(
-    r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?:[\s;]+[+-]?\d+,\d+(?:[eE][+-]?\d+)?)*\s*;?\s*"
-)
+# Bytes of a line at most, for the last one.
+_LONGEST_LINE = 1 << 16
+# Lines of numbers with decimal commas; what else they may have are whole numbers.
+_COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
+_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class _Layout:
     comment: str
     encoding: str
     compressed: bool
+    decimal: str = "."
     notes: tuple[str, ...] = ()
 
 
@@ -58,15 +60,37 @@ def open_text(path: Path, source: Source) -> Table:
         "nan, an empty cell, or a row cut short",
     )
 
+    cut, notes = _cut_line(path, layout), layout.notes
+    if cut:
+        notes += (f"the file ends within a line, {cut[:60]!r}: left out",)
+
     def rows(chunk: int) -> Iterator[Columns]:
         with (
             _errors_located(path, layout, source),
             pd.read_csv(path, chunksize=chunk, **_options(layout)) as frames,
         ):
-            for frame in frames:
-                yield _columns(frame, path, layout, source)
+            held = next(frames, None)
+            while held is not None:
+                frame, held = held, next(frames, None)
+                columns = _columns(frame, path, layout, source)
+                if held is None and cut:
+                    columns = tuple(column[:-1] for column in columns)
+                if len(columns[0]):
+                    yield columns
 
-    return Table(rows, layout.labels, source, notes=layout.notes)
+    return Table(rows, layout.labels, source, notes=notes)
+
+
+def _cut_line(path: Path, layout: _Layout) -> str:
+    """The last line of a file that ends within it, as when a logger is switched off, else ""."""
+    if layout.compressed or layout.encoding == "utf-16":
+        return ""
+    with path.open("rb") as stream:
+        stream.seek(max(stream.seek(0, io.SEEK_END) - _LONGEST_LINE, 0))
+        lines = stream.read().decode(layout.encoding, "replace").split("\n")
+    fields = _split(lines[-1], layout.delimiter)
+    short = len(lines) > layout.start + 1 and len(fields) < layout.fields
+    return lines[-1].strip() if short and not _is_comment(lines[-1]) else ""
 
 
 def _options(layout: _Layout) -> dict[str, Any]:
@@ -75,6 +99,7 @@ def _options(layout: _Layout) -> dict[str, Any]:
         "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
         "header": None,
         "skiprows": layout.start,
+        "decimal": layout.decimal,
         "comment": layout.comment,
         "skipinitialspace": True,
         "low_memory": False,
@@ -114,13 +139,14 @@ def _layout(path: Path, source: Source) -> _Layout:
     head = [(number, line) for number, line in enumerate(lines) if not _is_blank(line)]
     if not head:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
-    for number, line in head:
-        if _DECIMAL_COMMA.fullmatch(line) and (_delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line)):
-            raise source.error(
-                f"line {number + 1} has decimal commas: {line.strip()[:60]!r}; write numbers with a "
-                "decimal point"
-            )
+    with_commas = [_has_decimal_commas(line) for _, line in head]
+    decimal = "," if any(with_commas) else "."
+    head = [
+        (number, line.replace(",", ".") if commas else line)
+        for (number, line), commas in zip(head, with_commas, strict=True)
+    ]
     first = _first_row(head)
+    notes = ("numbers with decimal commas",) if decimal == "," else ()
     if first is None:
         raise source.error(
             f"no row of numbers in the first {head[-1][0] + 1} lines; give a file with one row of "
@@ -130,8 +156,9 @@ def _layout(path: Path, source: Source) -> _Layout:
     delimiter = _delimiter(line)
     fields = _split(line, delimiter)
     comment = "%" if any(line.lstrip().startswith("%") for _, line in head[:first]) else "#"
-    bare = _Layout(number, None, len(_trim(fields)), delimiter, comment, encoding, compressed)
-    return _with_header(bare, head[:first], fields)
+    bare = _Layout(number, None, len(_trim(fields)), delimiter, comment, encoding, compressed, decimal)
+    found = _with_header(bare, head[:first], fields)
+    return replace(found, notes=found.notes + notes)
 
 
 def _first_row(head: list[tuple[int, str]]) -> int | None:
@@ -228,6 +255,13 @@ def _ragged_row(path: Path, layout: _Layout) -> str | None:
                 f"{line.strip()[:60]!r}; repair or delete that line"
             )
     return None
+
+
+def _has_decimal_commas(line: str) -> bool:
+    """Whether a line has numbers with decimal commas, between which are semicolons, tabs or spaces."""
+    if "," not in line or not _DECIMAL_COMMA.fullmatch(line):
+        return False
+    return _delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line) is not None
 
 
 def _is_comment(line: str) -> bool:

@@ -102,6 +102,10 @@ def rate_from_times(
         RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
     """
     intervals = np.diff(times)
+    if not intervals.any():
+        raise source.error(
+            f"column {label!r} is the same throughout: no times were recorded; {_IGNORE}", "jitter"
+        )
     backwards = np.flatnonzero(intervals <= 0)
     if backwards.size:
         first = int(backwards[0]) + 1
