@@ -35,6 +35,12 @@ from allanjax.fleet.stream import AllanAccumulator as AllanAccumulator
 from allanjax.fleet.stream import accumulate as accumulate
 from allanjax.inspection import Inspection as Inspection
 from allanjax.inspection import inspect as inspect
+from allanjax.kalman.bank import Adapted as Adapted
+from allanjax.kalman.bank import AdaptedAxis as AdaptedAxis
+from allanjax.kalman.bank import adaptive_filter as adaptive_filter
+from allanjax.kalman.filtering import kalman_filter as kalman_filter
+from allanjax.kalman.result import Filtered as Filtered
+from allanjax.kalman.result import FilteredAxis as FilteredAxis
 from allanjax.noise import terms as terms
 from allanjax.noise.butterworth import Biquad as Biquad
 from allanjax.noise.butterworth import Butterworth as Butterworth

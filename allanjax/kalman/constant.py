@@ -54,8 +54,9 @@ class Constant:
         s = np.where(there, std, 1.0) ** 2
         known = prior_std == 0.0
         precision = 0.0 if prior_std is None or known else prior_std**-2.0
-        information = precision + np.cumsum(ones**2 / s)
-        weighted = -offset * precision + np.cumsum(e * ones / s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            information = precision + np.cumsum(ones**2 / s)
+            weighted = -offset * precision + np.cumsum(e * ones / s)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.where(information > 0.0, weighted / information, 0.0)
             variance = np.where(information > 0.0, 1.0 / information, np.inf)
