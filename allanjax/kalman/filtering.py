@@ -13,7 +13,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.kalman.constant import Constant
 from allanjax.kalman.recursion import Rows, run_filter, run_smoother
 from allanjax.kalman.result import Filtered, FilteredAxis
-from allanjax.kalman.system import FilterModel, in_blocks, padded
+from allanjax.kalman.system import FilterModel, in_blocks, padded, room_for
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -125,20 +125,22 @@ def _filtered(
     if not there.any():
         raise AllanjaxError(f"{axis.name}: all samples are missing, there is nothing to filter")
     of_axis = FilterModel.of(model, rate, n / rate, axis.sensor)
-    system, offset = padded(of_axis.space, of_axis.drift[None]), float(z[there].mean())
+    room, size = room_for([of_axis.space]), of_axis.space.size
+    # All states, so that programs are those of their room.
+    rows = np.concatenate([np.eye(room, size), of_axis.drift[None]])
+    system, offset = padded(of_axis.space, rows), float(z[there].mean())
     record = in_blocks(z - offset, missing)
-    innovations, rows, states = run_filter(system, record)
+    innovations, told, states = run_filter(system, record)
     e, std = (np.asarray(x)[:n] for x in innovations)
     check_noise(std, there, model)
     constant = Constant.of(e, std, there, constant_std, offset)
     value, variance = constant.value, constant.variance
     if smooth:
-        rows = run_smoother(system, states, record)
+        told = run_smoother(system, states, record)
         value, variance = np.full(n, value[-1]), np.full(n, variance[-1])
-    rows = jax.tree.map(lambda x: np.asarray(x)[:n], rows)
-    states_found, state_stds = _with_constant(rows, value, variance, 0.0)
-    drift, drift_std = (x[:, -1] for x in _with_constant(rows, value, variance, 1.0))
-    size = of_axis.space.size
+    told = jax.tree.map(lambda x: np.asarray(x)[:n], told)
+    states_found, state_stds = with_constant(told, value, variance, 0.0)
+    drift, drift_std = (x[:, -1] for x in with_constant(told, value, variance, 1.0))
     return FilteredAxis(
         axis=axis,
         rate=rate,
@@ -161,7 +163,7 @@ def _filtered(
     )
 
 
-def _with_constant(
+def with_constant(
     rows: Rows, value: Float[np.ndarray, " n"], variance: Float[np.ndarray, " n"], share: float
 ) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
     """Rows, with a share of the constant in them, and their standard deviations, for an unknown constant."""

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import presented
-from allanjax.base.wording import duration, format_with_error
+from allanjax.base.wording import duration, format_interval, format_with_error
 from allanjax.kalman.innovations import ChiSquared, normalized_square, whiteness
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -118,8 +118,10 @@ class FilteredAxis(ByValue):
         unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
 
         def amount(value: float, std: float) -> str:
-            ends = (value - TWO_SIDED_95 * std) / scale, (value + TWO_SIDED_95 * std) / scale
-            return f"{format_with_error(value / scale, std / scale)} {unit} (95 %: {ends[0]:.6g} … {ends[1]:.6g})"
+            ends = (value - TWO_SIDED_95 * std, value + TWO_SIDED_95 * std)
+            number = format_with_error(value / scale, std / scale)
+            interval = format_interval(ends[0] / scale, ends[1] / scale, value / scale, std / scale)
+            return f"{number} {unit} (95 %: {interval})"
 
         drift = " + ".join(["constant", *self.slow]).replace("_", " ")
         kind = "smoothed" if self.smoothed else "filtered"

@@ -72,9 +72,7 @@ def factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int | None = None) -> System:
-    """Matrices with room for one of a few numbers of states, or for `room` of them.
-
-    The rows of the states, then of `rows`, are what a filter tells.
+    """Matrices with room for one of a few numbers of states, or for `room` of them; `rows` are told of.
 
     Raises:
         AllanjaxError: the model has more states than a filter takes.
@@ -83,14 +81,13 @@ def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int | Non
     if room is None:
         room = room_for([space])
     grown = [(0, room - n)] * 2
-    states = np.eye(room)
     return System(
         np.pad(space.A, grown),
         np.pad(space.H[0], grown[0]),
         np.pad(factor(space.Q), grown),
         np.sqrt(space.R[0, 0]),
         np.pad(factor(space.P0), grown),
-        np.concatenate([states, np.pad(rows, [(0, 0), grown[0]])]),
+        np.pad(rows, [(0, 0), grown[0]]),
         _skip(space, room),
     )
 
