@@ -240,7 +240,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
         curve: the Allan deviations it was fitted to, with degrees of freedom under the fitted models.
         results: one a recording axis.
         notes: what the reader or the fit want the user to know.
-        objective: "allan" or "whittle".
+        objective: "allan", "whittle" or "exact".
         selection: the ranking of terms, if the fit chose them itself.
         dead: axes of the recording that have no noise to fit, and why.
         warnings: what was seen in the recording before the fit, the most important first.

@@ -227,6 +227,8 @@ class AllanAccumulator:
             FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
                 need the record itself.
         """
+        if objective == "exact":
+            raise FitError('the exact likelihood needs the samples themselves: give objective="whittle"')
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
         seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()
