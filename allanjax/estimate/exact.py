@@ -82,7 +82,8 @@ def fit_exact(
     )
     fitted = {p.term_label for p in problem.parameters}
     values = {
-        label: c if c.held or c.term in fitted else start.coefficients[label] for label, c in found.values.items()
+        label: c if c.held or c.term in fitted else start.coefficients[label]
+        for label, c in found.values.items()
     }
     inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
     return dataclasses.replace(
@@ -160,9 +161,7 @@ class _Problem:
             at = np.clip(c.value - bound.lower, low, high)
             rows.append((np.log(at), 1.0, False, np.log(low), np.log(high)))
         start, scale, is_power, lower, upper = map(np.array, zip(*rows, strict=True))
-        return cls(
-            template, z, rate, missing, tuple(parameters), start, scale, is_power, lower, upper, held
-        )
+        return cls(template, z, rate, missing, tuple(parameters), start, scale, is_power, lower, upper, held)
 
     def model(self, theta: Float[np.ndarray, " p"]) -> Model:
         """The model with these parameters."""
@@ -197,7 +196,9 @@ class _Problem:
     def _move(self, at: _Place) -> tuple[Float[np.ndarray, " p"], float]:
         """Step of Fisher scoring within the bounds, and the gain of likelihood that it promises."""
         low, high = self.lower - at.theta, self.upper - at.theta
-        fixed = ((at.theta <= self.lower) & (at.score <= 0.0)) | ((at.theta >= self.upper) & (at.score >= 0.0))
+        fixed = ((at.theta <= self.lower) & (at.score <= 0.0)) | (
+            (at.theta >= self.upper) & (at.score >= 0.0)
+        )
         move = np.zeros(len(at.theta))
         for _ in range(len(move) + 1):
             rest = ~fixed
@@ -234,7 +235,10 @@ class _Problem:
         terms, shapes = len(self.template), free_shapes(self.template)
         labels = [p.label for p in shapes]
         places = np.array(
-            [p.term if power else terms + labels.index(p.label) for p, power in zip(self.parameters, self.is_power, strict=True)]
+            [
+                p.term if power else terms + labels.index(p.label)
+                for p, power in zip(self.parameters, self.is_power, strict=True)
+            ]
         )
         size = terms + len(shapes)
         inside = (at.theta > self.lower) & (at.theta < self.upper)
@@ -257,7 +261,12 @@ class _Problem:
         one = (x[None] for x in (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf)))
         zero = np.zeros(1)
         solution = Solution(
-            values[None, :terms], values[None, terms:], zero, zero, np.ones(1, bool), np.array([-2.0 * at.log_likelihood])
+            values[None, :terms],
+            values[None, terms:],
+            zero,
+            zero,
+            np.ones(1, bool),
+            np.array([-2.0 * at.log_likelihood]),
         )
         return solution, Inference(*one)
 
@@ -290,7 +299,9 @@ class _Problem:
         return v * self.scale[k], np.where(v < here, root, -root)
 
 
-def _covariance(information: Float[np.ndarray, "p p"], of: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
+def _covariance(
+    information: Float[np.ndarray, "p p"], of: Bool[np.ndarray, " p"]
+) -> Float[np.ndarray, "p p"]:
     """Inverse of the information about these parameters, the others known; zero for those."""
     found = np.zeros_like(information)
     found[np.ix_(of, of)] = np.linalg.pinv(information[np.ix_(of, of)], rcond=1e-14, hermitian=True)

@@ -75,8 +75,8 @@ class AxisFit(ByValue, AxisEstimates):
     Attributes:
         axis: whose it is.
         converged: whether it may be trusted; `reason` says why not.
-        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels, to the model within
-            their own scatter.
+        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels (those of Whittle's
+            maximum for "exact"), to the model within their own scatter.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms deviation of `misfit` if that is larger; 0 if the model
             suffices. Standard deviations and intervals include it.

@@ -200,7 +200,8 @@ def adaptive_filter(
         )
     lost = missing_of(recording, missing)
     results = (
-        _adapted(recording, k, models, lost[:, k], switching, constant_std) for k in range(len(recording.axes))
+        _adapted(recording, k, models, lost[:, k], switching, constant_std)
+        for k in range(len(recording.axes))
     )
     return Adapted(recording.name, tuple(results))
 

@@ -63,7 +63,9 @@ def kalman_filter(
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
-        raise AllanjaxError(f"constant_std must be finite and not negative, got {constant_std}; None if unknown")
+        raise AllanjaxError(
+            f"constant_std must be finite and not negative, got {constant_std}; None if unknown"
+        )
     lost = missing_of(recording, missing)
     axes = enumerate(recording.axes)
     results = (
@@ -108,7 +110,9 @@ def missing_of(
 def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
     """Raise AllanjaxError if a sample has no scatter under the model."""
     if not np.all(std[..., there] > 0.0):
-        raise AllanjaxError(f"{model!r} leaves nothing random in a sample: add a noise term, AngleRandomWalk(…)")
+        raise AllanjaxError(
+            f"{model!r} leaves nothing random in a sample: add a noise term, AngleRandomWalk(…)"
+        )
 
 
 def _filtered(

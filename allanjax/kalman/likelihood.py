@@ -31,9 +31,7 @@ def innovations_under(
     room = room_for(spaces)
     systems = stacked([padded(space, np.zeros((0, space.size)), room) for space in spaces])
     found = jax.device_get(run_innovations(systems, in_blocks(z - z[there].mean(), missing)))
-    each = [
-        Constant.of(e[:n], std[:n], there, None) for e, std in zip(found.value, found.std, strict=True)
-    ]
+    each = [Constant.of(e[:n], std[:n], there, None) for e, std in zip(found.value, found.std, strict=True)]
     seen = np.flatnonzero(there)[1:]
     return np.stack([c.innovation[seen] for c in each]), np.stack([c.innovation_std[seen] ** 2 for c in each])
 

@@ -21,7 +21,6 @@ from allanjax.record.units import rate_unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 #: Normal quantile of two-sided 95 % intervals.
@@ -111,7 +110,9 @@ class FilteredAxis(ByValue):
             "innovation_std": self.innovation_std,
         }
         of_states = zip(self.names, self.states.T, self.state_stds.T, strict=True)
-        return pd.DataFrame(columns | {k: v for name, x, s in of_states for k, v in ((name, x), (f"{name}_std", s))})
+        return pd.DataFrame(
+            columns | {k: v for name, x, s in of_states for k, v in ((name, x), (f"{name}_std", s))}
+        )
 
     def _told(self) -> list[tuple[str, str]]:
         """What is told of the axis, a quantity and its value in words each."""
