@@ -13,6 +13,7 @@ are those of the likelihood ratio, the other parameters moving along their regre
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -160,8 +161,8 @@ class _Problem:
             low, high = max(low - bound.lower, 1e-3), min(high, bound.upper) - bound.lower
             at = np.clip(c.value - bound.lower, low, high)
             rows.append((np.log(at), 1.0, False, np.log(low), np.log(high)))
-        start, scale, is_power, lower, upper = map(np.array, zip(*rows, strict=True))
-        return cls(template, z, rate, missing, tuple(parameters), start, scale, is_power, lower, upper, held)
+        columns: tuple[Any, ...] = tuple(np.array(column) for column in zip(*rows, strict=True))
+        return cls(template, z, rate, missing, tuple(parameters), *columns, held)
 
     def model(self, theta: Float[np.ndarray, " p"]) -> Model:
         """The model with these parameters."""
@@ -249,26 +250,21 @@ class _Problem:
         values = np.zeros(size)
         values[places] = at.theta * unit
         # Amplitudes that are held, and shapes of absent terms.
-        for k, p in enumerate(self.template.parameters):
+        for p in self.template.parameters:
             if p.parameter.is_amplitude and p.label in self.held:
                 values[p.term] = self.held[p.label] ** 2
             elif p.label in labels and p.label in self.held:
                 values[terms + labels.index(p.label)] = np.log(self.held[p.label] - p.parameter.lower)
         power_at = np.full((terms, ABOVE + len(_ABOVE)), np.nan)
         pivot_at = power_at.copy()
-        for k in np.flatnonzero(self.is_power):
-            power_at[places[k]], pivot_at[places[k]] = self._hypotheses(at, int(k), inside)
-        one = (x[None] for x in (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf)))
-        zero = np.zeros(1)
-        solution = Solution(
-            values[None, :terms],
-            values[None, terms:],
-            zero,
-            zero,
-            np.ones(1, bool),
-            np.array([-2.0 * at.log_likelihood]),
-        )
-        return solution, Inference(*one)
+        for k in map(int, np.flatnonzero(self.is_power)):
+            power_at[places[k]], pivot_at[places[k]] = self._hypotheses(at, k, inside)
+        found: tuple[Any, ...] = (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf))
+        cost = -2.0 * at.log_likelihood
+        solved: tuple[Any, ...] = (values[:terms], values[terms:], 0.0, 0.0, True, cost)
+        # As of several axes.
+        solved, found = (tuple(np.asarray(x)[None] for x in parts) for parts in (solved, found))
+        return Solution(*solved), Inference(*found)
 
     def _hypotheses(
         self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]

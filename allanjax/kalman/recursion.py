@@ -48,10 +48,10 @@ class Skip(NamedTuple):
         allowed: whether the filter may skip samples.
     """
 
-    A: Float[np.ndarray | Array, "*models n n"]
-    J: Float[np.ndarray | Array, "*models n n"]
-    noise: Float[np.ndarray | Array, "*models n n"]
-    allowed: Bool[np.ndarray | Array, "*models"]
+    A: Float[Array, "*models n n"]
+    J: Float[Array, "*models n n"]
+    noise: Float[Array, "*models n n"]
+    allowed: Bool[Array, "*models"]
 
 
 class System(NamedTuple):
@@ -64,12 +64,12 @@ class System(NamedTuple):
         skip: what a block less one sample makes of the covariance.
     """
 
-    A: Float[np.ndarray | Array, "*models n n"]
-    h: Float[np.ndarray | Array, "*models n"]
-    noise: Float[np.ndarray | Array, "*models n n"]
-    white: Float[np.ndarray | Array, "*models"]
-    start: Float[np.ndarray | Array, "*models n n"]
-    rows: Float[np.ndarray | Array, "*models rows n"]
+    A: Float[Array, "*models n n"]
+    h: Float[Array, "*models n"]
+    noise: Float[Array, "*models n n"]
+    white: Float[Array, "*models"]
+    start: Float[Array, "*models n n"]
+    rows: Float[Array, "*models rows n"]
     skip: Skip
 
 
@@ -116,8 +116,8 @@ class State(NamedTuple):
 class Record(NamedTuple):
     """Samples in blocks, and which are there."""
 
-    sample: Float[np.ndarray | Array, "blocks block"]
-    there: Bool[np.ndarray | Array, "blocks block"]
+    sample: Float[Array, "blocks block"]
+    there: Bool[Array, "blocks block"]
 
 
 def _triangular(M: Float[Array, "n m"]) -> Float[Array, "n n"]:
@@ -176,7 +176,8 @@ def _step(system: System, state: State, sample: Array, there: Array) -> tuple[St
     return State(system.A @ x, new, S, age, settled), (innovation, x)
 
 
-_Found = tuple[Float[Array, "block 2"], Float[Array, "block n 2"], Gains]
+# Innovations, updated states and gains, of a sample or of all in a block.
+_Found = tuple[Array, Array, Gains]
 
 
 def _block(system: System, state: State, samples: Array, there: Array) -> tuple[State, _Found]:
@@ -224,7 +225,9 @@ def run_filter(system: System, record: Record) -> tuple[Innovations, Rows, State
         rows = Rows(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
         return end, (Innovations(innovation, gains.innovation_std), rows, state)
 
-    _, (*found, states) = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
+    _, (*found, states) = jax.lax.scan(
+        block, _start(system), (jnp.asarray(record.sample), jnp.asarray(record.there))
+    )
     innovations, rows = jax.tree.map(_joined, found)
     return innovations, rows, states
 
@@ -252,7 +255,9 @@ def run_innovations(systems: System, record: Record) -> Innovations:
             end, (innovation, _, gains) = _block(system, state, *at)
             return end, Innovations(innovation, gains.innovation_std)
 
-        found = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))[1]
+        found = jax.lax.scan(block, _start(system), (jnp.asarray(record.sample), jnp.asarray(record.there)))[
+            1
+        ]
         return jax.tree.map(_joined, found)
 
     return jax.lax.map(one, jax.tree.map(jnp.asarray, systems))

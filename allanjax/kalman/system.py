@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -81,7 +82,7 @@ def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int | Non
     if room is None:
         room = room_for([space])
     grown = [(0, room - n)] * 2
-    return System(
+    parts: tuple[Any, ...] = (
         np.pad(space.A, grown),
         np.pad(space.H[0], grown[0]),
         np.pad(factor(space.Q), grown),
@@ -90,6 +91,7 @@ def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int | Non
         np.pad(rows, [(0, 0), grown[0]]),
         _skip(space, room),
     )
+    return System(*parts)
 
 
 def _skip(space: StateSpace, room: int) -> Skip:
@@ -99,9 +101,11 @@ def _skip(space: StateSpace, room: int) -> Skip:
     n, grown = space.size, [(0, room - space.size)] * 2
     h, R, one = space.H[0], space.R[0, 0], np.eye(space.size)
     s = float(h @ space.Q @ h + R)
+    parts: tuple[Any, ...]
     if n == 0 or lasting.any() or not s > 0.0:
         nothing = np.zeros((room, room))
-        return Skip(nothing, nothing, nothing, np.asarray(False))
+        parts = (nothing, nothing, nothing, np.asarray(False))
+        return Skip(*parts)
     closed = one - np.outer(space.Q @ h / s, h)
     seen = space.A.T @ h
     power = (closed @ space.A, closed @ space.Q, np.outer(seen, seen) / s)
@@ -111,7 +115,8 @@ def _skip(space: StateSpace, room: int) -> Skip:
             total = _joined(total, power)
         power = _joined(power, power)
     A, C, J = total
-    return Skip(np.pad(A, grown), np.pad(J, grown), np.pad(factor((C + C.T) / 2.0), grown), np.asarray(True))
+    parts = (np.pad(A, grown), np.pad(J, grown), np.pad(factor((C + C.T) / 2.0), grown), np.asarray(True))
+    return Skip(*parts)
 
 
 def _joined(
@@ -146,4 +151,5 @@ def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] 
     there, values = np.zeros(room, bool), np.zeros(room)
     there[:n] = True if missing is None else ~missing
     values[:n] = np.where(there[:n], samples, 0.0)
-    return Record(values.reshape(-1, BLOCK), there.reshape(-1, BLOCK))
+    parts: tuple[Any, ...] = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK))
+    return Record(*parts)
