@@ -6,8 +6,9 @@ innovations e and their variances s are central differences, all of them in one 
 
     score_i = −Σ e ∂_i e/s − ½ Σ ∂_i s/s·(1 − e²/s),    information_ij = Σ ∂_i e ∂_j e/s + ½ Σ ∂_i s ∂_j s/s²
 
-(Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, 3.4.5). Intervals of amplitudes
-are those of the likelihood ratio, the other parameters moving along their regression on the amplitude.
+(Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, 3.4.5). Intervals of
+amplitudes are those of the likelihood ratio, the other parameters moving along their regression on the
+amplitude; those of shapes are by the information.
 """
 
 from __future__ import annotations
@@ -161,8 +162,9 @@ class _Problem:
             low, high = max(low - bound.lower, 1e-3), min(high, bound.upper) - bound.lower
             at = np.clip(c.value - bound.lower, low, high)
             rows.append((np.log(at), 1.0, False, np.log(low), np.log(high)))
-        columns: tuple[Any, ...] = tuple(np.array(column) for column in zip(*rows, strict=True))
-        return cls(template, z, rate, missing, tuple(parameters), *columns, held)
+        columns: Any = [np.array(column) for column in zip(*rows, strict=True)]
+        start, scale, is_power, lower, upper = columns
+        return cls(template, z, rate, missing, tuple(parameters), start, scale, is_power, lower, upper, held)
 
     def model(self, theta: Float[np.ndarray, " p"]) -> Model:
         """The model with these parameters."""
@@ -259,11 +261,11 @@ class _Problem:
         pivot_at = power_at.copy()
         for k in map(int, np.flatnonzero(self.is_power)):
             power_at[places[k]], pivot_at[places[k]] = self._hypotheses(at, k, inside)
-        found: tuple[Any, ...] = (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf))
+        found: Any = (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf))
         cost = -2.0 * at.log_likelihood
-        solved: tuple[Any, ...] = (values[:terms], values[terms:], 0.0, 0.0, True, cost)
+        solved: Any = (values[:terms], values[terms:], 0.0, 0.0, True, cost)
         # As of several axes.
-        solved, found = (tuple(np.asarray(x)[None] for x in parts) for parts in (solved, found))
+        solved, found = ([np.asarray(x)[None] for x in parts] for parts in (solved, found))
         return Solution(*solved), Inference(*found)
 
     def _hypotheses(

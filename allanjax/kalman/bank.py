@@ -1,11 +1,11 @@
-"""Adaptive bank of Kalman filters (Magill 1965; Hou 2004, 3.4.4): several models, weighed by their innovations.
+"""Adaptive bank of Kalman filters (Magill 1965; Hou 2004, 3.4.4): models weighed by their innovations.
 
-Every model has a filter of its own. Before a sample the models have weights; the density of the innovation of
-each, times its weight, is its weight after the sample: the weights are the models' probabilities. As thesis and
-Magill have it the true model is one for all the time, and the weights of others go to zero for good; here it may
-change, with a stated probability per second, so that a model can come back. Given the sample densities the
-models are then the states of a Markov chain, whose probabilities by all samples say when it changed. (A
-filter does not know of the changes of others: after one it needs as long as its own memory.)
+Every model has a filter of its own. Before a sample the models have weights; the density of the innovation
+of each, times its weight, is its weight after the sample: the weights are the models' probabilities. As
+Magill and the thesis have it the true model is one for all the time, and the weights of others go to zero
+for good; here it may change, with a stated probability per second, so that a model can come back. The models
+are then the states of a Markov chain, whose probabilities by all samples say when it changed. (A filter does
+not know of the change: after one it needs as long as its own memory.)
 """
 
 from __future__ import annotations
@@ -195,8 +195,8 @@ def adaptive_filter(
         raise AllanjaxError("an adaptive filter weighs at least two models; kalman_filter takes one")
     if not 0.0 <= switching / recording.rate < 0.5:
         raise AllanjaxError(
-            f"the probability of a change, {switching} per second, must be at least 0 and below half a sample's, "
-            f"{recording.rate / 2:g}"
+            f"the probability of a change, {switching} per second, must be at least 0 and below half a "
+            f"sample's, {recording.rate / 2:g}"
         )
     lost = missing_of(recording, missing)
     results = (

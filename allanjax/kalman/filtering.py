@@ -36,24 +36,25 @@ def kalman_filter(
 ) -> Filtered:
     """Filter every axis of a recording by the state space of its noise model (Hou 2004, 3.1–3.17).
 
-    The state x_{k+1} = A x_k + w_k (3.1) and the sample z_k = H x_k + v_k + b (3.2), with w and v white and normal
-    (3.3, 3.4), are those of `Model.state_space`; b is a constant. The a priori errors and covariances (3.5–3.8)
-    follow from (3.13) x⁻ = A x and (3.14) P⁻ = A P Aᵀ + Q, the a posteriori ones from the gain (3.10, 3.15)
-    K = P⁻Hᵀ(H P⁻Hᵀ + R)⁻¹, x = x⁻ + K(z − H x⁻ − b) (3.9, 3.16) and P = (I − K H)P⁻ (3.17), here by factors of
-    P (see `recursion`). There is no control input (B u). As R → 0 the gain trusts the samples (3.11), as P⁻ → 0 the
-    prediction (3.12).
+    The state x_{k+1} = A x_k + w_k (3.1) and the sample z_k = H x_k + v_k + b (3.2), with w and v white and
+    normal (3.3, 3.4), are those of `Model.state_space`; b is a constant. The a priori errors and covariances
+    (3.5–3.8) follow from (3.13) x⁻ = A x and (3.14) P⁻ = A P Aᵀ + Q, the a posteriori ones from the gain
+    (3.10, 3.15) K = P⁻Hᵀ(H P⁻Hᵀ + R)⁻¹, x = x⁻ + K(z − H x⁻ − b) (3.9, 3.16) and P = (I − K H)P⁻ (3.17), here
+    by factors of P (see `recursion`). There is no control input (B u). As R → 0 the gain trusts the samples
+    (3.11), as P⁻ → 0 the prediction (3.12).
 
-    Exact for a Gaussian process; gains that change slowly are interpolated to 10⁻⁶ (see `recursion`), which changes
-    the likelihood of 200,000 samples by 10⁻⁸ nats. Bias instability and power laws are sums of Gauss–Markov
-    processes within 3 %.
+    Exact for a Gaussian process; gains that change slowly are interpolated to 10⁻⁶ (see `recursion`), which
+    changes the likelihood of 200,000 samples by less than 10⁻⁸ nats. Bias instability and power laws are sums
+    of Gauss–Markov processes within 3 %.
 
     Args:
-        recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples that
-            are `Recording.missing` are not seen by the filter.
-        models: a model with all its values, for all axes, or as text; a fit; or a mapping from axes to either.
+        recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples
+            that are `Recording.missing` are not seen by the filter.
+        models: a model with all its values, for all axes, or as text; a fit; or a mapping from axes to
+            either.
         smooth: whether bias and states are estimated from all samples (Rauch, Tung & Striebel 1965).
-        constant_std: standard deviation of the constant b about zero [rad/s or m/s²] before the first sample;
-            None if nothing is known of it, 0 if there is none.
+        constant_std: standard deviation of the constant b about zero [rad/s or m/s²] before the first
+            sample; None if nothing is known of it, 0 if there is none.
         missing: further samples that the filter is not to see.
         rate, gyro_unit, accel_unit: of an array, as for `fit`.
 
@@ -64,7 +65,7 @@ def kalman_filter(
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
         raise AllanjaxError(
-            f"constant_std must be finite and not negative, got {constant_std}; None if unknown"
+            f"constant_std must be finite and not negative, or None if unknown; got {constant_std}"
         )
     lost = missing_of(recording, missing)
     axes = enumerate(recording.axes)

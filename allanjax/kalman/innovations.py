@@ -30,8 +30,8 @@ class ChiSquared:
 def whiteness(u: Float[np.ndarray, " n"]) -> ChiSquared:
     """Portmanteau test of Ljung and Box (1978, Biometrika 65:297) of standardized innovations.
 
-    Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40; NaN where there is no sample: with samples missing, n − d is
-    the number of pairs that are there.
+    Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40. Where there is no sample, u is NaN; n − d is then the
+    number of pairs that are there.
     """
     there = np.isfinite(u)
     n = int(there.sum())

@@ -6,12 +6,12 @@ updates it by an orthogonal triangularization of
     [√R  hᵀF]      [√s   0]
     [ 0   F ]  →   [g√s  S],      F = [A S⁺, √Q] the factor of (3.14), g the gain (3.15), S that of (3.17).
 
-From where gain and covariance no longer change they are kept, and a step is that of the states alone. Long after
-the start, where they change slowly, they are computed at every 64th sample (exactly, by the transition over all
-samples between, see `Skip`), and gains between are interpolated: to 10⁻⁶, as their relative change in a step is
-the inverse of the number of samples so far, or less. A missing sample begins all this anew. Two columns are
-filtered with the same gains: the samples, and ones, by which an unknown constant is estimated without a state of
-its own (see `constant`).
+From where gain and covariance no longer change they are kept, and a step is that of the states alone. Long
+after the start, where they change slowly, they are computed at every 64th sample (exactly, by the transition
+over all samples between, see `Skip`), and gains between are interpolated: to 10⁻⁶, as their relative change
+in a step is the inverse of the number of samples so far, or less. A missing sample begins all this anew. Two
+columns are filtered with the same gains: the samples, and ones, by which an unknown constant is estimated
+without a state of its own (see `constant`).
 
 Lengths are padded to a few, and so are the numbers of states: samples and matrices are data, and few programs
 compile.
@@ -24,7 +24,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 # Relative change of gain and standard deviations in a step below which they stay: as it falls in proportion
@@ -264,7 +263,7 @@ def run_innovations(systems: System, record: Record) -> Innovations:
 
 
 class _Adjoint(NamedTuple):
-    """State of the smoother: r and a factor of its covariance N after a sample, and what no longer changes."""
+    """State of the smoother: r and a factor of its covariance N after a sample, and whether that changes."""
 
     r: Float[Array, "n 2"]
     factor: Float[Array, "n n"]

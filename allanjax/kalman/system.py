@@ -82,7 +82,7 @@ def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int | Non
     if room is None:
         room = room_for([space])
     grown = [(0, room - n)] * 2
-    parts: tuple[Any, ...] = (
+    parts: Any = (
         np.pad(space.A, grown),
         np.pad(space.H[0], grown[0]),
         np.pad(factor(space.Q), grown),
@@ -101,7 +101,7 @@ def _skip(space: StateSpace, room: int) -> Skip:
     n, grown = space.size, [(0, room - space.size)] * 2
     h, R, one = space.H[0], space.R[0, 0], np.eye(space.size)
     s = float(h @ space.Q @ h + R)
-    parts: tuple[Any, ...]
+    parts: Any
     if n == 0 or lasting.any() or not s > 0.0:
         nothing = np.zeros((room, room))
         parts = (nothing, nothing, nothing, np.asarray(False))
@@ -151,5 +151,5 @@ def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] 
     there, values = np.zeros(room, bool), np.zeros(room)
     there[:n] = True if missing is None else ~missing
     values[:n] = np.where(there[:n], samples, 0.0)
-    parts: tuple[Any, ...] = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK))
+    parts: Any = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK))
     return Record(*parts)

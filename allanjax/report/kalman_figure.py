@@ -79,7 +79,7 @@ def plot_adapted(
     axes: Sequence[str] | str | None = None,
     path: str | os.PathLike[str] | None = None,
 ) -> Figure:
-    """Draw the blended bias with its 95 % band over the samples, and the models' probabilities, an axis a row.
+    """Draw the blended bias with its 95 % band over the samples, and below it the models' probabilities.
 
     Solid lines are probabilities by all samples, dotted ones the weights by those up to each.
 
@@ -156,7 +156,7 @@ def _draw_band(
     at: Any,
     scale: float,
 ) -> None:
-    """Draw a bias and its 95 % band at these samples, and make the scale for what lies beyond the first few."""
+    """Draw a bias and its 95 % band at these samples."""
     half = TWO_SIDED_95 * std[at] / scale
     value = bias[at] / scale
     panel.fill_between(

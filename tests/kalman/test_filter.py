@@ -1,4 +1,4 @@
-"""Filters and smoothers, by dense covariances from the models' phase covariances, and by a textbook filter."""
+"""Filters and smoothers, by dense covariances of the models and by a textbook filter."""
 
 import dataclasses
 
