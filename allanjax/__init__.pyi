@@ -9,6 +9,8 @@ from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError
 from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
+from allanjax.calibration.result import Calibration as Calibration
+from allanjax.calibration.static_positions import calibrate as calibrate
 from allanjax.critic import Cause as Cause
 from allanjax.critic import Critique as Critique
 from allanjax.critic import Finding as Finding

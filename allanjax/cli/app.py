@@ -7,6 +7,7 @@ import typer
 
 from allanjax.base.plain import speak_plainly
 from allanjax.cli import (
+    calibrate,
     characterize,
     check,
     convert,
@@ -71,6 +72,7 @@ for _module in (
     export,
     horizon,
     statespace,
+    calibrate,
     simulate,
     convert,
     schema,

@@ -10,6 +10,7 @@ present(
         "Adapted.plot": "allanjax.report.kalman_figure.plot_adapted",
         "AllanDeviation.plot": "allanjax.report.allan_figure.plot_allan",
         "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
+        "Calibration.plot": "allanjax.report.calibration_figure.plot_calibration",
         "Critique.__str__": "allanjax.report.critique_story.critique_text",
         "Critique.details": "allanjax.report.critique_story.details",
         "Critique.plot": "allanjax.report.critique_figure.plot_critique",
