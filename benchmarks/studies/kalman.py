@@ -34,10 +34,11 @@ ABOUT = """# Kalman filter and exact likelihood
 ## Fits of short records
 
 {count} records of each model (in recordings of {axes} gyros), {n} samples at {rate:g} Hz, from seed
-{seed} on, drawn after the code was frozen: N = {white:g} rad/√s with K = {walk:g} rad/s/√s, or with a Markov process of
+{seed} on, drawn after the code was frozen: N = {white:g} rad/√s with K = {walk:g} rad/s/√s, or with a Markov
+process of
 q_c = {amplitude:g} rad/s/√s and T_c = {time:g} s. "Cover" is the share of 95 %
-intervals with the truth (of a limit where there is no interval), "low" and "high" the shares of those that lie
-above and below it; RMSE is of the logarithm of the estimate (of detected ones), over the
+intervals with the truth (of a limit where there is no interval), "low" and "high" the shares of those that
+lie above and below it; RMSE is of the logarithm of the estimate (of detected ones), over the
 Cramér–Rao bound of the exact likelihood. "Not detected" counts amplitudes whose interval includes zero. The
 steady-state filter is maximum likelihood with the constant gain of each pair of N and K from the first sample
 on, and intervals by its curvature in the logarithms.
