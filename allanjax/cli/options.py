@@ -90,9 +90,10 @@ def _fit_options(
         ),
     ] = None,
     objective: Annotated[
-        Literal["allan", "whittle"],
+        Literal["allan", "whittle", "exact"],
         typer.Option(
-            help="Fit the Allan variances, or the spectrum by Whittle's likelihood: better for lines."
+            help="Fit the Allan variances, the spectrum by Whittle's likelihood (better for lines), or the "
+            "samples by their exact likelihood (given terms, up to 100,000 samples)."
         ),
     ] = "allan",
     regressors: Annotated[

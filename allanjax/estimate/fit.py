@@ -1,4 +1,4 @@
-"""Fits of a noise model to a recording, by its Allan or wavelet variances or by Whittle's likelihood."""
+"""Fits of a noise model to a recording: Allan or wavelet variances, Whittle's or the exact likelihood."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, fit_whittle, with_curve
 from allanjax.estimate.design import model_to_fit
+from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension.search import Extension, extended
 from allanjax.estimate.ranking import select_terms
 from allanjax.estimate.result import NEXT, AxisFit, Fit
@@ -32,7 +33,7 @@ from allanjax.record.recording import Axis, DeadAxis, Recording
 # Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
 _PER_OCTAVE = 4
 
-Objective = Literal["allan", "whittle", "wavelet"]
+Objective = Literal["allan", "whittle", "wavelet", "exact"]
 
 
 def fit(
@@ -65,6 +66,11 @@ def fit(
     `objective="wavelet"`: the wavelet variances (see `wavelet_variance`) of all levels are fitted as the
     Allan variances are. With "haar" these are half the Allan variances at octaves.
 
+    `objective="exact"`: maximum of the Gaussian likelihood of the samples themselves, by a Kalman filter: for
+    a given model of noise terms and short records, up to 100,000 samples, in which the few lowest frequencies
+    matter; missing samples are left out, not drawn. Where the model does not follow the data, an axis has
+    Whittle's result.
+
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
         model: the terms, added up with `+`, or written as on the command line, `"N + B + K"`; parameters
@@ -74,7 +80,7 @@ def fit(
             ones and a Markov process; for the basic terms not chosen there is an upper limit. Where no set
             of terms follows the data, the spectrum is searched for a filter, resonances, lines and further
             Markov processes, and what is found is fitted jointly (`AxisFit.own_template`, `plain`).
-        objective: "allan", "whittle" or "wavelet".
+        objective: "allan", "whittle", "wavelet" or "exact".
         wavelet: an orthogonal wavelet by its name in PyWavelets, for "wavelet"; all but "haar" leave ramps
             and lines undetermined.
         regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
@@ -90,7 +96,8 @@ def fit(
         The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
 
     Raises:
-        FitError: if the record is too short for the model; a step or warm-up without a time, or with "allan".
+        FitError: if the record is too short for the model; a step or warm-up without a time, or with "allan";
+            with "exact" a record that is too long, no model, or one with lines or ramps.
         AllanjaxError: an unknown objective; a regressor that is no auxiliary channel, or is constant.
     """
     if model in get_args(Objective):
@@ -111,15 +118,17 @@ def fit_inspected(
 ) -> Fit:
     """Fit of a recording whose inspection is known already; see `fit`."""
     if objective not in get_args(Objective):
-        raise AllanjaxError(f'the objective must be "allan", "whittle" or "wavelet", not {objective!r}')
+        told = ", ".join(f'"{name}"' for name in get_args(Objective))
+        raise AllanjaxError(f"the objective must be one of {told}, not {objective!r}")
     # What is wrong with them is said before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:
         quiet = seen.quiet(recording)
-        # As if it were complete; what that claims too much is made good afterwards.
-        whole = dataclasses.replace(quiet, missing=None)
+        # But for the exact likelihood as if it were complete; what that claims too much is made good afterwards.
+        exact = objective == "exact"
+        whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         found = _fitted(whole, model, objective, regressors, plain, wavelet)
-        if quiet.missing is not None:
+        if quiet.missing is not None and not exact:
             found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)
     template, _ = terms_to_fit(model, None, recording.axes, objective)
@@ -152,6 +161,9 @@ def _fitted(
 ) -> Fit:
     """Fit of all samples of a recording."""
     given = _regressors(recording, regressors, objective)
+    notes: tuple[str, ...] = ()
+    if objective == "exact":
+        check_exact(None if model is None else model_to_fit(model, recording.axes, True), recording)
     release_programs(0.75)
     selection = select_terms(recording) if model is None else None
     template, active = terms_to_fit(model, selection, recording.axes, objective)
@@ -166,6 +178,9 @@ def _fitted(
         template, active = template.without(unused), active[:, active.any(axis=0)]
         results = fit_wavelet(recording, template, active, wavelet)
         results, curve = with_curve(curve, template, results)
+    elif objective == "exact":
+        results, notes = _exact(recording, template, active)
+        results, curve = with_curve(curve, template, results)
     else:
         axes = range(len(recording.axes))
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
@@ -175,8 +190,23 @@ def _fitted(
         results, selection = _extended(recording, results, curve, selection)
     if selection is not None:
         results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)
-    notes = recording.notes + ambiguities(selection)
+    notes = (*recording.notes, *notes, *ambiguities(selection))
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
+
+
+def _exact(
+    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"]
+) -> tuple[tuple[AxisFit, ...], tuple[str, ...]]:
+    """Results by the exact likelihood, and a note on axes that have Whittle's, widened where samples miss."""
+    found = [fit_exact(recording, k, template, active[k]) for k in range(len(recording.axes))]
+    by = np.ones(len(found)) if recording.missing is None else widening(recording.missing)
+    results = tuple(
+        result if exact else result.widened(float(factor))
+        for (result, exact), factor in zip(found, by, strict=True)
+    )
+    names = [result.axis.name for result, exact in found if not exact]
+    note = f"{', '.join(names)}: by Whittle's likelihood, as the model does not follow the data"
+    return results, (note,) if names else ()
 
 
 def _extended(
@@ -260,8 +290,8 @@ def terms_to_fit(
         FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
     """
     if selection is None:
-        whittle = objective == "whittle"
-        template = basic_terms() if model is None else model_to_fit(model, axes, with_response=whittle)
+        spectral = objective != "allan"
+        template = basic_terms() if model is None else model_to_fit(model, axes, with_response=spectral)
         template = _with_known_transients(template, objective)
         _check_distinct(template)
         return template, np.ones((len(axes), len(template)), bool)

@@ -75,8 +75,8 @@ class AxisFit(ByValue, AxisEstimates):
     Attributes:
         axis: whose it is.
         converged: whether it may be trusted; `reason` says why not.
-        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels, to the model within
-            their own scatter.
+        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels (those of Whittle's
+            maximum for "exact"), to the model within their own scatter.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms deviation of `misfit` if that is larger; 0 if the model
             suffices. Standard deviations and intervals include it.
@@ -244,7 +244,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
         curve: the Allan deviations it was fitted to, with degrees of freedom under the fitted models.
         results: one a recording axis.
         notes: what the reader or the fit want the user to know.
-        objective: "allan", "whittle" or "wavelet".
+        objective: "allan", "whittle", "wavelet" or "exact".
         selection: the ranking of terms, if the fit chose them itself.
         dead: axes of the recording that have no noise to fit, and why.
         warnings: what was seen in the recording before the fit, the most important first.

@@ -227,8 +227,8 @@ class AllanAccumulator:
             FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
                 need the record itself.
         """
-        if objective == "wavelet":
-            raise AllanjaxError('a stream keeps no wavelet variances: give objective="allan" or "whittle"')
+        if objective in ("wavelet", "exact"):
+            raise FitError(f'objective="{objective}" needs the samples themselves: give "allan" or "whittle"')
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
         seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()

@@ -1,0 +1,330 @@
+"""Kalman filter and fixed-interval smoother in square-root form, compiled: one scan over the samples each.
+
+The filter (3.5)–(3.17) carries a factor S of the covariance P = SSᵀ, which no rounding can make negative, and
+updates it by an orthogonal triangularization of
+
+    [√R  hᵀF]      [√s   0]
+    [ 0   F ]  →   [g√s  S],      F = [A S⁺, √Q] the factor of (3.14), g the gain (3.15), S that of (3.17).
+
+From where gain and covariance no longer change they are kept, and a step is that of the states alone. Long
+after the start, where they change slowly, they are computed at every 64th sample (exactly, by the transition
+over all samples between, see `Skip`), and gains between are interpolated: to 10⁻⁶, as their relative change
+in a step is the inverse of the number of samples so far, or less. A missing sample begins all this anew. Two
+columns are filtered with the same gains: the samples, and ones, by which an unknown constant is estimated
+without a state of its own (see `constant`).
+
+Lengths are padded to a few, and so are the numbers of states: samples and matrices are data, and few programs
+compile.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+# Relative change of gain and standard deviations in a step below which they stay: as it falls in proportion
+# to the distance from the limit, that is less than this times the filter's time constant in samples.
+_SETTLED = 1e-12
+#: Samples of a block, for which gains are computed one by one, or at its end only.
+BLOCK = 64
+# Samples after which gains change slowly.
+_YOUNG = 1 << 15
+
+
+class Skip(NamedTuple):
+    """What several samples make of the factor S of the covariance: S' of P' = C + A(P⁻¹ + J)⁻¹Aᵀ.
+
+    `A` is the transition of the states and `C` the covariance that the filter has which started from known
+    states, J the information of the samples about these (Särkkä & García-Fernández 2021, IEEE TAC 66:299).
+
+    Attributes:
+        A, J: as above.
+        noise: a factor of C.
+        allowed: whether the filter may skip samples.
+    """
+
+    A: Float[Array, "*models n n"]
+    J: Float[Array, "*models n n"]
+    noise: Float[Array, "*models n n"]
+    allowed: Bool[Array, "*models"]
+
+
+class System(NamedTuple):
+    """Matrices of a filter, with room for more states than there are.
+
+    Attributes:
+        A, h: transition and observation.
+        noise, white, start: factors of Q and P0, and the root of R.
+        rows: what is wanted of the states, in rows.
+        skip: what a block less one sample makes of the covariance.
+    """
+
+    A: Float[Array, "*models n n"]
+    h: Float[Array, "*models n"]
+    noise: Float[Array, "*models n n"]
+    white: Float[Array, "*models"]
+    start: Float[Array, "*models n n"]
+    rows: Float[Array, "*models rows n"]
+    skip: Skip
+
+
+class Innovations(NamedTuple):
+    """Innovations of both columns, zero where there is no sample, and their standard deviation."""
+
+    value: Float[Array, "*models samples 2"]
+    std: Float[Array, "*models samples"]
+
+
+class Rows(NamedTuple):
+    """What is wanted of the states, of both columns, and its standard deviation for a known constant."""
+
+    value: Float[Array, "samples rows 2"]
+    std: Float[Array, "samples rows"]
+
+
+class Gains(NamedTuple):
+    """Gain (3.15), standard deviation of the innovation, and those of the rows after the sample."""
+
+    gain: Float[Array, " n"]
+    innovation_std: Float[Array, ""]
+    std: Float[Array, " rows"]
+
+
+class State(NamedTuple):
+    """State of the filter before a sample.
+
+    Attributes:
+        x: predicted states, of both columns (3.13).
+        gains: of the last sample.
+        S: factor of the covariance after it (3.17).
+        age: samples since the first or a missing one, −1 before the first.
+        settled: whether gains and covariance no longer change.
+    """
+
+    x: Float[Array, "n 2"]
+    gains: Gains
+    S: Float[Array, "n n"]
+    age: Int[Array, ""]
+    settled: Bool[Array, ""]
+
+
+class Record(NamedTuple):
+    """Samples in blocks, and which are there."""
+
+    sample: Float[Array, "blocks block"]
+    there: Bool[Array, "blocks block"]
+
+
+def _triangular(M: Float[Array, "n m"]) -> Float[Array, "n n"]:
+    """Triangular factor L of LLᵀ = MMᵀ."""
+    return jnp.linalg.qr(M.T, mode="r").T
+
+
+def _unchanged(new: Array, old: Array, scale: Array) -> Bool[Array, ""]:
+    return jnp.all(jnp.abs(new - old) <= _SETTLED * scale)
+
+
+def _start(system: System) -> State:
+    n, rows = len(system.h), len(system.rows)
+    nothing = Gains(jnp.zeros(n), jnp.zeros(()), jnp.zeros(rows))
+    return State(jnp.zeros((n, 2)), nothing, jnp.zeros((n, n)), jnp.asarray(-1), jnp.asarray(False))
+
+
+def _updated(
+    system: System, S: Float[Array, "n n"], there: Array, first: Array
+) -> tuple[Gains, Float[Array, "n n"]]:
+    """Gains at a sample, and the factor after it, from the factor after the one before."""
+    h, white = jnp.where(there, system.h, 0.0), jnp.where(there, system.white, 1.0)
+    n = len(h)
+    predicted = jnp.where(first, jnp.asarray(system.start), system.A @ S)
+    factor = jnp.concatenate([predicted, jnp.where(first, 0.0, system.noise)], axis=1)
+    top = jnp.concatenate([white[None], h @ factor])
+    below = jnp.concatenate([jnp.zeros((n, 1)), factor], axis=1)
+    found = _triangular(jnp.concatenate([top[None], below]))
+    S = found[1:, 1:]
+    std = jnp.sqrt(jnp.sum((system.rows @ S) ** 2, axis=1))
+    return Gains(found[1:, 0] / found[0, 0], jnp.abs(found[0, 0]), std), S
+
+
+def _skipped(skip: Skip, S: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Factor after the samples that are skipped."""
+    inner = jnp.linalg.cholesky(jnp.eye(len(S)) + S.T @ skip.J @ S)
+    known = jax.scipy.linalg.solve_triangular(inner, S.T, lower=True).T
+    return _triangular(jnp.concatenate([skip.A @ known, jnp.asarray(skip.noise)], axis=1))
+
+
+def _innovation(system: System, x: Float[Array, "n 2"], sample: Array, there: Array) -> Float[Array, " 2"]:
+    """Innovations of the sample and of a one, zero where there is no sample."""
+    return jnp.where(there, jnp.stack([sample, jnp.ones(())]) - system.h @ x, 0.0)
+
+
+def _step(system: System, state: State, sample: Array, there: Array) -> tuple[State, tuple[Array, Array]]:
+    """State before the next sample, with the innovations of this one and the updated states (3.16)."""
+    innovation = _innovation(system, state.x, sample, there)
+    new, S = _updated(system, state.S, there, state.age < 0)
+    old, sd = state.gains, new.innovation_std
+    settled = there & _unchanged(new.std, old.std, new.std) & _unchanged(sd, old.innovation_std, sd)
+    size = jnp.sqrt(jnp.sum(S**2, axis=1))
+    settled &= _unchanged(new.gain * sd, old.gain * old.innovation_std, size)
+    age = jnp.where(there, jnp.maximum(state.age, 0) + 1, 0)
+    x = state.x + new.gain[:, None] * innovation
+    return State(system.A @ x, new, S, age, settled), (innovation, x)
+
+
+# Innovations, updated states and gains, of a sample or of all in a block.
+_Found = tuple[Array, Array, Gains]
+
+
+def _block(system: System, state: State, samples: Array, there: Array) -> tuple[State, _Found]:
+    """State after a block, with innovations, updated states and gains in it."""
+    whole, empty = jnp.all(there), ~jnp.any(there) & (state.age >= 0)
+    steady = empty | (whole & state.settled)
+    old = whole & system.skip.allowed & (state.age >= _YOUNG)
+
+    def one_by_one(state: State) -> tuple[State, _Found]:
+        def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Found]:
+            new, found = _step(system, state, *at)
+            return new, (*found, new.gains)
+
+        return jax.lax.scan(step, state, (samples, there))
+
+    def at_once(state: State) -> tuple[State, _Found]:
+        def skipped(state: State) -> tuple[Gains, Float[Array, "n n"]]:
+            S = _skipped(system.skip, state.S)
+            return _updated(system, S, jnp.asarray(True), jnp.asarray(False))
+
+        end, S = jax.lax.cond(steady, lambda s: (s.gains, s.S), skipped, state)
+        share = jnp.arange(1, BLOCK + 1) / BLOCK
+        gains = jax.tree.map(
+            lambda now, then: now + share.reshape(-1, *[1] * now.ndim) * (then - now), state.gains, end
+        )
+
+        def step(x: Array, at: tuple[Array, Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+            sample, there, gain = at
+            innovation = _innovation(system, x, sample, there)
+            updated = x + gain[:, None] * innovation
+            return system.A @ updated, (innovation, updated)
+
+        x, found = jax.lax.scan(step, state.x, (samples, there, gains.gain))
+        return State(x, end, S, state.age + BLOCK, state.settled & steady), (*found, gains)
+
+    return jax.lax.cond(steady | old, at_once, one_by_one, state)
+
+
+@eqx.filter_jit
+def run_filter(system: System, record: Record) -> tuple[Innovations, Rows, State]:
+    """Innovations and updated rows at every sample, and the state before every block of samples."""
+
+    def block(state: State, at: tuple[Array, Array]) -> tuple[State, tuple[Innovations, Rows, State]]:
+        end, (innovation, x, gains) = _block(system, state, *at)
+        rows = Rows(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
+        return end, (Innovations(innovation, gains.innovation_std), rows, state)
+
+    _, (*found, states) = jax.lax.scan(
+        block, _start(system), (jnp.asarray(record.sample), jnp.asarray(record.there))
+    )
+    innovations, rows = jax.tree.map(_joined, found)
+    return innovations, rows, states
+
+
+def _joined(x: Array) -> Array:
+    """Samples of all blocks."""
+    return x.reshape(-1, *x.shape[2:])
+
+
+@eqx.filter_jit
+def run_bank(systems: System, record: Record) -> tuple[Innovations, Rows]:
+    """Innovations and updated rows of several filters with the same numbers of states, one after the other.
+
+    One after the other, for then each of them may stop computing gains; side by side, none could.
+    """
+    return jax.lax.map(lambda system: run_filter(system, record)[:2], jax.tree.map(jnp.asarray, systems))
+
+
+@eqx.filter_jit
+def run_innovations(systems: System, record: Record) -> Innovations:
+    """Innovations alone of several filters."""
+
+    def one(system: System) -> Innovations:
+        def block(state: State, at: tuple[Array, Array]) -> tuple[State, Innovations]:
+            end, (innovation, _, gains) = _block(system, state, *at)
+            return end, Innovations(innovation, gains.innovation_std)
+
+        found = jax.lax.scan(block, _start(system), (jnp.asarray(record.sample), jnp.asarray(record.there)))[
+            1
+        ]
+        return jax.tree.map(_joined, found)
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, systems))
+
+
+class _Adjoint(NamedTuple):
+    """State of the smoother: r and a factor of its covariance N after a sample, and whether that changes."""
+
+    r: Float[Array, "n 2"]
+    factor: Float[Array, "n n"]
+    std: Float[Array, " rows"]
+    settled: Bool[Array, ""]
+
+
+@eqx.filter_jit
+def run_smoother(system: System, states: State, record: Record) -> Rows:
+    """Rows at every sample given all samples, from the states of the filter before every block.
+
+    The estimates of Rauch, Tung and Striebel (1965) in the form of Bryson and Frazier, which inverts no
+    covariance (states that are known exactly have a singular one): with r and N = cov(r), backwards,
+
+        x̂ = x + P Aᵀr,   cov = P − P Aᵀ N A P,   r ← h e/s + (I − h gᵀ)Aᵀr,   N ← h hᵀ/s + (…)N(…)ᵀ.
+    """
+    rows = jnp.asarray(system.rows)
+
+    def forward(state: State, at: tuple[Array, Array]) -> tuple[State, tuple]:
+        new, (innovation, x) = _step(system, state, *at)
+        return new, (innovation, x, new.gains, new.S, new.settled, at[1])
+
+    def smoothed(adjoint: _Adjoint, at: tuple) -> tuple[Array, Array, Array, Array, Array]:
+        innovation, x, gains, S, there = at
+        h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
+        gain = jnp.where(there, gains.gain, 0.0)
+        a = system.A.T @ adjoint.r
+        r = h[:, None] * (innovation / sd**2 - gain @ a) + a
+        return rows @ (x + S @ (S.T @ a)), r, h, gain, sd
+
+    def backward(adjoint: _Adjoint, at: tuple) -> tuple[_Adjoint, Rows]:
+        innovation, x, gains, S, is_settled, there = at
+        value, r, h, gain, sd = smoothed(adjoint, (innovation, x, gains, S, there))
+        B = system.A.T @ adjoint.factor
+        taken = jnp.sum((B.T @ S @ S.T @ rows.T) ** 2, axis=0)
+        std = jnp.sqrt(jnp.maximum(gains.std**2 - taken, 0.0))
+        factor = _triangular(jnp.concatenate([h[:, None] / sd, B - jnp.outer(h, gain @ B)], axis=1))
+        size, old = (jnp.sqrt(jnp.sum(N**2, axis=1)) for N in (factor, adjoint.factor))
+        settled = is_settled & _unchanged(std, adjoint.std, std) & _unchanged(size, old, size)
+        return _Adjoint(r, factor, std, settled), Rows(value, std)
+
+    def steadily(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+        _, (innovation, x, _) = _block(system, state, samples, there)
+
+        def step(adjoint: _Adjoint, at: tuple) -> tuple[_Adjoint, Rows]:
+            innovation, x, there = at
+            value, r, *_ = smoothed(adjoint, (innovation, x, state.gains, state.S, there))
+            return adjoint._replace(r=r), Rows(value, adjoint.std)
+
+        return jax.lax.scan(step, adjoint, (innovation, x, there), reverse=True)
+
+    def one_by_one(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+        found = jax.lax.scan(forward, state, (samples, there))[1]
+        return jax.lax.scan(backward, adjoint, found, reverse=True)
+
+    def block(adjoint: _Adjoint, at: tuple) -> tuple[_Adjoint, Rows]:
+        steady = adjoint.settled & at[0].settled & jnp.all(at[2])
+        return jax.lax.cond(steady, steadily, one_by_one, adjoint, *at)
+
+    n = len(system.h)
+    nothing = _Adjoint(jnp.zeros((n, 2)), jnp.zeros((n, n)), jnp.zeros(len(rows)), jnp.asarray(False))
+    at = (states, *map(jnp.asarray, record))
+    _, found = jax.lax.scan(block, nothing, at, reverse=True)
+    return jax.tree.map(_joined, found)

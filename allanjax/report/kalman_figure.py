@@ -1,0 +1,201 @@
+"""Figures of Kalman filters: bias with its band over the samples, innovations, probabilities of models."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.kalman.bank import Adapted, AdaptedAxis
+from allanjax.kalman.result import TWO_SIDED_95, Filtered, FilteredAxis
+from allanjax.record.units import rate_unit_of
+from allanjax.report.figure import (
+    COLOURS,
+    DOTS,
+    add_grid,
+    add_legend,
+    facts_of,
+    label_in,
+    place,
+    save_and_close,
+    style,
+    write_title,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Inches.
+_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.2, 0.95, 0.5, 0.3
+_WIDTH, _BIAS_HEIGHT, _STRIP_HEIGHT, _BETWEEN = 7.6, 1.8, 0.9, 0.45
+# Most points that are drawn of a record: others are left out at even distances.
+_MOST = 4000
+_BLUE = COLOURS[0]
+
+
+def plot_filtered(
+    filtered: Filtered,
+    axes: Sequence[str] | str | None = None,
+    path: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw the bias with its 95 % band over the samples, and standardized innovations below, an axis a row.
+
+    Innovations should be white and 95 % of them within the grey band. Of long records every so many
+    samples are drawn.
+
+    Args:
+        filtered: what `kalman_filter` returns.
+        axes: names of the axes to draw; all of them by default.
+        path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+
+    Raises:
+        AllanjaxError: there is no such axis.
+    """
+    chosen = [filtered[name] for name in _names(filtered.axes, axes)]
+
+    def bias(panel: Axes, result: FilteredAxis, scale: float) -> None:
+        some = _some(len(result.samples))
+        there = some[~result.missing[some]]
+        panel.plot(result.time[there], result.samples[there] / scale, **_samples())
+        known = some[np.isfinite(result.bias_std[some])]
+        _draw_band(panel, result.time, result.bias, result.bias_std, known, scale)
+
+    def strip(panel: Axes, result: FilteredAxis) -> None:
+        some = _some(len(result.samples))
+        panel.axhspan(-TWO_SIDED_95, TWO_SIDED_95, color="0.9", linewidth=0.0)
+        panel.plot(result.time[some], result.standardized[some], **DOTS)
+        panel.set_ylabel("innovation\nover its std")
+
+    return _figure(filtered.name or "Kalman filter", chosen, bias, strip, _key(), path)
+
+
+def plot_adapted(
+    adapted: Adapted,
+    axes: Sequence[str] | str | None = None,
+    path: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw the blended bias with its 95 % band over the samples, and below it the models' probabilities.
+
+    Solid lines are probabilities by all samples, dotted ones the weights by those up to each.
+
+    Args:
+        adapted: what `adaptive_filter` returns.
+        axes: names of the axes to draw; all of them by default.
+        path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+
+    Raises:
+        AllanjaxError: there is no such axis.
+    """
+    from matplotlib.lines import Line2D
+
+    chosen = [adapted[name] for name in _names(adapted.axes, axes)]
+    labels = chosen[0].labels
+    lines: list[Any] = [
+        Line2D([], [], color=COLOURS[(k + 1) % len(COLOURS)], label=label) for k, label in enumerate(labels)
+    ]
+
+    def bias(panel: Axes, result: AdaptedAxis, scale: float) -> None:
+        some = _some(len(result.samples))
+        panel.plot(result.time[some], result.samples[some] / scale, **_samples())
+        known = some[np.isfinite(result.bias_std[some])]
+        _draw_band(panel, result.time, result.bias, result.bias_std, known, scale)
+
+    def strip(panel: Axes, result: AdaptedAxis) -> None:
+        some = _some(len(result.samples))
+        for k, line in enumerate(lines):
+            colour, label = line.get_color(), labels[k]
+            panel.plot(result.time[some], result.probability[some, k], color=colour, label=label)
+            panel.plot(
+                result.time[some], result.weights[some, k], ":", color=colour, linewidth=0.8, label=label
+            )
+        panel.set_ylim(-0.05, 1.05)
+        panel.set_ylabel("probability")
+
+    return _figure(adapted.name or "adaptive filter", chosen, bias, strip, [*_key(), *lines], path)
+
+
+def _names(there: Sequence[str], chosen: Sequence[str] | str | None) -> list[str]:
+    """Names of the axes to draw."""
+    names = list(there) if chosen is None else [chosen] if isinstance(chosen, str) else list(chosen)
+    if not names or set(names) - set(there):
+        raise AllanjaxError(f"name at least one axis to plot of {', '.join(there)}, not {', '.join(names)}")
+    return names
+
+
+def _some(n: int) -> Any:
+    """Indices of the samples that are drawn."""
+    return np.unique(np.linspace(0, n - 1, min(n, _MOST)).round().astype(int))
+
+
+def _samples() -> dict[str, Any]:
+    return {**DOTS, "color": "0.7", "markersize": 1.6, "label": "samples"}
+
+
+def _key() -> list[Any]:
+    """Entries of the key for samples, bias and band."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    return [
+        Line2D([], [], **_samples()),
+        Line2D([], [], color=_BLUE, label="bias"),
+        Patch(color=_BLUE, alpha=0.3, linewidth=0.0, label="95 % interval"),
+    ]
+
+
+def _draw_band(
+    panel: Axes,
+    time: Float[np.ndarray, " n"],
+    bias: Float[np.ndarray, " n"],
+    std: Float[np.ndarray, " n"],
+    at: Any,
+    scale: float,
+) -> None:
+    """Draw a bias and its 95 % band at these samples."""
+    half = TWO_SIDED_95 * std[at] / scale
+    value = bias[at] / scale
+    panel.fill_between(
+        time[at], value - half, value + half, color=_BLUE, alpha=0.3, linewidth=0.0, label="95 % interval"
+    )
+    panel.plot(time[at], value, color=_BLUE, linewidth=1.2, label="bias")
+
+
+def _figure(
+    title: str,
+    results: Sequence[Any],
+    bias: Any,
+    strip: Any,
+    key: Sequence[Any],
+    path: str | os.PathLike[str] | None,
+) -> Figure:
+    """Figure of a panel and a strip for each axis, one below the other."""
+    import matplotlib.pyplot as plt
+
+    row = _BIAS_HEIGHT + _STRIP_HEIGHT + _GAP
+    width = _LEFT + _WIDTH + _RIGHT
+    height = _TOP + len(results) * (row + _BETWEEN) + _BOTTOM - _BETWEEN
+    with style():
+        figure = plt.figure(figsize=(width, height))
+        write_title(figure, _LEFT, title, facts_of(len(results[0].samples), results[0].rate))
+        add_legend(figure, key, "upper left", _LEFT, 0.62, ncols=len(key))
+        for k, result in enumerate(results):
+            top = height - _TOP - k * (row + _BETWEEN)
+            unit, scale = rate_unit_of(result.axis.unit, result.axis.sensor)
+            upper = place(figure, _LEFT, top - _BIAS_HEIGHT, _WIDTH, _BIAS_HEIGHT)
+            lower = place(figure, _LEFT, top - row, _WIDTH, _STRIP_HEIGHT)
+            bias(upper, result, scale)
+            strip(lower, result)
+            for panel in (upper, lower):
+                panel.set_xlim(0.0, max(float(result.time[-1]), 1.0 / result.rate))
+                add_grid(panel)
+            upper.set_title(result.axis.name, loc="left", fontweight="bold")
+            upper.set_ylabel(label_in("bias", unit))
+            upper.tick_params(labelbottom=False)
+            if k == len(results) - 1:
+                lower.set_xlabel("time [s]")
+        return save_and_close(figure, path)
