@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -18,7 +19,15 @@ from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
-from allanjax.critic.search import AcceptanceRule, Search, basic_model, extended, search, view_of
+from allanjax.critic.search import (
+    AcceptanceRule,
+    Search,
+    basic_model,
+    extended,
+    further_terms,
+    search,
+    view_of,
+)
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, View
 from allanjax.estimate.fit import fit as fit_recording
@@ -61,7 +70,9 @@ def criticize(
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
         view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
-        return search(view, causes, per_axis, tell)
+        found = search(view, causes, per_axis, tell)
+        others = None if baseline is None else further_terms(baseline[0])
+        return dataclasses.replace(found, others=others if others else None)
 
     # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
     # search needs no fit: it is for the report.
@@ -105,8 +116,18 @@ def criticize(
         findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
         # An effect may be why there is no fit.
         baseline = result.model if result.converged else basic_model(s.start)
+        model, left_out = extended(s)
         return AxisCritique(
-            axis, tuple(findings), before, after, s.tests, stages[k], baseline, extended(s), result.misfit
+            axis,
+            tuple(findings),
+            before,
+            after,
+            s.tests,
+            stages[k],
+            baseline,
+            model,
+            result.misfit,
+            left_out,
         )
 
     with ThreadPoolExecutor(_WORKERS) as pool:

@@ -46,6 +46,7 @@ class Search:
         notes: notes for the user: causes as probable as noise, or that the search ended early.
         preprocessed: whether a finding says that the samples are not what the sensor gave.
         noise_model: random terms of the extended model, if there is a filter or a resonance among them.
+        others: terms of the baseline that are no basic ones, if it has any.
     """
 
     start: View
@@ -55,6 +56,7 @@ class Search:
     notes: tuple[str, ...] = ()
     preprocessed: bool = False
     noise_model: Model | None = None
+    others: Model | None = None
 
 
 class AcceptanceRule(NamedTuple):
@@ -324,7 +326,7 @@ def view_of(
     model, template = baseline
     allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
     basic = [name for name in model.term_labels if name in EVERYTHING]
-    others = model.without(basic)
+    others = further_terms(model)
     y, density = x, np.zeros(n - 1)
     for term in others.terms:
         if not term.deterministic:
@@ -342,6 +344,11 @@ def view_of(
     if not set(allowed) - {RAMP}:
         allowed = ("angle_random_walk", *allowed)
     return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, np.zeros(n, bool))
+
+
+def further_terms(model: Model) -> Model:
+    """Model without its basic terms."""
+    return model.without([name for name in model.term_labels if name in EVERYTHING])
 
 
 def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Float[np.ndarray, " n"]:
@@ -368,17 +375,19 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
     return y + x.mean()
 
 
-def basic_model(view: View) -> Model:
-    """Model of the basic terms of a view, with their values."""
-    model = view.noise.model()
-    return model + DriftRamp(abs(view.slope)) if view.noise.ramp else model
+def basic_model(view: View, random: Model | None = None) -> Model:
+    """Model of the basic terms of a view, with their values, or with these in place of the random ones."""
+    model = random or view.noise.model()
+    if not view.noise.ramp:
+        return model
+    return model + DriftRamp(abs(view.slope), sign=int(np.copysign(1.0, view.slope)))
 
 
-def extended(search: Search) -> Model:
-    """Model of an axis with all findings in it."""
-    model = basic_model(search.end) if search.noise_model is None else search.noise_model
-    if search.noise_model is not None and search.end.noise.ramp:
-        model = model + DriftRamp(abs(search.end.slope))
+def extended(search: Search) -> tuple[Model, tuple[str, ...]]:
+    """Model of an axis with all findings in it, and causes that change samples as no term of a model does."""
+    model, left_out = basic_model(search.end, search.noise_model), []
     for step in search.steps:
-        model = step.candidate.add_to_model(model)
-    return model
+        before, model = model, step.candidate.add_to_model(model)
+        if model is before and step.candidate.domain == "time" and step.change.path is not None:
+            left_out.append(step.candidate.cause)
+    return (model if search.others is None else model + search.others), tuple(dict.fromkeys(left_out))

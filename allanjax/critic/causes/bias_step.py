@@ -138,7 +138,7 @@ def _shape(view: View, place: float) -> np.ndarray:
 
 
 def _term(view: View, place: float, amplitude: float) -> terms.BiasStep:
-    return terms.BiasStep(abs(amplitude), float(place / view.rate))
+    return terms.BiasStep(abs(amplitude), float(place / view.rate), sign=int(np.copysign(1.0, amplitude)))
 
 
 def _parameters(

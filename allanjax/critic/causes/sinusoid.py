@@ -41,7 +41,7 @@ class Sinusoid(Cause):
         after = view.with_samples(view.samples - wave(f, beta, view.n, view.rate))
         v = after.variance()
         f, f_std, beta, std, z = refined(view.coefficients, v, f, view.rate)
-        amplitude = float(np.hypot(*beta))
+        amplitude, phase = float(np.hypot(*beta)), np.asarray(-np.arctan2(beta[1], beta[0]))
         snr = np.sqrt(2.0 * z)
         gain = after.noise.log_evidence - view.noise.log_evidence
         # Prior: the amplitude's of `evidence`, any phase, any frequency.
@@ -77,7 +77,7 @@ class Sinusoid(Cause):
             held_out,
             (f - width, f + width),
             "frequency",
-            lambda model: model + terms.Sinusoid(amplitude, f),
+            lambda model: model + terms.Sinusoid(amplitude, f, phase=phase),
         )
 
 

@@ -10,6 +10,7 @@ from allanjax.critic.bank import SLOW, Bank, any_of
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
 from allanjax.critic.view import Candidate, Cause, View
+from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
 # Most lags that are compared.
@@ -46,9 +47,23 @@ class Temperature(Cause):
         lags, bank = found
         step = view.n / min(SLOW, view.n - 1)
 
+        def delay(k: int) -> int:
+            return round(lags[k] * step)
+
+        def delayed(k: int) -> np.ndarray:
+            return np.concatenate([np.full(delay(k), z[0]), z[: view.n - delay(k)]])
+
         def shape(k: int) -> np.ndarray:
-            delay = round(lags[k] * step)
-            return np.concatenate([np.full(delay, z[0]), z[: view.n - delay]]) - z.mean()
+            return delayed(k) - z.mean()
+
+        def term(k: int, a: float) -> terms.ChannelEffect:
+            return terms.ChannelEffect(
+                abs(a),
+                delay(k) / view.rate,
+                sign=int(np.copysign(1.0, a)),
+                channel=name,
+                reference=np.mean(delayed(k)),
+            )
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
             # The bank is not evenly spaced: its points count by the lags they stand for.
@@ -67,6 +82,7 @@ class Temperature(Cause):
             shape,
             parameters,
             log_trials=float(np.log(len(view.auxiliary))),
+            term=term,
             details={"channel": name},
         )
 

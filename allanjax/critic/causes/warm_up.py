@@ -51,7 +51,7 @@ class WarmUp(Cause):
             lambda k: np.exp(-t / times[k]),
             parameters,
             lambda k: (0.0, min(3.0 * times[k], view.duration)),
-            term=lambda k, a: terms.WarmUp(abs(a), float(times[k])),
+            term=lambda k, a: terms.WarmUp(abs(a), float(times[k]), sign=int(np.copysign(1.0, a))),
         )
 
 
