@@ -12,31 +12,21 @@ from threadpoolctl import threadpool_limits
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.causes import CAUSES
-from allanjax.critic.causes.common_mode import common_mode
+from allanjax.critic.causes.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
+from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
-from allanjax.critic.search import (
-    AcceptanceRule,
-    Search,
-    basic_model,
-    extended,
-    further_terms,
-    search,
-    view_of,
-)
+from allanjax.critic.search import Search, basic_model, extended, further_terms, search, view_of
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, View
 from allanjax.estimate.fit import fit as fit_recording
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Recording
 
-# Discrepancies of an extended model that are less probable than this are reported as unexplained: a
-# judgement.
-_UNEXPLAINED = 1e-6
 # Statistics that compare with other channels: what they show has its cause in these.
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 # Statistics of the samples themselves, by the cause that explains each.
@@ -95,7 +85,7 @@ def criticize(
             [w.whitened_coefficients for w in last],
             [w.share(WHITE) for w in last],
             recording.rate,
-            AcceptanceRule.of(per_axis, causes).share,
+            AcceptanceRule.of(per_axis).level(NAME),
         )
     )
 
@@ -228,7 +218,7 @@ def _finding(
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
     """Finding of the most significant discrepancy that is left, if it is beyond doubt."""
     known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.preprocessed else ())
-    left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
+    left = [d for d in after if d.p_value < judged("unexplained", "p_value") and d.statistic not in known]
     if not left:
         return []
     worst = min(left, key=lambda d: d.p_value)

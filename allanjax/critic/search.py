@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,10 +11,11 @@ from jaxtyping import Float
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
 from allanjax.critic.parameters import Detail
+from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View
+from allanjax.critic.view import EVERYTHING, Candidate, Cause, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -59,28 +59,6 @@ class Search:
     others: Model | None = None
 
 
-class AcceptanceRule(NamedTuple):
-    """Rule by which candidates in one axis are accepted.
-
-    `share` is the probability of a false finding for each kind of cause, `ratio` that in the axis over
-    `FALSE_ALARMS`.
-    """
-
-    share: float
-    ratio: float
-
-    @classmethod
-    def of(cls, false_alarms: float, causes: Sequence[Cause]) -> AcceptanceRule:
-        """Rule with one share for each kind of cause, and one for noise that axes have in common."""
-        kinds = len({type(cause) for cause in causes}) + 1
-        return cls(false_alarms / kinds, false_alarms / FALSE_ALARMS)
-
-    def accepts(self, candidate: Candidate, cause: Cause) -> bool:
-        """Whether a candidate is significant; both thresholds scale with the accepted false alarms."""
-        level = self.share if cause.max_p is None else cause.max_p * self.ratio
-        return bool(candidate.gain >= cause.min_log_odds - np.log(self.ratio) and candidate.chance < level)
-
-
 def search(
     view: View, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
 ) -> Search:
@@ -91,7 +69,7 @@ def search(
         candidate = cause.detect(view)
         if (
             candidate is not None
-            and candidate.chance < accepted.share
+            and accepted.accepts(candidate)
             # What cannot be held out is nan.
             and not (gain := candidate.held_out()) <= 0.0
         ):
@@ -214,8 +192,8 @@ def _chosen(
     """Candidate with the largest gain that is significant and has a gain on held-out data."""
     by_gain = sorted(candidates, key=lambda pair: -pair[1].gain)
     ranked = [candidate for _, candidate in by_gain]
-    for cause, candidate in by_gain:
-        if not accepted.accepts(candidate, cause):
+    for _, candidate in by_gain:
+        if not accepted.accepts(candidate):
             continue
         gain = candidate.held_out()
         if not gain > 0.0:

@@ -9,22 +9,20 @@ from scipy.fft import dct, idct
 from allanjax.critic.bank import SLOW, Bank, any_of
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
 # Most lags that are compared.
 _LAGS = 48
-# Share of a channel's variance about a straight line below which it is a clock or a counter.
-_CLOCK = 1e-6
+_CLOCK = judged("temperature", "clock")
 
 
 class Temperature(Cause):
     """Effect coefficient · channel(t − lag) of an auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"
-    # Shorter odds than for other causes, since units do feel the temperature: a judgement.
-    min_log_odds = 1.5
     refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:

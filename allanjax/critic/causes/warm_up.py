@@ -22,8 +22,6 @@ class WarmUp(Cause):
     """Exponential a·exp(−t/T), T from a five hundredth of the record to half of it: beyond, it is a ramp."""
 
     name = "warm_up"
-    # Shorter odds than for other causes, since units do warm up: a judgement.
-    min_log_odds = 1.0
     refit = "at once"
 
     def p_value(self, view: View) -> float:
