@@ -265,3 +265,14 @@ def test_what_remains_is_within_where_it_is_not_significant():
     )
     assert format_remainder(before, fine) == "within 2 %"
     assert format_remainder(before, wrong) == "40 % high"
+
+
+def test_the_error_of_a_harmonics_frequency_has_that_of_the_fundamental_so_many_times():
+    """Five times 1 ± 0.0005 Hz is 5 ± 0.0025 Hz, from which 5.008 Hz is three deviations away."""
+    low, high = (
+        finding("sinusoid", axis, frequency=estimate(f, std, "frequency", axis, "Hz"))
+        for axis, f, std in ((GYRO, 1.0, 5e-4), (OTHER, 5.008, 1e-6))
+    )
+    assert len(merged([low, high], (), 1000.0)) == 1
+    far = dataclasses.replace(high, parameters={"frequency": estimate(5.012, 1e-6, "frequency", OTHER, "Hz")})
+    assert len(merged([low, far], (), 1000.0)) == 2
