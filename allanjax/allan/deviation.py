@@ -111,8 +111,9 @@ class AllanDeviation(ByValue):
     def thesis_relative_error(self) -> Float[np.ndarray, " m"]:
         """Relative error of the deviation by Hou (2004) eq. (4.66): 1 / √(2 (n/m − 1)).
 
-        It holds for non-overlapping clusters, whereas eqs. (4.5) and (4.9) average overlapping ones: it
-        overstates their error. `standard_error` is the better figure.
+        It counts the differences of clusters that do not overlap as independent. Neighbours share a cluster:
+        for white noise the error is √1.5 times that. Eqs. (4.5) and (4.9) average overlapping clusters, for
+        which it is an overstatement but at the shortest times. `standard_error` is right for both.
         """
         return 1 / np.sqrt(2 * (self.n / self.cluster_size - 1))
 

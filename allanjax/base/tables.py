@@ -30,8 +30,9 @@ def text_table(
             table.add_section()
         table.add_row(*map(printable, (first if first != previous else "", *others)))
         previous = first
+    # In a notebook rich would show an empty block for each table that is made.
     console = Console(
-        width=WIDTH, record=False, color_system=None, markup=False, emoji=False, highlight=False
+        width=WIDTH, force_jupyter=False, color_system=None, markup=False, emoji=False, highlight=False
     )
     with console.capture() as capture:
         console.print(table)

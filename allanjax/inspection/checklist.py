@@ -167,7 +167,8 @@ def _temperature(recording: Recording) -> Line:
     if missing:
         where = ", ".join(missing)
         return Line(name, "look", f"values of {where} are missing: whether an axis follows cannot be said")
-    said = [f"{key} varies by {plain(float(np.ptp(z)), 3)}" for key, z in channels.items()]
+    ranges = {key: plain(float(np.ptp(z)), 3) for key, z in channels.items()}
+    said = [f"{key} varies by {size} in its column's unit" for key, size in ranges.items()]
     follows = [text for key, z in channels.items() for text in _following(recording, key, z)]
     if not follows:
         return Line(name, "fine", f"{'; '.join(said)}, and no axis follows it")

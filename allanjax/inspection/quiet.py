@@ -180,5 +180,7 @@ def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kin
             return ("step" if s.last - s.first <= _SUDDEN else "shift"), axis, float(jump[axis])
     if s.kind != "moved":
         return None
+    # With its neighbours, since a single window has no span of its own.
+    span = np.ptp(windows.mean[max(s.first - 1, 0) : s.last + 1], axis=0)
     axis = int(np.argmax(span / usual))
     return "shift", axis, float(span[axis])

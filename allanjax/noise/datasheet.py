@@ -15,6 +15,7 @@ is asked for; what is assumed is stated.
 from __future__ import annotations
 
 import dataclasses
+import html
 import math
 import os
 import re
@@ -118,15 +119,20 @@ class DataSheet(ByValue):
             rows.append((sensor, f"{symbol} {name}", f"{significant(value)} {unit}"))
         return rows
 
+    def _lines(self) -> list[str]:
+        """Source and statements, a line each."""
+        source = [f"source: {self.source}"] if self.source else []
+        return [*source, *(f"note: {line}" for line in self.statements)]
+
     def __str__(self) -> str:
         table = text_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
-        source = [f"source: {self.source}"] if self.source else []
-        return "\n".join([table, *source, *(f"note: {line}" for line in self.statements)])
+        return "\n".join([table, *self._lines()])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return html_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
+        table = html_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
+        return table + "".join(f"<p>{html.escape(line)}</p>" for line in self._lines())
 
 
 def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:

@@ -376,3 +376,17 @@ def test_what_moves_is_no_measurement_of_the_sensor():
         # White noise of 1e-3 rad/s at 100 Hz: N = 1e-4 rad/√s; of 20,000 samples to 1 % (4 σ: 2 %).
         assert vibrating["gyro_z"].measured
         assert vibrating["gyro_z"]["N"].value == pytest.approx(1e-4, rel=0.03)
+
+
+def test_a_shift_of_a_single_window_has_the_size_of_the_motion():
+    """A swing of ±0.3 rad/s at 0.35 Hz: its means over windows of 1.6 s differ by 0.6·sinc(0.55) at most."""
+    rate, n = 20.0, 36_000
+    rng = np.random.default_rng(35)
+    x = rng.standard_normal((n, 1)) * 1e-4 * np.sqrt(rate)
+    f = rng.uniform(0.02, 1.5)
+    x[:, 0] += 0.3 * np.sin(2.0 * np.pi * f * np.arange(n) / rate + 35)
+    seen = aj.inspect(aj.Recording.from_array(x, rate, gyro_unit="rad/s", names=["gyro_x"]))
+    (event,) = (e for e in seen.events if e.kind == "shift")
+    assert (event.last - event.first) / rate <= 1.6
+    assert 0.02 < event.size < 0.6 * np.sinc(1.6 * f)
+    assert "moves by 0 " not in str(seen)

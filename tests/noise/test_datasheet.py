@@ -122,6 +122,13 @@ def test_steps_of_increments_are_quantization_noise():
     assert float(K) == pytest.approx(2.0 * DEG / 3600.0 / 60.0)
 
 
+def test_a_notebook_shows_source_and_assumptions():
+    figures = {"noise_density": "0.007 deg/s/√Hz", "sided": "one"}
+    told = datasheet({"source": "page <5>", "gyro": figures})._repr_html_()
+    assert "source: page &lt;5&gt;" in told
+    assert "taken as one-sided" in told
+
+
 def test_what_figures_contradict_is_stated():
     found = datasheet(
         {
