@@ -21,7 +21,7 @@ from allanjax.critic.gain import _mean_squares
 from allanjax.critic.merging import merged
 from allanjax.critic.noise import family_of
 from allanjax.critic.parameters import parameter_estimate
-from allanjax.critic.profiles import cross_correlation, psd
+from allanjax.critic.profiles import cross_correlation, psd, windows
 from allanjax.critic.result import Snapshot
 from allanjax.critic.step import Change
 from allanjax.critic.together import mean_of
@@ -276,3 +276,16 @@ def test_the_error_of_a_harmonics_frequency_has_that_of_the_fundamental_so_many_
     assert len(merged([low, high], (), 1000.0)) == 1
     far = dataclasses.replace(high, parameters={"frequency": estimate(5.012, 1e-6, "frequency", OTHER, "Hz")})
     assert len(merged([low, far], (), 1000.0)) == 2
+
+
+def test_scores_of_window_means_are_standard_normal():
+    """Half of a record without its mean has a mean of variance 1/(2n), not 1/n of half of its samples."""
+    rng, v = np.random.default_rng(10), np.ones(N - 1)
+    scores = []
+    for _ in range(200):
+        x = rng.standard_normal(N)
+        stage = Snapshot(x - x.mean(), v, (), {}, np.nan, 0.0)
+        mean, _ = windows(StageResiduals(GYRO, 1.0, RATE, stage))
+        scores.append(mean.score[-2])
+    # Of 200 variates of variance 1 the mean square scatters by a tenth.
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.4)
