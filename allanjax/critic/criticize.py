@@ -57,12 +57,7 @@ def criticize(
     per_axis = false_alarms / len(recording.axes)
 
     def searched(k: int) -> Search:
-        scale, x = float(recording.own_scales[k]), recording.values[:, k]
-        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
-        found = search(view, causes, per_axis, tell)
-        others = None if baseline is None else further_terms(baseline[0])
-        return dataclasses.replace(found, others=others if others else None)
+        return _searched(recording, given, causes, per_axis, tell, k)
 
     # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
     # search needs no fit: it is for the report.
@@ -107,18 +102,8 @@ def criticize(
         # An effect may be why there is no fit.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
-        return AxisCritique(
-            axis,
-            tuple(findings),
-            before,
-            after,
-            s.tests,
-            stages[k],
-            baseline,
-            model,
-            result.misfit,
-            left_out,
-        )
+        told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
+        return AxisCritique(axis, *told)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         axes = tuple(pool.map(judged, range(len(searches))))
@@ -129,6 +114,22 @@ def criticize(
     return Critique(
         recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead, fit.warnings
     )
+
+
+def _searched(
+    recording: Recording,
+    given: Fit | None,
+    causes: Sequence[Cause],
+    false_alarms: float,
+    tell: Callable[[str], None],
+    k: int,
+) -> Search:
+    """Search in one axis, with the further terms of the model that was given."""
+    scale, x = float(recording.own_scales[k]), recording.values[:, k]
+    baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
+    view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline)
+    others = None if baseline is None else further_terms(baseline[0])
+    return dataclasses.replace(search(view, causes, false_alarms, tell), others=others if others else None)
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:

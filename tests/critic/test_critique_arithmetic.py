@@ -13,6 +13,7 @@ from allanjax.critic.causes.basic_term import _value
 from allanjax.critic.causes.power_law import PowerLaw
 from allanjax.critic.causes.repeated_samples import RepeatedSamples
 from allanjax.critic.causes.rounding import Rounding
+from allanjax.critic.causes.telegraph import Telegraph
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.comparison import StageResiduals
@@ -289,3 +290,11 @@ def test_scores_of_window_means_are_standard_normal():
         scores.append(mean.score[-2])
     # Of 200 variates of variance 1 the mean square scatters by a tenth.
     assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.4)
+
+
+def test_the_path_of_a_telegraph_costs_what_its_search_gains():
+    """In white noise the best path of two levels is much likelier than none, and its odds are still short."""
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        found = Telegraph().detect(view_of(rng.standard_normal(N), (WHITE,)))
+        assert found is None or found.gain < 3.0
