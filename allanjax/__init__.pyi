@@ -9,6 +9,8 @@ from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError
 from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
+from allanjax.calibration.result import Calibration as Calibration
+from allanjax.calibration.static_positions import calibrate as calibrate
 from allanjax.critic import Cause as Cause
 from allanjax.critic import Critique as Critique
 from allanjax.critic import Finding as Finding
@@ -35,6 +37,15 @@ from allanjax.fleet.stream import AllanAccumulator as AllanAccumulator
 from allanjax.fleet.stream import accumulate as accumulate
 from allanjax.inspection import Inspection as Inspection
 from allanjax.inspection import inspect as inspect
+from allanjax.navigation.alignment import Alignment as Alignment
+from allanjax.navigation.alignment import AxisAlignment as AxisAlignment
+from allanjax.navigation.alignment import align as align
+from allanjax.navigation.error_growth import ErrorGrowth as ErrorGrowth
+from allanjax.navigation.error_growth import Navigation as Navigation
+from allanjax.navigation.navigator import navigate as navigate
+from allanjax.navigation.rates import AxisRates as AxisRates
+from allanjax.navigation.rates import SampleRates as SampleRates
+from allanjax.navigation.rates import sample_rates as sample_rates
 from allanjax.noise import terms as terms
 from allanjax.noise.butterworth import Biquad as Biquad
 from allanjax.noise.butterworth import Butterworth as Butterworth

@@ -7,6 +7,7 @@ import typer
 
 from allanjax.base.plain import speak_plainly
 from allanjax.cli import (
+    calibrate,
     characterize,
     check,
     convert,
@@ -15,6 +16,7 @@ from allanjax.cli import (
     export,
     fleet,
     horizon,
+    navigate,
     schema,
     simulate,
     statespace,
@@ -70,7 +72,9 @@ for _module in (
     fleet,
     export,
     horizon,
+    navigate,
     statespace,
+    calibrate,
     simulate,
     convert,
     schema,

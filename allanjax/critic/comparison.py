@@ -121,6 +121,11 @@ class StageResiduals:
         k = len(self.stage.powers)
         return 0.5 * sum((q @ q.T for q in map(self.shares, _chunks(self.n - 1))), start=np.zeros((k, k)))
 
+    def forget(self) -> None:
+        """Let go of what can be computed anew and is as long as the record, but for what others ask for."""
+        for name in ("samples", "coefficients", "whitened", "_spectra"):
+            vars(self).pop(name, None)
+
     def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
         """Simulated record of the model [SI], without mean and ramp."""
         draw = np.random.default_rng(seed).standard_normal(self.n - 1)

@@ -35,8 +35,8 @@ _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 _OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
 # Fewest samples of a record that is criticized: a judgement.
 _SHORTEST = 1024
-# Threads, one more than a small machine has cores: axes wait for each other's compiled functions.
-_WORKERS = 3
+# Axes that are worked on at a time: each takes some twenty times the memory of its samples.
+_WORKERS = 2
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -99,6 +99,8 @@ def criticize(
             )
         ]
         findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
+        for record in records:
+            record.forget()
         # An effect may be why there is no fit.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)

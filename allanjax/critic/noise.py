@@ -143,7 +143,7 @@ class NoiseFamily:
         found = evidences(jobs, levels, known, grid, size, share, first, steps)
         return Evidence(*(x[0] for x in found))
 
-    @functools.lru_cache(maxsize=2 * GRID)  # noqa: B019 - families are few, and themselves cached
+    @functools.lru_cache(maxsize=GRID)  # noqa: B019 - families are few, and themselves cached
     def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
         """Levels and spectrum of a Markov process or a power law of unit amplitude, by place in its grid."""
         if name == MARKOV:

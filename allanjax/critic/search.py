@@ -172,6 +172,8 @@ def _candidates(
         cause = left.pop(0)
         progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
         if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
+            for part in (candidate, *candidate.parts):
+                part.after.forget()
             candidates.append((cause, candidate))
             most = max(most, float(candidate.gain))
     return candidates, left

@@ -266,6 +266,13 @@ class View:
             vars(view)["factor"] = self.factor
         return view
 
+    def forget(self) -> None:
+        """Let go of what can be computed anew and is as long as the record, as of a view that has to wait."""
+        for name in ("coefficients", "whitened", "loo_residuals", "_variance", "_mask"):
+            vars(self).pop(name, None)
+        for noise in {*vars(self).get("noises", ()), vars(self).get("noise")} - {None}:
+            vars(noise).pop("variance", None)
+
     def allowing(self, terms: Collection[str]) -> View:
         """View in which the noise may have these basic terms."""
         return dataclasses.replace(self, allowed=tuple(terms))

@@ -33,8 +33,8 @@ class Estimate(ByValue):
         interval_68: 68 % interval.
         unit: the unit that all these numbers are in; the SI one if none is given.
         usual_unit: the unit for people, e.g. "deg/√h"; a model's parameter knows its own.
-        source: where it comes from: "fit", "posterior", "spectrum", "critique", or "averaged" over sets of
-            terms.
+        source: where it comes from: "fit", "posterior", "spectrum", "critique", "calibration", or "averaged"
+            over sets of terms.
         parameter: the parameter of a noise term that it is, and `term` the term's name; None for what follows
             from a model and for a finding's parameters.
         upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
@@ -62,7 +62,7 @@ class Estimate(ByValue):
     interval_68: tuple[float, float]
     unit: str = ""
     usual_unit: str = ""
-    source: Literal["fit", "posterior", "spectrum", "critique", "averaged"] = "fit"
+    source: Literal["fit", "posterior", "spectrum", "critique", "calibration", "averaged"] = "fit"
     parameter: Parameter | None = None
     term: str = ""
     upper_limit: float | None = None
@@ -125,7 +125,8 @@ class Estimate(ByValue):
         unit = self.usual_unit if unit is None else unit
         if unit == self.unit:
             return self
-        factor = convert(1.0, self.unit, unit, self.axis.sensor)
+        # What is no parameter of its noise may have a unit of another sensor: a tilt, a misalignment.
+        factor = convert(1.0, self.unit, unit, self.axis.sensor if self.parameter else None)
         numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
         return dataclasses.replace(self, unit=unit, **numbers)
 
@@ -221,6 +222,8 @@ class Estimate(ByValue):
             return f"{amount} (held)"
         if not self.measured:
             return f"not a measurement of this sensor (fitted: {amount})"
+        if self.parameter is None and np.isnan(self.value):
+            return f"not determined by these data{'; ' if self.remark else ''}{self.remark}"
         if not self.detected:
             if self.upper_limit is None:
                 return "not determined: its term is not detectable"

@@ -62,6 +62,7 @@ degree_per_second = degree / second = dps
 degree_per_hour = degree / hour = dph
 revolution_per_minute = revolution / minute = rpm
 standard_gravity = 9.80665 * meter / second ** 2 = g
+ppm = 1e-6
 gal = 0.01 * meter / second ** 2 = Gal
 """
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, for the colour-blind; the dashes tell terms apart in black and white.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
-_DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 1)))
+DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 1)))
 POINTS = "0.3"
 #: Style of single points without error bars.
 DOTS: dict[str, Any] = {
@@ -250,7 +250,7 @@ def term_style(fit: Fit, result: AxisFit, term_label: str) -> dict[str, Any]:
     if term_label in result.further:
         return FURTHER
     i = fit.template.term_labels.index(term_label)
-    return {"color": COLOURS[i % len(COLOURS)], "linestyle": _DASHES[i % len(_DASHES)], "linewidth": 1.3}
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)], "linewidth": 1.3}
 
 
 def wrapped(text: str) -> str:

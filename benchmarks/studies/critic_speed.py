@@ -1,10 +1,12 @@
 """How long the critic takes: six axes × 10⁶ samples, cold and warm.
 
-    python benchmarks/studies/critic_speed.py [FILE ...] [--results PATH]
+    python benchmarks/studies/critic_speed.py [FILE ...] [--before CHECKOUT] [--results PATH]
 
 Each run is a process of its own: cold with an empty compilation cache, warm with that of the run before. The
 recordings: noise alone, noise with five effects, and any FILE (Parquet, gyros in deg/s, accelerometers in
-g, 100 Hz), each cut to 10⁶ samples. Beside it, in the same process, ten passes of NumPy's FFT over it.
+g, 100 Hz), each cut to 10⁶ samples. Beside it, in the same process, ten passes of NumPy's FFT over it. With
+a checkout of an earlier version each run is done by that, too. Processor seconds are those of all threads:
+they do not depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -60,10 +62,11 @@ def one(name: str) -> None:
     for _ in range(10):
         np.fft.rfft(recording.values, axis=0)
     transforms = time.perf_counter() - begun
-    begun = time.perf_counter()
+    begun, worked = time.perf_counter(), time.process_time()
     critique = aj.critique(recording)
     row = {
         "seconds": time.perf_counter() - begun,
+        "processor": time.process_time() - worked,
         "transforms": transforms,
         "findings": len(critique.findings),
         "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
@@ -71,38 +74,44 @@ def one(name: str) -> None:
     print(json.dumps(row))
 
 
-def run(name: str, cache: str) -> dict[str, float]:
+def run(name: str, cache: str, checkout: Path) -> dict[str, float]:
     command = [sys.executable, __file__, "--one", name]
-    done = subprocess.run(
-        command, check=True, capture_output=True, text=True, env={**os.environ, "ALLANJAX_CACHE": cache}
-    )
+    environment = {**os.environ, "ALLANJAX_CACHE": cache, "PYTHONPATH": str(checkout)}
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="*", type=Path)
+    parser.add_argument("--before", type=Path, help="checkout of an earlier version, to be compared with")
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "critic_speed.md")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         one(options.one)
         return
+    sides = {"": paths.ROOT} | ({"before: ": options.before.resolve()} if options.before else {})
     lines = []
     for name in (CLEAN, EFFECTS, *options.files):
-        with tempfile.TemporaryDirectory() as cache:
-            cold, warm = (run(str(name), cache) for _ in range(2))
-        lines.append(
-            [
-                name if isinstance(name, str) else name.stem,
-                str(warm["findings"]),
-                f"{cold['seconds']:.0f}",
-                f"{warm['seconds']:.0f}",
-                f"{warm['seconds'] / warm['transforms']:.0f}",
-                f"{warm['gigabytes']:.1f}",
-            ]
-        )
-    head = ["recording", "findings", "cold, s", "warm, s", "warm, in ten FFTs", "peak memory, GB"]
+        for side, checkout in sides.items():
+            with tempfile.TemporaryDirectory() as cache:
+                cold, warm = (run(str(name), cache, checkout) for _ in range(2))
+            lines.append(
+                [
+                    side + (name if isinstance(name, str) else name.stem),
+                    str(warm["findings"]),
+                    f"{cold['seconds']:.0f}",
+                    f"{warm['seconds']:.0f}",
+                    f"{warm['processor']:.0f}",
+                    f"{warm['seconds'] / warm['transforms']:.0f}",
+                    f"{warm['gigabytes']:.1f}",
+                ]
+            )
+    head = [
+        *("recording", "findings", "cold, s", "warm, s", "warm, processor s"),
+        *("warm, in ten FFTs", "peak memory, GB"),
+    ]
     text = f"""# How long the critic takes
 
 Six axes × 10⁶ samples, `aj.critique(recording)`, wall-clock; cold: all programs compiled anew; warm: with

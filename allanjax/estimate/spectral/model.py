@@ -228,47 +228,91 @@ class Expected(NamedTuple):
         mean: the expected levels [rate²].
         components: the part of each component in them.
         slope: derivatives of their logarithms by the parameters.
+        by_response: derivatives of the levels of each component of unit power by those of the response.
     """
 
     mean: Float[Array, " m"]
     components: Float[Array, "components m"]
     slope: Float[Array, "parameters m"]
+    by_response: Float[Array, "components 2 m"]
 
 
 @eqx.filter_jit
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
-    """Expected levels and their derivatives, each slot's along its own parameters only."""
+    """Expected levels and their derivatives, each slot's along its own parameters only.
+
+    Idle slots, without power and not estimated, cost nothing and have no derivatives.
+    """
     at, others = slots.layout, slots.others
     u = theta[: at.components]
     power, by_u = slots.scale * jnp.expm1(u), slots.scale * jnp.exp(u)
-    unit = _units(theta, slots, levels)
-    R = _passed(_of_response(theta, at), slots, levels)
-    by_response = jnp.stack(
-        _derivatives(lambda shape: _passed(shape, slots, levels), _of_response(theta, at))
-    )
-    by_shape = []
+    used = (power != 0.0) | slots.free[: at.components]
+    passed = _passed_and_slope(_of_response(theta, at), slots, levels)
+    fixed = jax.vmap(lambda unit, inside: _seen(unit[None], inside, passed))
+    seen = [fixed(jnp.asarray(levels.columns), slots.inside[: at.columns])]
+    first = at.columns
     for function, shapes in _free_slots(theta, slots, levels):
-        by_shape += jax.vmap(functools.partial(_derivatives, function))(shapes)
-    owner = [
-        np.arange(at.first_markov, at.first_oscillator),
-        *[np.arange(at.first_oscillator, at.first_other)] * (2 if at.oscillators else 0),
-    ]
+        of = slice(first, first + len(shapes))
+        seen.append(_of_slots(function, shapes, used[of], slots.inside[of], passed))
+        first += len(shapes)
+    along, owner = [], []
+    for (level, _), start in zip(seen[1:], (at.first_markov, at.first_oscillator), strict=False):
+        along += [level[:, k] for k in range(1, level.shape[1])]
+        owner += [np.arange(start, start + len(level))] * (level.shape[1] - 1)
     if others is not None:
-        by_values = jax.jacfwd(lambda shapes: others.expected(shapes, len(levels.shape)))
-        slope = by_values(theta[at.other_shapes :])
-        by_shape += [slope[k, None, ..., s] for s, (k, *_) in enumerate(others.shapes)]
-        owner += [np.array([at.first_other + k for k, *_ in others.shapes])]
-    passed = jnp.where(slots.inside[:, None, None], R, 1.0)
-    seen = jnp.mean(unit * passed, axis=1)
-    components = power[:, None] * seen
-    mean = jnp.maximum(jnp.sum(components, axis=0), _LEAST * jnp.max(slots.scale))
-    inside = jnp.tensordot(jnp.where(slots.inside, power, 0.0), unit, 1)
-    of = np.concatenate(owner)
-    along = power[of, None] * jnp.mean(jnp.concatenate(by_shape) * passed[of], axis=1)
-    along_response = jnp.mean(inside * by_response, axis=1)
+        values, inside = theta[at.other_shapes :], slots.inside[first:]
+        seen.append(fixed(others.expected(values, len(levels.shape)), inside))
+        slope = jax.jacfwd(lambda shapes: others.expected(shapes, len(levels.shape)))(values)
+        for s, (k, *_) in enumerate(others.shapes):
+            along.append(_seen(slope[k, None, ..., s], inside[k], passed).levels)
+            owner.append(np.array([at.first_other + k]))
+    unit = jnp.concatenate([part.levels[:, 0] for part in seen])
+    by_response = jnp.concatenate([part.by_response for part in seen])
+    mean = jnp.maximum(power @ unit, _LEAST * jnp.max(slots.scale))
+    by_shape = power[np.concatenate(owner), None] * jnp.concatenate(along) if along else unit[:0]
     of_slots = at.response - at.times
-    slope = [by_u[:, None] * seen, along[:of_slots], along_response, along[of_slots:]]
-    return Expected(mean, components, jnp.concatenate(slope) / mean)
+    parts = [by_u[:, None] * unit, by_shape[:of_slots], jnp.tensordot(power, by_response, 1)]
+    slope = jnp.concatenate([*parts, by_shape[of_slots:]]) / mean
+    return Expected(mean, power[:, None] * unit, slope, by_response)
+
+
+class _Seen(NamedTuple):
+    """A component of unit power in the levels: itself and its derivatives by its shapes, and by the response.
+
+    Shapes are (1 + shapes, m) and (2, m).
+    """
+
+    levels: Array
+    by_response: Array
+
+
+def _seen(units: Float[Array, "k 2 m"], inside: Array, passed: tuple[Array, Array]) -> _Seen:
+    """Expected squares at the nodes as they are seen in the levels, after the response if it passes that."""
+    response, slope = passed
+    through = units * jnp.where(inside, response, 1.0)
+    moved = jnp.where(inside, units[0] * slope, 0.0)
+    return _Seen(*(0.5 * (x[:, 0] + x[:, 1]) for x in (through, moved)))
+
+
+def _of_slots(
+    function: Callable[[Array], Array],
+    shapes: Float[Array, "slots shapes"],
+    used: Bool[Array, " slots"],
+    inside: Bool[Array, " slots"],
+    passed: tuple[Array, Array],
+) -> _Seen:
+    """Slots with free shapes, one after another: those that are not used are not evaluated."""
+    count, m = shapes.shape[1], passed[0].shape[-1]
+
+    def slot(of: tuple[Array, Array, Array]) -> _Seen:
+        shape, here, within = of
+
+        def evaluated() -> _Seen:
+            return _seen(jnp.stack([function(shape), *_derivatives(function, shape)]), within, passed)
+
+        return jax.lax.cond(here, evaluated, lambda: _Seen(jnp.zeros((1 + count, m)), jnp.zeros((2, m))))
+
+    return jax.lax.map(slot, (shapes, used, inside))
 
 
 def _derivatives(function: Callable[[Array], Array], shape: Float[Array, " shapes"]) -> list[Array]:
@@ -282,19 +326,28 @@ def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> F
     return jnp.mean(_units(theta, slots, levels) * jnp.where(slots.inside[:, None, None], R, 1.0), axis=1)
 
 
-def units_by_response(
-    theta: Float[Array, " parameters"], slots: Slots, levels: Levels
-) -> Float[Array, "2 components m"]:
-    """Derivatives of the levels of each component of unit power by the parameters of the response."""
-    unit, inside = _units(theta, slots, levels), slots.inside[:, None, None]
-    shape = _of_response(theta, slots.layout)
-    slopes = _derivatives(lambda shape: _passed(shape, slots, levels), shape)
-    return jnp.stack([jnp.mean(unit * jnp.where(inside, slope, 0.0), axis=1) for slope in slopes])
-
-
 def _passed(shape: Float[Array, " 2"], slots: Slots, levels: Levels) -> Float[Array, "2 m"]:
     """Response of white noise in a record, whose two ends add to it."""
     return response(levels, shape, slots.kind) + response_ends(levels, shape, slots.kind)
+
+
+def _passed_and_slope(
+    shape: Float[Array, " 2"], slots: Slots, levels: Levels
+) -> tuple[Float[Array, "2 m"], Float[Array, "2 2 m"]]:
+    """Response as `_passed` has it, and its derivatives.
+
+    In a branch of its own, where it is computed once: else the compiler puts it into all that it multiplies.
+    """
+
+    def filtered(shape: Array) -> tuple[Array, Array]:
+        passed = functools.partial(_passed, slots=slots, levels=levels)
+        return passed(shape), jnp.stack(_derivatives(passed, shape))
+
+    def plain(shape: Array) -> tuple[Array, Array]:
+        everything = jnp.ones_like(levels.angle)
+        return everything, jnp.zeros((2, *everything.shape))
+
+    return jax.lax.cond(slots.kind == NONE, plain, filtered, shape)
 
 
 def _of_response(theta: Array, at: Layout) -> Array:

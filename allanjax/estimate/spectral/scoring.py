@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.linalg import inverse, solve
@@ -23,6 +22,10 @@ from allanjax.estimate.spectral.model import Slots, expected, loss
 # Damping of the first step, relative to the information, and the longest step of a parameter.
 _DAMPING = 0.01
 _LONGEST = 2.0
+# Share of the gain that the matrix promises from which on a step is taken, and from which on it is good; by
+# which factors steps get longer after a good one and shorter after one that is not taken.
+_WORTH, _GOOD = 0.01, 0.5
+_LONGER, _SHORTER = 6.0, 0.15
 # Tolerance of a fit.
 _TOLERANCE = 1e-5
 # Most steps of a fit.
@@ -88,19 +91,76 @@ def covariance(maximum: Maximum) -> Float[Array, "parameters parameters"]:
     return jnp.where(both, spread, 0.0)
 
 
+class _Place(NamedTuple):
+    """A point of the iteration: parameters, residuals, half the sum of their squares, its derivatives.
+
+    The second derivatives are those of the Gauss–Newton matrix.
+    """
+
+    theta: Array
+    residuals: Array
+    value: Array
+    gradient: Array
+    matrix: Array
+
+
+class _Iteration(NamedTuple):
+    """State of the iteration: the best place, where the next step leads, and how far steps go.
+
+    The damping is inverse to the length of the steps.
+    """
+
+    best: _Place
+    trial: Array
+    length: Array
+    steps: Array
+    converged: Array
+
+
 @eqx.filter_custom_jvp
 def _peak(problem: _Problem, start: Array) -> tuple[Array, Array, Array]:
     """Parameters at the maximum, number of steps, and whether the iteration converged."""
-    found: optx.Solution = optx.least_squares(
-        _residuals,
-        _Scoring(problem.slots.lower, problem.slots.upper, problem.tolerance),
-        start,
-        args=problem,
-        max_steps=_STEPS,
-        throw=False,
-    )
-    converged = jnp.asarray(found.result == optx.RESULTS.successful)
-    return found.value, found.stats["num_steps"], converged
+
+    def goes_on(at: _Iteration) -> Array:
+        return ~at.converged & (at.steps < _STEPS)
+
+    def step(at: _Iteration) -> _Iteration:
+        best = at.best
+        residuals, slope, stiffness = _residuals(at.trial, problem)
+        value, move = 0.5 * jnp.sum(residuals**2), at.trial - best.theta
+        gained, promised = value - best.value, move @ best.gradient + 0.5 * move @ best.matrix @ move
+        first = at.steps == 0
+        accepted = first | (gained <= _WORTH * promised)
+        good = ~first & (gained < _GOOD * promised) & (promised < 0.0)
+        length = at.length * jnp.where(accepted, jnp.where(good, _LONGER, 1.0), _SHORTER)
+
+        def moved() -> _Place:
+            data, away = jnp.split(residuals, [slope.shape[1]])
+            matrix = slope @ slope.T + jnp.diag(stiffness**2)
+            return _Place(at.trial, residuals, value, slope @ data + stiffness * away, matrix)
+
+        place = jax.lax.cond(accepted, moved, lambda: best)
+        still = jnp.maximum(jnp.max(jnp.abs(move)), jnp.max(jnp.abs(residuals - best.residuals)))
+        converged = accepted & (still < problem.tolerance)
+        trial = place.theta + _move(place, length, problem.slots)
+        return _Iteration(place, trial, length, at.steps + 1, converged)
+
+    nowhere = jnp.zeros(len(start) + len(problem.levels.shape))
+    nothing = _Place(start, nowhere, jnp.zeros(()), 0.0 * start, jnp.zeros((len(start), len(start))))
+    at = _Iteration(nothing, start, jnp.ones(()), jnp.asarray(0), jnp.asarray(False))
+    at = jax.lax.while_loop(goes_on, step, at)
+    return at.best.theta, at.steps, at.converged
+
+
+def _move(place: _Place, length: Array, slots: Slots) -> Array:
+    """Levenberg–Marquardt step with damping proportional to the diagonal of the matrix, within bounds."""
+    theta, matrix = place.theta, place.matrix
+    movable = _movable(theta, place.gradient, slots.lower, slots.upper)
+    scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(matrix), 1e-12))
+    scaled = jnp.where(movable[:, None] & movable, matrix * scale[:, None] * scale, 0.0)
+    damped = scaled + jnp.diag(jnp.where(movable, _DAMPING / length + 1e-12, 1.0))
+    move = -scale * solve(damped, jnp.where(movable, place.gradient * scale, 0.0))
+    return jnp.clip(theta + jnp.clip(move, -_LONGEST, _LONGEST), slots.lower, slots.upper) - theta
 
 
 @_peak.def_jvp
@@ -147,21 +207,11 @@ def _movable(theta: Array, gradient: Array, lower: Array, upper: Array) -> Bool[
     return ~((theta <= lower) & (gradient > 0.0)) & ~((theta >= upper) & (gradient < 0.0))
 
 
-@jax.custom_jvp
-def _residuals(theta: Float[Array, " parameters"], problem: _Problem) -> Float[Array, " rows"]:
-    """Deviance residuals of the levels, and those of the prior."""
-    return _residuals_and_slope(theta, problem)[0]
+def _residuals(theta: Array, problem: _Problem) -> tuple[Array, Array, Array]:
+    """Deviance residuals of the levels, then those of the prior, and derivatives by the parameters.
 
-
-@_residuals.defjvp
-def _residuals_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    # One matrix serves the tangents of all parameters.
-    residuals, slope = _residuals_and_slope(*primals)
-    return residuals, tangents[0] @ slope
-
-
-def _residuals_and_slope(theta: Array, problem: _Problem) -> tuple[Array, Array]:
-    """Residuals, and their derivatives by the parameters (parameters, rows)."""
+    Those of the levels' residuals are a matrix (parameters, levels), each of the prior's has its own.
+    """
     slots, levels, _ = problem
     model = expected(theta, slots, levels)
     excess = jnp.maximum(levels.level / model.mean, _LEAST_RATIO) - 1.0
@@ -174,56 +224,4 @@ def _residuals_and_slope(theta: Array, problem: _Problem) -> tuple[Array, Array]
     # A parameter that is not estimated is kept where it is by a prior of its own.
     stiffness = jnp.where(slots.free, jnp.sqrt(slots.precision), 1.0)
     away = jnp.where(slots.free, theta - slots.centre, 0.0)
-    return (
-        jnp.concatenate([k * jnp.sign(excess) * root, stiffness * away]),
-        jnp.concatenate([by_data, jnp.diag(stiffness)], axis=1),
-    )
-
-
-class _Place(NamedTuple):
-    """A point of the descent: its parameters, the gradient, and the Gauss–Newton matrix."""
-
-    theta: Any
-    gradient: Any
-    matrix: Any
-
-
-class _ScaledDescent(optx.AbstractDescent):
-    """Levenberg–Marquardt steps with damping λ·diag(JᵀJ), within bounds."""
-
-    lower: Float[Array, " parameters"]
-    upper: Float[Array, " parameters"]
-
-    def init(self, y: Any, f_info_struct: Any) -> _Place:
-        return _Place(y, jnp.zeros_like(y), jnp.zeros((len(y), len(y))))
-
-    def query(self, y: Any, f_info: Any, state: _Place) -> _Place:
-        J = f_info.jac.as_matrix()
-        return _Place(y, J.T @ f_info.residual, J.T @ J)
-
-    def step(self, step_size: Any, state: _Place) -> tuple[Any, Any]:
-        theta, gradient, matrix = state
-        movable = _movable(theta, gradient, self.lower, self.upper)
-        scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(matrix), 1e-12))
-        scaled = jnp.where(movable[:, None] & movable, matrix * scale[:, None] * scale, 0.0)
-        damped = scaled + jnp.diag(jnp.where(movable, _DAMPING / step_size + 1e-12, 1.0))
-        move = -scale * solve(damped, jnp.where(movable, gradient * scale, 0.0))
-        moved = jnp.clip(theta + jnp.clip(move, -_LONGEST, _LONGEST), self.lower, self.upper)
-        return moved - theta, optx.RESULTS.successful
-
-
-class _Scoring(optx.AbstractGaussNewton):
-    """Gauss–Newton iteration with scaled damping."""
-
-    rtol: float
-    atol: Any
-    norm: Any
-    descent: _ScaledDescent
-    search: optx.ClassicalTrustRegion
-    verbose: Any
-
-    def __init__(self, lower: Array, upper: Array, tolerance: Array):
-        self.rtol, self.atol, self.norm = 0.0, tolerance, optx.max_norm
-        self.descent = _ScaledDescent(lower, upper)
-        self.search = optx.ClassicalTrustRegion(0.5, 0.01, 6.0, 0.15)
-        self.verbose = lambda **_: None
+    return jnp.concatenate([k * jnp.sign(excess) * root, stiffness * away]), by_data, stiffness

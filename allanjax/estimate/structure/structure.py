@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from allanjax.estimate.spectral.columns import columns_of
 from allanjax.estimate.spectral.components import BIQUAD, NONE, TWO_POLES, bandwidths
 from allanjax.estimate.spectral.levels import Levels, levels_of, padded
-from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales, units_by_response
+from allanjax.estimate.spectral.model import FULL, Slots, expected, power_scales
 from allanjax.estimate.spectral.scoring import Maximum, maximize
 from allanjax.noise.terms import AngleRandomWalk, NoiseTerm, basic_terms
 from allanjax.spectrum.cosine import Bins
@@ -394,5 +394,5 @@ def _fitted(
     model = expected(found.theta, slots, levels)
     resonant = model.components[at.first_oscillator : at.first_other] / model.mean
     powers = scale * jnp.expm1(u), jnp.exp(u) * scale
-    by_response = units_by_response(found.theta, slots, levels)
+    by_response = jnp.moveaxis(model.by_response, 0, 1)
     return found, powers[0], model.mean, resonant, model.slope, by_response, powers[1], covariance(found)

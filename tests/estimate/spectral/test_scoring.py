@@ -101,6 +101,21 @@ def test_slopes_are_those_of_finite_differences():
         np.testing.assert_allclose(slope, (up - down) / 2e-5, rtol=1e-5, atol=1e-8)
 
 
+def test_an_idle_slot_is_as_if_it_were_evaluated():
+    """A slot without power that is estimated is evaluated, one that is not is left out: of no consequence."""
+    n = 5000
+    theta, slots, bins = filtered_and_resonant(n)
+    levels = empty_levels(bins).with_data(np.ones(len(bins.size)), bins.size.astype(float))
+    everything = dataclasses.replace(slots, free=np.ones(FULL.parameters, bool))
+    few, all_ = (compiled(jnp.asarray(theta), s, levels) for s in (slots, everything))
+    # Sums of the same numbers and zeros.
+    np.testing.assert_allclose(few.mean, all_.mean, rtol=1e-14)
+    np.testing.assert_allclose(few.slope[slots.free], all_.slope[slots.free], rtol=1e-12, atol=1e-300)
+    idle = WAVE + 1
+    assert not np.any(few.slope[idle])
+    assert np.any(all_.slope[idle])
+
+
 def test_the_maximum_is_that_of_a_general_minimizer():
     n = 20_000
     theta, slots, bins = filtered_and_resonant(n)

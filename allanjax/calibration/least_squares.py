@@ -1,0 +1,189 @@
+"""Generalized least squares of means on the parameters of a calibration, and what these means determine."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.errors import FitError
+
+# Least singular value, relative to the largest, of a direction that the positions determine: of given
+# orientations, beyond rounding; of estimated ones, beyond what errors of scale and alignment feign.
+KNOWN, FREE = 1e-6, 2e-2
+# Parts of a parameter in undetermined directions from which on it is undetermined itself.
+_PART = 1e-6
+_ITERATIONS = 50
+
+
+class Solution(NamedTuple):
+    """Parameters with their covariance.
+
+    Attributes:
+        values: the parameters; of no meaning where not determined.
+        covariance: theirs.
+        determined: which of them the observations determine.
+        residuals: observations less what was fitted.
+        residual_covariance: theirs.
+        weight: Q with residuals'·Q·residuals = χ².
+        dof: observations less directions determined.
+    """
+
+    values: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    determined: Bool[np.ndarray, " p"]
+    residuals: Float[np.ndarray, " m"]
+    residual_covariance: Float[np.ndarray, "m m"]
+    weight: Float[np.ndarray, "m m"]
+    dof: int
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the weighted squares of the residuals."""
+        return float(self.residuals @ self.weight @ self.residuals)
+
+    def gain_without(self, rows: Bool[np.ndarray, " m"]) -> float:
+        """How much χ² falls if these observations are left out."""
+        pull, Q = (self.weight @ self.residuals)[rows], self.weight[np.ix_(rows, rows)]
+        return float(pull @ np.linalg.pinv(Q, 1e-9, hermitian=True) @ pull)
+
+
+def determined_directions(X: Float[np.ndarray, "m p"], tolerance: float) -> Float[np.ndarray, "r p"]:
+    """Orthonormal directions of the parameters that the rows of X, in equal units, determine."""
+    _, size, directions = np.linalg.svd(X, full_matrices=False)
+    return directions[size > tolerance * size.max(initial=1e-300)]
+
+
+def is_determined(directions: Float[np.ndarray, "r p"]) -> Bool[np.ndarray, " p"]:
+    """Which parameters lie in these directions altogether."""
+    return 1.0 - (directions**2).sum(axis=0) < _PART
+
+
+def least_squares(
+    X: Float[np.ndarray, "m p"],
+    y: Float[np.ndarray, " m"],
+    C: Float[np.ndarray, "m m"],
+    unit: Float[np.ndarray, " p"],
+    bias: Bool[np.ndarray, " p"],
+    tolerance: float = KNOWN,
+) -> Solution:
+    """Parameters β of y = Xβ + e with the least variance, for noise e of covariance C.
+
+    Args:
+        X: the design.
+        y: observations.
+        C: their covariance; may be singular along the columns of biases.
+        unit: factor of each column of X that makes them alike.
+        bias: which parameters are biases: their columns may be added to C without a change of the estimate.
+        tolerance: see `determined_directions`.
+
+    Raises:
+        FitError: C is not positive definite beside the biases: the model has too little noise.
+    """
+    V = determined_directions(X / unit, tolerance)
+    Z = X / unit @ V.T
+    level = X[:, bias]
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(C + C.diagonal().max() * level @ level.T))
+    except np.linalg.LinAlgError as error:
+        raise FitError(
+            "the noise model leaves no noise in some combination of the means: give it white noise (N)"
+        ) from error
+    P = inverse.T @ inverse
+    estimator = np.linalg.solve(Z.T @ P @ Z, Z.T @ P)
+    W = V.T @ estimator / unit[:, None]
+    left = np.eye(len(y)) - Z @ estimator
+    return Solution(
+        values=W @ y,
+        covariance=W @ C @ W.T,
+        determined=is_determined(V),
+        residuals=left @ y,
+        residual_covariance=left @ C @ left.T,
+        weight=left.T @ P @ left,
+        dof=len(y) - len(V),
+    )
+
+
+class Triad(NamedTuple):
+    """Errors of three axes: I = M·f + b + q·f² + e, by axis (2.22, 2.23)."""
+
+    M: Float[np.ndarray, "3 3"]
+    b: Float[np.ndarray, 3]
+    q: Float[np.ndarray, 3]
+
+    def inputs(self, readings: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """The inputs f that give these readings."""
+        inverse = np.linalg.inv(self.M).T
+        f = (readings - self.b) @ inverse
+        if self.q.any():
+            # Each round gains as many digits as the second-order part is small.
+            for _ in range(8):
+                f = (readings - self.b - self.q * f**2) @ inverse
+        return f
+
+    def slopes(self, f: Float[np.ndarray, 3]) -> Float[np.ndarray, "3 3"]:
+        """Derivative of the readings by the inputs."""
+        return self.M + np.diag(2.0 * self.q * f)
+
+
+def by_norm(
+    readings: Float[np.ndarray, "k 3"],
+    noise: Float[np.ndarray, "3 k k"],
+    g: float,
+    unit: Float[np.ndarray, "3 p"],
+) -> Solution:
+    """Errors of three axes from positions of unknown orientation: the norm of the inputs is g.
+
+    The axes of reference are those of the sensor: the first is that of x, and that of y is in their plane. So
+    of the misalignments those of x towards y and z and that of y towards z are zero.
+
+    Args:
+        readings: means of the three axes in each position [m/s²].
+        noise: covariance of the means of each axis.
+        g: gravity [m/s²].
+        unit: see `least_squares`; the parameters of each axis: bias, row of M − 1, and, perhaps, q.
+
+    Raises:
+        FitError: it does not converge: the readings are not those of a triad at rest.
+    """
+    p = unit.shape[1]
+    free = np.array([[True, *(j <= i for j in range(3)), *(True for _ in range(p - 4))] for i in range(3)])
+    bias = np.zeros((3, p), bool)
+    bias[:, 0] = True
+    values = np.zeros((3, p))
+    for _ in range(_ITERATIONS):
+        triad = as_triad(values)
+        f = triad.inputs(readings)
+        size = np.linalg.norm(f, axis=1)
+        # How the norm of the inputs depends on each reading.
+        n = np.stack([np.linalg.solve(triad.slopes(x).T, x / s) for x, s in zip(f, size, strict=True)])
+        columns = np.concatenate([np.ones((len(f), 1)), f], axis=1)
+        rows = n[:, :, None] * np.repeat(columns[:, None, :], 3, axis=1)
+        if p > 4:
+            rows = np.concatenate([rows, (n * f**2)[:, :, None]], axis=2)
+        C = np.einsum("ki,li,ikl->kl", n, n, noise)
+        found = least_squares(rows[:, free], size - g, C, unit[free], bias[free], FREE)
+        values[free] += found.values
+        if np.all(np.abs(found.values * unit[free]) < 1e-9 * g):
+            break
+        if not np.all(np.abs(values * unit) < g):
+            values[:] = np.nan
+            break
+    else:
+        values[:] = np.nan
+    if not np.isfinite(values).all():
+        raise FitError(
+            "the orientations could not be estimated: give them, and check the unit; each position must be a "
+            "different one, at rest"
+        )
+    covariance, determined = np.zeros((3 * p, 3 * p)), np.ones(3 * p, bool)
+    covariance[np.ix_(free.ravel(), free.ravel())] = found.covariance
+    determined[free.ravel()] = found.determined
+    return found._replace(values=values.ravel(), covariance=covariance, determined=determined)
+
+
+def as_triad(values: Float[np.ndarray, "3 p"]) -> Triad:
+    """The errors by axis as matrices; what is not determined must be zero."""
+    q = values[:, 4] if values.shape[1] > 4 else np.zeros(3)
+    return Triad(np.eye(3) + values[:, 1:4], values[:, 0], q)

@@ -1,0 +1,300 @@
+"""Errors of the axes of one sensor from their means in several orientations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import stdtrit
+
+from allanjax.base.chi_squared import upper_tail
+from allanjax.base.errors import RecordingError
+from allanjax.calibration.earth import EARTH_RATE
+from allanjax.calibration.least_squares import (
+    KNOWN,
+    Solution,
+    by_norm,
+    determined_directions,
+    is_determined,
+    least_squares,
+)
+from allanjax.calibration.noise import Part, covariance_of_means, white_covariance
+from allanjax.calibration.orientation import Orientation, six_positions
+from allanjax.calibration.result import AxisCalibration, Misfit, Position, place_of
+from allanjax.noise.estimate import Estimate
+from allanjax.record.recording import Axis
+from allanjax.record.units import Sensor, si_unit
+
+_QUANTILES = (1.959964, 0.994458)
+# Below this p-value positions are named that do not fit.
+_DOUBT = 1e-3
+# Positions whose omission lowers χ² by the same to within this share are not told apart.
+_TIE = 0.02
+# An axis is vertical if the cosine of its tilt is one to within this.
+_VERTICAL = 1e-6
+_UNITS = {"scale_factor": "ppm", "second_order": "µg/g²"}
+
+
+class World(NamedTuple):
+    """What acts on a sensor at rest: gravity [m/s²] with its standard deviation, and latitude [deg]."""
+
+    gravity: float
+    gravity_std: float
+    latitude: float | None
+
+    def size(self, sensor: Sensor) -> float:
+        """Size of the input [rad/s or m/s²]."""
+        return self.gravity if sensor == "accel" else EARTH_RATE
+
+    def input(self, sensor: Sensor, orientation: Orientation) -> Float[np.ndarray, 3]:
+        """Input along the sensor's axes; nan where it depends on a heading that is not known.
+
+        An axis that points up reads +g, and the Earth's rate times the sine of the latitude (2.34).
+        """
+        if sensor == "accel":
+            return self.gravity * orientation.up
+        latitude = math.radians(self.latitude or 0.0)
+        vertical = EARTH_RATE * math.sin(latitude) * orientation.up
+        if orientation.north is not None:
+            return vertical + EARTH_RATE * math.cos(latitude) * orientation.north
+        return np.where(1.0 - np.abs(orientation.up) < _VERTICAL, vertical, np.nan)
+
+
+class Setting(NamedTuple):
+    """How a sensor was calibrated.
+
+    Attributes:
+        axes: axes of one sensor.
+        positions: when and in which orientation; all orientations unknown for three accelerometers only.
+        world: what acts on the sensor.
+        second_order: whether readings have a part in proportion to the square of the input.
+        orientation_error: standard deviation of the orientations about each axis across [rad].
+        lacks_drift: whether the noise model is of a record too short to show the drift between positions.
+    """
+
+    axes: tuple[Axis, ...]
+    positions: tuple[Position, ...]
+    world: World
+    second_order: bool = False
+    orientation_error: float = 0.0
+    lacks_drift: bool = False
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor whose axes they are."""
+        return self.axes[0].sensor
+
+    @property
+    def known(self) -> tuple[Orientation, ...]:
+        """Orientations; none if they are not known."""
+        return tuple(p.orientation for p in self.positions if p.orientation is not None)
+
+    @property
+    def units(self) -> Float[np.ndarray, " p"]:
+        """Sizes of the columns of a design."""
+        size = self.world.size(self.sensor)
+        return np.array([1.0, size, size, size, size**2][: 5 if self.second_order else 4])
+
+    def design(self, axis: Axis, orientations: Sequence[Orientation]) -> Float[np.ndarray, "k p"]:
+        """Design of an axis: ones, inputs along x, y and z and, perhaps, the square of its own.
+
+        Inputs that depend on a heading not known are left out as zero; rows of such an own one are nan.
+        """
+        f = np.stack([self.world.input(self.sensor, o) for o in orientations])
+        own = f[:, [place_of(axis)]]
+        X = np.concatenate([np.ones((len(f), 1)), np.nan_to_num(f), own**2], axis=1)
+        return np.where(np.isfinite(own), X, np.nan)[:, : len(self.units)]
+
+
+class Covariances(NamedTuple):
+    """Covariance of each axis's means of the positions: of all its noise, and of its white noise."""
+
+    full: Float[np.ndarray, "axes k k"]
+    white: Float[np.ndarray, "axes k k"]
+
+    @classmethod
+    def of(cls, positions: Sequence[Position], noise: Sequence[Sequence[Part]]) -> Covariances:
+        """Those of means over these positions, from the terms of each axis."""
+        start, length = (np.array([getattr(p, name) for p in positions]) for name in ("start", "duration"))
+        return cls(
+            np.stack([covariance_of_means(parts, start, length) for parts in noise]),
+            np.stack([white_covariance(parts, length) for parts in noise]),
+        )
+
+
+def errors_of(
+    setting: Setting, means: Float[np.ndarray, "k axes"], noise: Covariances
+) -> tuple[tuple[AxisCalibration, ...], Misfit]:
+    """Errors of a sensor's axes from their means [rad/s or m/s²] in each position, and how well they fit.
+
+    Raises:
+        RecordingError: the positions determine bias and scale factor of no axis; an accelerometer that
+            points down where it is told to point up.
+        FitError: a model without noise; orientations that could not be estimated.
+    """
+    axes, positions = setting.axes, setting.positions
+    full, white = noise
+    names, rows = tuple(axis.name for axis in axes), np.ones((len(positions), len(axes)), bool)
+    alone: Solution | None = None
+    if setting.known:
+        X = np.stack([setting.design(axis, setting.known) for axis in axes], axis=1)
+        rows = np.isfinite(X[:, :, 0])
+        found = _linear(setting, X, means, full, setting.orientation_error)
+        if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
+            alone = _linear(setting, X, means, white, 0.0)
+    else:
+        names, rows = ("norm of the three axes",), rows[:, :1]
+        scale = np.tile(setting.units, (3, 1))
+        found = by_norm(means, full, setting.world.gravity, scale)
+        if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
+            alone = by_norm(means, white, setting.world.gravity, scale)
+    size = (len(axes), len(setting.units))
+    determined = found.determined.reshape(size)
+    if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
+        told = ", ".join(position.label for position in positions)
+        raise RecordingError(
+            f"the positions do not span: from {told} follow bias and scale factor of no {setting.sensor} "
+            f"axis{' beside its second order' if setting.second_order else ''}; {_remedy(setting, axes[0])}"
+        )
+    wider, quantiles = by_scatter(found.chi2, found.dof) if setting.lacks_drift else (1.0, _QUANTILES)
+    variance = wider**2 * found.covariance.diagonal().reshape(size)
+    over_white = np.full(size, np.nan)
+    if alone is not None:
+        over_white = np.sqrt(variance / np.maximum(alone.covariance.diagonal().reshape(size), 1e-300))
+    results = []
+    for k, (axis, values) in enumerate(zip(axes, found.values.reshape(size), strict=True)):
+        labels = _labels(axis, setting.second_order)
+        remark = "" if determined[k].all() else _remedy(setting, axis)
+        estimates, widening = {}, {}
+        for label, j in labels.items():
+            known = bool(determined[k, j])
+            # What is not known of gravity is not known of the scale.
+            common = setting.world.gravity_std / setting.world.gravity if label == "scale_factor" else 0.0
+            common = common if setting.sensor == "accel" else 0.0
+            std = math.hypot(math.sqrt(max(variance[k, j], 0.0)), common)
+            value = float(values[j]) if known else math.nan
+            estimates[label] = _estimate(axis, label, value, std if known else math.nan, remark, quantiles)
+            widening[label] = float(over_white[k, j]) if known else np.nan
+        _check_direction(estimates["scale_factor"])
+        results.append(AxisCalibration(axis, estimates, widening))
+    return tuple(results), _misfit(found, rows, names, positions)
+
+
+def _linear(
+    setting: Setting,
+    X: Float[np.ndarray, "k axes p"],
+    means: Float[np.ndarray, "k axes"],
+    noise: Float[np.ndarray, "axes k k"],
+    error: float,
+) -> Solution:
+    """Errors of all axes together, since an orientation that is off moves the input between them."""
+    k, count, p = X.shape
+    whole, C = np.zeros((k, count, count, p)), np.zeros((k, count, k, count))
+    f = X[:, :, 1:4]
+    place = [place_of(axis) for axis in setting.axes]
+    y = means - np.stack([f[:, a, i] for a, i in enumerate(place)], axis=1)
+    for a in range(count):
+        whole[:, a, a, :] = X[:, a]
+        C[:, a, :, a] = noise[a]
+    for n, orientation in enumerate(setting.known):
+        vector = np.nan_to_num(setting.world.input(setting.sensor, orientation))
+        across = vector @ vector * np.eye(3) - np.outer(vector, vector)
+        C[n, :, n, :] += error**2 * across[np.ix_(place, place)]
+    used = np.isfinite(X[:, :, 0]).ravel()
+    bias = np.arange(count * p) % p == 0
+    return least_squares(
+        whole.reshape(k * count, count * p)[used],
+        y.ravel()[used],
+        C.reshape(k * count, k * count)[np.ix_(used, used)],
+        np.tile(setting.units, count),
+        bias,
+    )
+
+
+def _labels(axis: Axis, second_order: bool) -> dict[str, int]:
+    """Names of an axis's parameters, in the order of the table, and their places."""
+    own = place_of(axis)
+    others = {f"misalignment_{letter}": 1 + j for j, letter in enumerate("xyz") if j != own}
+    return {"bias": 0, "scale_factor": 1 + own, **others, **({"second_order": 4} if second_order else {})}
+
+
+def by_scatter(chi2: float, dof: int) -> tuple[float, tuple[float, float]]:
+    """How many times wider errors are where the means scatter more than the noise model says, and quantiles.
+
+    The ratio of Birge (1932, Phys. Rev. 40:207) and Student's law of its degrees of freedom.
+    """
+    if dof == 0 or chi2 <= dof:
+        return 1.0, _QUANTILES
+    outer, inner = stdtrit(dof, [0.975, 0.84])
+    return math.sqrt(chi2 / dof), (float(outer), float(inner))
+
+
+def _estimate(
+    axis: Axis, label: str, value: float, std: float, remark: str, quantiles: tuple[float, float]
+) -> Estimate:
+    """A parameter that is nan if it is not determined; then the remark says what to do."""
+    bias = "mg" if axis.sensor == "accel" else "deg/h"
+    unit = bias if label == "bias" else _UNITS.get(label, "µrad")
+    ends = [(value - z * std, value + z * std) for z in quantiles]
+    return Estimate(
+        axis=axis,
+        label=label,
+        value=value,
+        std=std,
+        interval=ends[0],
+        interval_68=ends[1],
+        unit=si_unit(unit),
+        usual_unit=unit,
+        source="calibration",
+        # By convention or by what defines the axes.
+        held=std == 0.0,
+        remark=remark if math.isnan(value) else "",
+    )
+
+
+def _check_direction(scale: Estimate) -> None:
+    """Raise an error where up and down are exchanged."""
+    if scale.axis.sensor == "accel" and scale.value < -0.5:
+        raise RecordingError(
+            f"{scale.axis.name} reads {1.0 + scale.value:.3g} times what it should: an axis that points up "
+            "reads +g. Exchange up and down if the sensor puts out gravity, or correct its unit"
+        )
+
+
+def _remedy(setting: Setting, axis: Axis) -> str:
+    """Which positions to add so that all parameters of an axis are determined, in words."""
+    if not setting.known:
+        count = 12 if setting.second_order else 9
+        return f"it takes {count} orientations or more, well spread, some between the axes; or given ones"
+    X = setting.design(axis, setting.known) / setting.units
+    X = X[np.isfinite(X[:, 0])]
+    added: list[str] = []
+    for candidate in six_positions(with_heading=setting.sensor == "gyro"):
+        before = determined_directions(X, KNOWN)
+        if is_determined(before).all():
+            break
+        more = np.concatenate([X, setting.design(axis, [candidate]) / setting.units])
+        if len(determined_directions(more, KNOWN)) > len(before):
+            X, added = more, [*added, candidate.name]
+    return f"it takes, e.g., {' and '.join(added)} as well"
+
+
+def _misfit(
+    found: Solution, used: Bool[np.ndarray, "k n"], names: tuple[str, ...], positions: Sequence[Position]
+) -> Misfit:
+    """How well the means fit, and which positions fit worst."""
+    residuals, scatter = np.full(used.shape, np.nan), np.full(used.shape, np.nan)
+    residuals[used] = found.residuals
+    scatter[used] = np.sqrt(np.maximum(found.residual_covariance.diagonal(), 0.0))
+    p = float(upper_tail(found.chi2, found.dof)) if found.dof else math.nan
+    suspects: tuple[str, ...] = ()
+    if p < _DOUBT:
+        of = np.broadcast_to(np.arange(len(positions))[:, None], used.shape)[used]
+        gain = np.array([found.gain_without(of == k) for k in range(len(positions))])
+        suspects = tuple(
+            p.label for p, g in zip(positions, gain, strict=True) if g >= (1.0 - _TIE) * gain.max()
+        )
+    return Misfit(names, residuals, scatter, found.chi2, found.dof, p, suspects)

@@ -1,0 +1,149 @@
+"""The command `allanjax calibrate`."""
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import RESULTS, Out, epilog, failures_told, prepare, print_json, stage
+from allanjax.cli.options import with_options
+from allanjax.cli.saved_fits import saved_fit
+from allanjax.record.io import ReadOptions, read_recording
+
+if TYPE_CHECKING:
+    from allanjax.calibration.result import Calibration
+    from allanjax.record.recording import Recording
+
+HELP = (
+    "Calibrate gyros and accelerometers by recordings at rest in several orientations, as in a six-position "
+    "test: bias, scale factor and misalignment of each axis, with intervals that follow from the noise "
+    "model, drift between the positions included. Writes calibration.json and calibration.png."
+)
+EPILOG = epilog(
+    "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
+    "allanjax calibrate up.csv down.csv --gravity 9.8122 --fit allanjax-results/long.json",
+    "allanjax calibrate --position x+=a.csv --position 'x down, y north=b.csv' --latitude 51 --json",
+)
+
+
+Recordings = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Recordings in the order of time, whose names say which axis points up or down: imu_x_up.csv; "
+        "down.csv (that of z); if no name does, orientations are estimated: accelerometers, nine positions "
+        "or more.",
+        metavar="FILE",
+    ),
+]
+Positions = Annotated[
+    list[str] | None,
+    typer.Option(help="A recording with its orientation: x+=FILE, 'z down=FILE' or 'x up, y north=FILE'."),
+]
+Starts = Annotated[
+    str | None,
+    typer.Option(help="When each recording starts, in s: 0,620,1240. Without: one after the other."),
+]
+FittedNoise = Annotated[
+    Path | None,
+    typer.Option(
+        help="Fit of a long recording of the same sensor, NAME.json, as noise model. Without: the longest "
+        "position is fitted.",
+        metavar="RESULT.json",
+    ),
+]
+
+
+@with_options
+def command(
+    reading: ReadOptions,
+    files: Recordings = None,
+    position: Positions = None,
+    latitude: Annotated[
+        float | None, typer.Option(help="Latitude in deg, for normal gravity and the Earth's rate (gyros).")
+    ] = None,
+    height: Annotated[float, typer.Option(help="Height in m, for normal gravity.")] = 0.0,
+    gravity: Annotated[float | None, typer.Option(help="Local gravity in m/s^2, where it is known.")] = None,
+    starts: Starts = None,
+    second_order: Annotated[
+        bool, typer.Option("--second-order", help="Estimate the second-order scale factor of accelerometers.")
+    ] = False,
+    orientation_error: Annotated[
+        float, typer.Option(help="Standard deviation in deg of the orientations about each axis across.")
+    ] = 0.0,
+    fit: FittedNoise = None,
+    as_is: Annotated[
+        bool, typer.Option("--as-is", help="Use all of a recording, also where it was handled.")
+    ] = False,
+    out: Out = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
+) -> None:
+    directory = out if as_json else out or RESULTS
+    prepare(directory)
+    from allanjax.calibration.static_positions import calibrate
+
+    with failures_told():
+        with stage("reading"):
+            named = [*((None, file) for file in files or ()), *map(_parted, position or ())]
+            recordings, orientations = _read(named, reading)
+            noise = None if fit is None else saved_fit(fit)
+        with stage("calibrating (without --fit the noise is fitted first)"):
+            found = calibrate(
+                recordings,
+                orientations,
+                latitude=latitude,
+                height=height,
+                gravity=gravity,
+                fit=noise,
+                starts=None if starts is None else _numbers(starts),
+                second_order=second_order,
+                orientation_error=math.radians(orientation_error),
+                as_is=as_is,
+            )
+        if as_json:
+            print_json(found.to_dict())
+        else:
+            print(found)
+        if directory is not None:
+            _write(found, directory)
+
+
+def _read(
+    named: Sequence[tuple[str | None, str]], reading: ReadOptions
+) -> tuple[list["Recording"], list[str] | None]:
+    """Recordings, and their orientations if one is told beside its file."""
+    if not named:
+        raise typer.BadParameter("give recordings: FILE, or --position x+=FILE")
+    recordings = [read_recording(Path(file), reading, file) for _, file in named]
+    if all(orientation is None for orientation, _ in named):
+        return recordings, None
+    return recordings, [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
+
+
+def _write(found: "Calibration", directory: Path) -> None:
+    """Write calibration.json and calibration.png."""
+    directory.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(found.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    paths = [directory / f"calibration.{kind}" for kind in ("json", "png")]
+    paths[0].write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+    found.plot(path=paths[1])
+    print(f"wrote {paths[0]}, {paths[1]}", file=sys.stderr)
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """Orientation and file of `x+=FILE`."""
+    orientation, equals, file = text.partition("=")
+    if not (equals and file):
+        raise AllanjaxError(f"--position {text!r}: write an orientation and a file, x+=FILE")
+    return orientation, file
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise AllanjaxError(f"--starts {text!r}: write numbers of seconds, 0,620,1240") from error

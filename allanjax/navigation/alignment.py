@@ -1,0 +1,319 @@
+"""Accuracy of leveling and gyro-compassing against the averaging time, and the time that an azimuth takes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.wording import duration, finite_or_none, significant
+from allanjax.estimate.result import Fit
+from allanjax.navigation.likely import AxisNoise, Sensors, ends, in_si, one_by_one, sensors_of
+from allanjax.navigation.navigator import STANDARD_GRAVITY
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike
+from allanjax.record.recording import Axis
+from allanjax.record.units import SI
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Rate at which the Earth turns [rad/s].
+EARTH_RATE = 7.292115e-5
+# Latitude beyond which the horizontal part of that is below 1/50.
+_POLAR = math.radians(89.0)
+# Longest averaging time for models [s], times an octave, and error beyond which an angle is not small.
+_LONGEST, _PER_OCTAVE, _LARGE = 1e5, 8, math.radians(30.0)
+# Share of its value an octave before from which on an error is said to fall no more; of white noise 0.71.
+_FALLING = 0.9
+_DEG = math.pi / 180.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class AxisAlignment(ByValue):
+    """Accuracy of the angle that one level axis tells: azimuth by a gyro, tilt by an accelerometer.
+
+    Each interval has 95 % probability, and is nan for models that are taken as exact.
+
+    Attributes:
+        axis: whose it is; a gyro's is that of the axis that points east.
+        time: averaging times [s], half of it in each of two opposite positions.
+        error, lower, upper: standard deviation of the angle [rad] and its interval.
+        best: the least error [rad], and `best_interval`.
+        best_time: the first averaging time [s] at which the error is within 1 % of the least, which may be a
+            level that it never leaves; and `best_time_interval`.
+        falling: whether the error still falls at the longest time, so that more time would help.
+        wanted: the error that is asked for [rad]; None if none is, or of an accelerometer.
+        needed: time after which the error is as wanted [s], infinite if it never is, and `needed_interval`.
+        white_time: the same for the white noise alone (2.53) [s].
+        out_of_reach: probability that no averaging time up to the longest gives the error that is wanted.
+    """
+
+    axis: Axis
+    time: Float[np.ndarray, " t"]
+    error: Float[np.ndarray, " t"]
+    lower: Float[np.ndarray, " t"]
+    upper: Float[np.ndarray, " t"]
+    best: float
+    best_interval: tuple[float, float]
+    best_time: float
+    best_time_interval: tuple[float, float]
+    falling: bool
+    wanted: float | None = None
+    needed: float = math.nan
+    needed_interval: tuple[float, float] = (math.nan, math.nan)
+    white_time: float = math.nan
+    out_of_reach: float = math.nan
+
+    @property
+    def angle(self) -> str:
+        """Name of the angle: "azimuth" or "tilt"."""
+        return "azimuth" if self.axis.sensor == "gyro" else "tilt"
+
+    def __repr__(self) -> str:
+        best = f"{significant(self.best / _DEG)} deg after {duration(self.best_time)}"
+        return f"<AxisAlignment {self.axis.name}: best {self.angle} {best}>"
+
+    def verdict(self) -> str:
+        """Whether and when the wanted error is reached, in words."""
+        if self.wanted is None:
+            return "the error still falls at the longest time" if self.falling else ""
+        wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))
+        white = f"white noise alone would take {duration(self.white_time)}" if self.white_time > 0.0 else ""
+        if math.isinf(self.needed):
+            why = f"not within {longest}, and the error still falls" if self.falling else "out of reach"
+            doubt = "" if not 0.0 < self.out_of_reach < 1.0 else f", with probability {self.out_of_reach:.0%}"
+            told = f"{wanted} is {why}{doubt}"
+        else:
+            low, high = self.needed_interval
+            ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {_or_never(high)})"
+            told = f"{wanted} after {duration(self.needed)}{ends}"
+            if self.out_of_reach > 0.025:
+                told += f", out of reach with probability {self.out_of_reach:.0%}"
+        return f"{told}; {white}" if white else told
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Rows of the printed table: axis, quantity, value, interval."""
+
+        def interval(values: tuple[float, float], scale: float) -> str:
+            low, high = (significant(x / scale) for x in values)
+            return "" if math.isnan(values[0]) else f"{low} … {high}"
+
+        name = self.axis.name
+        if self.best > _LARGE:
+            told = f"{self.angle} not found: its error is never below {significant(self.best / _DEG)} deg"
+            return [(name, told, "", "")]
+        best = f"{significant(self.best / _DEG)} deg"
+        cells = [(name, f"best {self.angle}, 1σ", best, interval(self.best_interval, _DEG))]
+        told = f"{significant(self.best_time)} s"
+        cells.append(
+            (name, "within 1 % of it after averaging for", told, interval(self.best_time_interval, 1.0))
+        )
+        if verdict := self.verdict():
+            cells.append((name, verdict, "", ""))
+        return cells
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Error by averaging time, in SI."""
+        import pandas as pd
+
+        columns = {"time": self.time, "error": self.error, "lower_95": self.lower, "upper_95": self.upper}
+        return pd.DataFrame({"axis": self.axis.name, "angle": self.angle, **columns})
+
+    def to_dict(self) -> dict[str, Any]:
+        """The numbers as plain dictionaries, in SI; None where there is none."""
+        names = ("best", "best_time", "needed", "white_time", "out_of_reach")
+        pairs = ("best_interval", "best_time_interval", "needed_interval")
+        return {
+            "axis": self.axis.name,
+            "angle": self.angle,
+            "wanted": self.wanted,
+            "falling": self.falling,
+            **{name: finite_or_none(getattr(self, name)) for name in names},
+            **{name: [finite_or_none(x) for x in getattr(self, name)] for name in pairs},
+            "verdict": self.verdict(),
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Alignment(ByValue, PerAxis[AxisAlignment]):
+    """Accuracy of leveling and gyro-compassing with the level axes of a sensor.
+
+    Attributes:
+        name: the recording's name.
+        latitude: where it stands [rad].
+        results: one an axis.
+    """
+
+    CALLED: ClassVar[str] = "the alignment"
+    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "alignment", "value", "95 % interval")
+    RIGHT: ClassVar[tuple[str, ...]] = ("value",)
+
+    name: str
+    latitude: float
+    results: tuple[AxisAlignment, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as plain dictionaries, in SI."""
+        axes = [result.to_dict() for result in self.results]
+        return {"name": self.name, "latitude_rad": self.latitude, "axes": axes}
+
+    def _title(self) -> str:
+        name = f"{self.name}: " if self.name else ""
+        return f"{name}leveling and gyro-compassing at {self.latitude / _DEG:g}° of latitude, two positions"
+
+    def _cells(self) -> list[tuple[str, str, str, str]]:
+        return [row for result in self.results for row in result.rows()]
+
+
+def align(
+    data: Fit | Mapping[str, ModelLike],
+    latitude: float,
+    azimuth: float | str | None = None,
+    *,
+    rate: float | None = None,
+    gyro_bias: float | str = 0.0,
+    accel_bias: float | str = 0.0,
+    gravity: float = STANDARD_GRAVITY,
+    seed: int = 0,
+) -> Alignment:
+    """Accuracy of a static alignment against its duration, and the duration for a wanted azimuth.
+
+    Tilt is an accelerometer's error over g (2.45, 2.46), azimuth that of the gyro that points east over the
+    horizontal part of the Earth's rate, ω_e cos φ (2.52). A bias is cancelled by averaging for half of the
+    time T in one position and for the other half in the opposite one; half the difference of the two means
+    has the variance σ²(T/2)/2, of the Allan variance σ². It is N²/T for white noise, as in (2.53); with all
+    terms it has a minimum, so that a wanted azimuth may be out of reach.
+
+    Args:
+        data: what `fit` or `load` returned, or models by the names of axes, taken as exact.
+        latitude: where the sensor stands [deg].
+        azimuth: standard deviation of the azimuth that is wanted [rad], or a text such as "0.1 deg".
+        rate: sample rate [Hz] of models.
+        gyro_bias, accel_bias: standard deviation of biases that remain after turning, as in `navigate`.
+        gravity: of the Earth [m/s²].
+        seed: of the draws of the coefficients.
+
+    Raises:
+        FitError: no axis has a measurement.
+        AllanjaxError, UnitError: a latitude within 1° of a pole or beyond it; no level axis; a record of less
+            than four samples; a value out of range or that cannot be read.
+    """
+    phi = math.radians(latitude)
+    if not abs(phi) <= math.pi / 2.0:
+        raise AllanjaxError(f"the latitude must be from -90 to 90 deg, got {latitude}")
+    if abs(phi) > _POLAR:
+        raise AllanjaxError(
+            f"at {latitude} deg of latitude the Earth's rotation has no horizontal part to tell north by: "
+            "gyro-compassing needs a latitude below 89 deg"
+        )
+    if not 0.0 < gravity < np.inf:
+        raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
+    wanted = None if azimuth is None else in_si(azimuth, "rad", "azimuth")
+    if wanted == 0.0:
+        raise AllanjaxError("no averaging makes the azimuth's error zero: give one that is positive")
+    sensors = sensors_of(data, rate, seed)
+    earth = EARTH_RATE * math.cos(phi)
+    bias = in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")
+    push = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
+    found = []
+    for noise in sensors.axes.values():
+        if noise.axis.name.endswith("_z"):
+            continue
+        gyro = noise.axis.sensor == "gyro"
+        found.append(
+            _of_axis(noise, sensors, earth, bias, wanted) if gyro else _of_axis(noise, sensors, gravity, push)
+        )
+    if not found:
+        raise AllanjaxError(f"no level axis, x or y; there are {', '.join(sensors.axes)}")
+    return Alignment(sensors.name, phi, tuple(found))
+
+
+def _of_axis(
+    noise: AxisNoise, sensors: Sensors, per_angle: float, bias: float, wanted: float | None = None
+) -> AxisAlignment:
+    """Accuracy of one axis, whose rate is so much for an angle of 1 rad."""
+    rate, longest = sensors.rate, min(sensors.record, _LONGEST)
+    octaves = math.log2(longest * rate / 2.0)
+    if octaves < 1.0:
+        raise AllanjaxError(f"{noise.axis.name}: an alignment needs a record of at least four samples")
+    size = np.unique(np.rint(2.0 ** np.arange(0.0, octaves, 1.0 / _PER_OCTAVE)).astype(int))
+    half = size / rate
+
+    def variances(model: Model) -> Float[np.ndarray, "terms t"]:
+        alone = [one.sampled(rate) for one in one_by_one(model)]
+        return np.array([np.asarray(one.allan_variance(half)) / 2.0 for one in alone]).reshape(-1, len(half))
+
+    drawn, time = noise.drawn(variances), 2.0 * half
+
+    def angle(variance: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+        return np.sqrt(variance + bias**2) / per_angle
+
+    error, known, above = (angle(x) for x in (drawn.total, drawn.known, drawn.upper))
+    lower, upper = (angle(end) for end in ends(drawn))
+    white = drawn.mean.get(f"{noise.axis.name} angle random walk")
+    reached: dict[str, Any] = {}
+    if wanted is not None:
+        low, high = (np.array([_reached(time, row, wanted) for row in rows]) for rows in (known, above))
+        reached = {
+            "wanted": wanted,
+            "needed": _reached(time, error, wanted),
+            "needed_interval": _interval(low, high, sensors.estimated),
+            "white_time": math.nan if white is None else white[-1] * time[-1] / (wanted * per_angle) ** 2,
+            "out_of_reach": float(np.isinf(high).mean()),
+        }
+    return AxisAlignment(
+        axis=noise.axis,
+        time=time,
+        error=error,
+        lower=lower if sensors.estimated else np.full_like(error, np.nan),
+        upper=upper if sensors.estimated else np.full_like(error, np.nan),
+        best=float(error.min()),
+        best_interval=_interval(known.min(axis=1), above.min(axis=1), sensors.estimated),
+        best_time=float(_nearly_best(time, error[None])[0]),
+        # What is only known to be below a limit makes an error rise sooner.
+        best_time_interval=_interval(_nearly_best(time, above), _nearly_best(time, known), sensors.estimated),
+        falling=bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)]),
+        **reached,
+    )
+
+
+def _nearly_best(
+    time: Float[np.ndarray, " t"], errors: Float[np.ndarray, "draws t"]
+) -> Float[np.ndarray, " draws"]:
+    """The first times at which errors are within a per cent of the least."""
+    return time[np.argmax(errors <= 1.01 * errors.min(axis=1, keepdims=True), axis=1)]
+
+
+def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], wanted: float) -> float:
+    """First time at which the error is as wanted, between times by a power law; infinite if it never is."""
+    below = np.flatnonzero(error <= wanted)
+    if not below.size:
+        return math.inf
+    k = int(below[0])
+    if k == 0:
+        return float(time[0])
+    share = math.log(error[k - 1] / wanted) / math.log(error[k - 1] / error[k])
+    return float(time[k - 1] * (time[k] / time[k - 1]) ** share)
+
+
+def _interval(
+    low: Float[np.ndarray, " draws"], high: Float[np.ndarray, " draws"], estimated: bool
+) -> tuple[float, float]:
+    """Ends of the central 95 % interval of draws, some of which may be infinite; nan of what is exact."""
+    if not estimated:
+        return math.nan, math.nan
+    pair = ((low, 0.025), (high, 0.975))
+    lower, upper = (float(np.quantile(x, q, method="nearest")) for x, q in pair)
+    return lower, upper
+
+
+def _or_never(seconds: float) -> str:
+    return "never" if math.isinf(seconds) else duration(seconds)

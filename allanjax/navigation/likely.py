@@ -1,0 +1,177 @@
+"""Noise models of sensor axes with what is known of their powers, from a fit or as given."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.estimate.likely_models import Likely, likely_models
+from allanjax.estimate.result import Fit
+from allanjax.noise.estimate import title_of
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike, as_model
+from allanjax.record.columns import recognise
+from allanjax.record.recording import Axis
+from allanjax.record.units import SI, Sensor, convert
+
+_DRAWS = 400
+_VALUE = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*")
+
+
+class Drawn(NamedTuple):
+    """A quantity that is linear in the powers of the terms of an axis.
+
+    Attributes:
+        mean: of the terms that were found; by term, in words.
+        known: draws of the sum of the terms that were found.
+        upper: the same with terms that are only known to be below a limit.
+    """
+
+    mean: Mapping[str, Float[np.ndarray, ...]]
+    known: Float[np.ndarray, "draws ..."]
+    upper: Float[np.ndarray, "draws ..."]
+
+    @property
+    def total(self) -> Float[np.ndarray, ...]:
+        """The mean of all terms that were found."""
+        return sum(self.mean.values(), np.zeros_like(self.known[0]))
+
+
+class AxisNoise(NamedTuple):
+    """Noise of an axis: sets of terms, and draws of their powers."""
+
+    axis: Axis
+    sets: Sequence[Likely]
+
+    def drawn(self, of_terms: Callable[[Model], Float[np.ndarray, "terms ..."]]) -> Drawn:
+        """Draws of a quantity, given what it is for each term of unit amplitude by itself."""
+        mean: dict[str, np.ndarray] = {}
+        known, upper = [], []
+        draws = sum(len(s.power) for s in self.sets)
+        for likely in self.sets:
+            each = of_terms(likely.model)
+            count = len(each) - likely.limited
+            for k, label in enumerate(likely.labels[:count]):
+                title = f"{self.axis.name} {title_of(label, self.axis)}"
+                mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
+            known.append(np.tensordot(likely.power[:, :count], each[:count], axes=1))
+            upper.append(known[-1] + np.tensordot(likely.power[:, count:], each[count:], axes=1))
+        return Drawn(mean, np.concatenate(known), np.concatenate(upper))
+
+
+class Sensors(NamedTuple):
+    """Axes of gyros and accelerometers with their noise.
+
+    Attributes:
+        name: the recording's.
+        rate: sample rate [Hz].
+        record: length of the record that was fitted [s]; infinite for models that were given.
+        axes: noise by the name of the axis.
+        notes: axes that are left out, and why.
+    """
+
+    name: str
+    rate: float
+    record: float
+    axes: Mapping[str, AxisNoise]
+    notes: tuple[str, ...]
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the powers were estimated, and have intervals."""
+        return np.isfinite(self.record)
+
+    def along(self, sensor: Sensor, letter: str) -> AxisNoise | None:
+        """The axis of this sensor along x, y or z; one without a letter stands for all three."""
+        found = [noise for noise in self.axes.values() if noise.axis.sensor == sensor]
+        for noise in found:
+            if noise.axis.name.endswith(f"_{letter}"):
+                return noise
+        return next((noise for noise in found if "_" not in noise.axis.name), None)
+
+
+def sensors_of(data: Fit | Mapping[str, ModelLike], rate: float | None, seed: int) -> Sensors:
+    """Axes of a fit with draws of their likely models, or of models that are given and taken as exact.
+
+    Raises:
+        FitError: no axis of the fit has a measurement.
+        AllanjaxError: models without a rate, or a fit with one; a parameter without a value.
+    """
+    if isinstance(data, Fit):
+        if rate is not None:
+            raise AllanjaxError("a fit has its own rate: leave out rate")
+        good = [result for result in data.values() if result.measured]
+        if not good:
+            raise FitError("no axis has a measurement: the fit says why")
+        rng = np.random.default_rng(seed)
+        axes = {r.axis.name: likely_models(data, r.axis.name, _DRAWS, rng) for r in good}
+        notes = tuple(
+            f"{r.axis.name} is left out: {r.verdict()}" for r in data.values() if not r.measured
+        ) + tuple(f"{dead.axis.name} is left out: {dead.reason}" for dead in data.dead)
+        found = {name: AxisNoise(data[name].axis, sets) for name, sets in axes.items()}
+        return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, found, notes)
+    if not isinstance(data, Mapping) or not data:
+        raise AllanjaxError(
+            'give a fit, or models by axis, e.g. {"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
+        )
+    if rate is None or not 0.0 < rate < np.inf:
+        raise AllanjaxError(f"models need the sample rate, positive and finite: give rate in Hz, not {rate}")
+    models = cast(Mapping[str, ModelLike], data)
+    return Sensors("", float(rate), np.inf, {name: _given(name, model) for name, model in models.items()}, ())
+
+
+def _given(name: str, model: ModelLike) -> AxisNoise:
+    column = recognise(name)
+    if column.sensor is None:
+        raise AllanjaxError(f"{name!r} is no axis of a gyro or an accelerometer; use names such as gyro_x")
+    found = as_model(model, [column])
+    found.check_complete()
+    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in found.terms]
+    unit = Model(tuple(t.with_unit_amplitude() for t in found.terms), found.response, found.inside)
+    likely = Likely(unit, found.term_labels, np.square(amplitude)[None, :], 0)
+    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [likely])
+
+
+def one_by_one(model: Model) -> list[Model]:
+    """Models of one term each, with what each becomes after the response."""
+    labels = model.term_labels
+    return [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
+
+
+def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None) -> float:
+    """Number in this SI unit, of a number that is in it or a text with a unit, e.g. "0.2 deg/h".
+
+    Raises:
+        AllanjaxError: no number, or a negative one.
+        UnitError: a unit of another dimension.
+    """
+    number, text = value, unit
+    if isinstance(value, str):
+        found = _VALUE.fullmatch(value)
+        if found is None or not found["unit"]:
+            raise AllanjaxError(f"{name}: cannot read {value!r}; write a number and a unit, e.g. 0.1 {unit}")
+        number, text = float(found["number"]), found["unit"]
+    if not 0.0 <= float(number) < np.inf:
+        raise AllanjaxError(f"{name} must be finite and not negative, got {value}")
+    return float(convert(float(number), text, unit, sensor))
+
+
+def ends(drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the central 95 % interval of a quantity: the lower of what was found, the upper of all."""
+    return np.quantile(drawn.known, 0.025, axis=0), np.quantile(drawn.upper, 0.975, axis=0)
+
+
+def together(parts: Sequence[Drawn]) -> Drawn:
+    """Sum of independent quantities."""
+    mean = {title: part for drawn in parts for title, part in drawn.mean.items()}
+    # Each is ordered by sets of terms, which are not to be paired, and may have a draw more.
+    size = min(len(drawn.known) for drawn in parts)
+    order = [np.random.default_rng(k).permutation(size) for k in range(len(parts))]
+    known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
+    upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))
+    return Drawn(mean, np.asarray(known), np.asarray(upper))

@@ -1,0 +1,203 @@
+"""Growth of attitude, velocity and position errors of a navigator at rest, from the whole noise model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import duration
+from allanjax.estimate.result import Fit
+from allanjax.navigation.error_growth import ErrorGrowth, Navigation, Quantity
+from allanjax.navigation.growth import EARTH_RADIUS, ErrorVariances
+from allanjax.navigation.likely import AxisNoise, Drawn, Sensors, ends, in_si, sensors_of, together
+from allanjax.noise.notation import ModelLike
+from allanjax.record.units import SI
+
+STANDARD_GRAVITY = 9.80665
+# Samples from the start to the last time, at most: their covariances are held in memory.
+_MOST = 2**21
+
+
+class _Channel(NamedTuple):
+    """Direction of an error: the sensors' axis along it, and that of the gyro that tilts gravity into it."""
+
+    name: str
+    along: str
+    tilting: str | None
+
+
+_CHANNELS = (_Channel("north", "x", "y"), _Channel("east", "y", "x"), _Channel("down", "z", None))
+
+
+def navigate(
+    data: Fit | Mapping[str, ModelLike],
+    times: Sequence[float] | None = None,
+    *,
+    rate: float | None = None,
+    calibration: float = 600.0,
+    gyro_bias: float | str = 0.0,
+    accel_bias: float | str = 0.0,
+    gravity: float = STANDARD_GRAVITY,
+    schuler: bool = False,
+    seed: int = 0,
+) -> Navigation:
+    """Growth of the errors of a level strapdown navigator at rest, from all terms of its sensors' noise.
+
+    The navigator has been at rest for `calibration` seconds, has taken the means of its sensors for their
+    biases (an accelerometer's by leveling, 2.45, which cancels it), and is then left to itself, x pointing
+    north and z down. A gyro's error tilts it, the tilt takes a part of gravity for motion, and what the
+    accelerometers add is integrated, too (2.38–2.40). All terms count, those behind a response, lines and
+    ramps included; errors of scale and mounting, the coupling by the Earth's rotation and what moves the
+    sensor are not in it. Transients, which happen once, are not noise, and are left out.
+
+    Args:
+        data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and,
+            where the data do not tell sets of terms apart, an average over the likely ones; or models by the
+            names of axes, taken as exact.
+        times: when to tell the errors [s]; by default from 1 s to 1,000 s.
+        rate: sample rate [Hz] of models.
+        calibration: time at rest before the start [s].
+        gyro_bias, accel_bias: standard deviation of biases that the calibration leaves besides noise, e.g.
+            from turn-on to turn-on where it was done before; rad/s and m/s², or a text such as "0.2 deg/h".
+        gravity: of the Earth [m/s²].
+        schuler: whether gravity corrects horizontal errors, with the Schuler period of 84 min, and drives the
+            vertical one; without it the errors hold up to a quarter of that.
+        seed: of the draws of the coefficients.
+
+    Raises:
+        FitError: no axis has a measurement.
+        AllanjaxError, UnitError: a time, rate or bias out of range or that cannot be read; no axis that there
+            is a channel for; more than two million samples.
+    """
+    sensors = sensors_of(data, rate, seed)
+    biases = {"gyro": in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")}
+    biases["accel"] = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
+    if not 0.0 < gravity < np.inf:
+        raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
+    given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
+    steps, before = _whole_samples(given, calibration, sensors.rate)
+    found = _variances(sensors, steps, before, biases, float(gravity), schuler)
+    if not any(found.values()):
+        raise AllanjaxError(
+            f"no channel has a sensor: name axes as gyro_x, accel_z, not {', '.join(sensors.axes)}"
+        )
+    time = steps / sensors.rate
+    growths = tuple(_growth(q, of, time, sensors.estimated) for q, of in found.items() if of)
+    result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
+    return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
+
+
+def _variances(
+    sensors: Sensors,
+    steps: Int[np.ndarray, " t"],
+    before: int,
+    biases: Mapping[str, float],
+    gravity: float,
+    schuler: bool,
+) -> dict[str, dict[str, list[Drawn]]]:
+    """Variances of the errors by quantity and direction: a part of each sensor that makes them."""
+    level = ErrorVariances((1, 2, 3), steps, before, sensors.rate, gravity / EARTH_RADIUS if schuler else 0.0)
+    # Along the vertical gravity drives errors, and about it nothing does.
+    vertical = level
+    about = level
+    if schuler:
+        vertical = ErrorVariances((1, 2), steps, before, sensors.rate, -2.0 * gravity / EARTH_RADIUS)
+        about = ErrorVariances((1,), steps, before, sensors.rate)
+
+    def errors(noise: AxisNoise | None, orders: Sequence[int], of: ErrorVariances) -> list[Drawn]:
+        """Drawn variances of an axis's errors, of each order of integration."""
+        if noise is None:
+            return []
+        drawn, bias = noise.drawn(of), (biases[noise.axis.sensor] * of.of_bias) ** 2
+        return [_with_bias(drawn, n - 1, bias[n - 1], noise.axis.name) for n in orders]
+
+    found: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
+    for channel in _CHANNELS:
+        upright = channel.tilting is None
+        turned = errors(sensors.along("gyro", channel.along), (1,), about if upright else level)
+        pushed = errors(sensors.along("accel", channel.along), (1, 2), vertical if upright else level)
+        tilted = errors(sensors.along("gyro", channel.tilting), (2, 3), level) if channel.tilting else []
+        tilted = [_times(drawn, gravity**2) for drawn in tilted]
+        for quantity, parts in (
+            ("attitude", turned[:1]),
+            ("velocity", pushed[:1] + tilted[:1]),
+            ("position", pushed[1:] + tilted[1:]),
+        ):
+            if parts:
+                found[quantity][channel.name] = parts
+    return found
+
+
+def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: float) -> tuple[np.ndarray, int]:
+    """Times and calibration in samples; AllanjaxError if there is less than one, or too many."""
+    for name, values in (("times", times), ("calibration", np.array([float(calibration)]))):
+        if not (values.size and np.all(np.isfinite(values)) and np.all(values * rate >= 0.5)):
+            raise AllanjaxError(f"{name} must be finite and at least a sample interval, {1 / rate:g} s")
+    if times.max() * rate > _MOST:
+        raise AllanjaxError(f"at {rate:g} Hz times may be up to {_MOST / rate:.0f} s, got {times.max():g} s")
+    return np.unique(np.rint(times * rate).astype(int)), round(calibration * rate)
+
+
+def _with_bias(drawn: Drawn, k: int, bias: Float[np.ndarray, " t"], name: str) -> Drawn:
+    """The k-th of several drawn quantities, with the variance from a bias."""
+    mean = {title: part[k] for title, part in drawn.mean.items()}
+    if np.any(bias > 0.0):
+        mean[f"{name} bias"] = bias
+    return Drawn(mean, drawn.known[:, k] + bias, drawn.upper[:, k] + bias)
+
+
+def _times(drawn: Drawn, factor: float) -> Drawn:
+    mean = {title: factor * part for title, part in drawn.mean.items()}
+    return Drawn(mean, factor * drawn.known, factor * drawn.upper)
+
+
+def _growth(
+    quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], estimated: bool
+) -> ErrorGrowth:
+    summed = {name: together(parts) for name, parts in channels.items()}
+    error = np.array([np.sqrt(drawn.total) for drawn in summed.values()])
+    lower, upper = np.sqrt(np.array([ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
+    nothing = np.full_like(error, np.nan)
+    return ErrorGrowth(
+        quantity=quantity,
+        channels=tuple(summed),
+        time=time,
+        error=error,
+        lower=lower if estimated else nothing,
+        upper=upper if estimated else nothing,
+        causes={
+            name: {title: np.sqrt(part) for title, part in drawn.mean.items()}
+            for name, drawn in summed.items()
+        },
+    )
+
+
+def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
+    """What to bear in mind: sensors that are missing, and times for which the errors are not meant."""
+    notes = []
+    for channel in _CHANNELS:
+        gyro = channel.tilting and sensors.along("gyro", channel.tilting)
+        accel = sensors.along("accel", channel.along)
+        if channel.tilting and (gyro is None) != (accel is None):
+            only = "the accelerometer" if gyro is None else "the gyro's tilt"
+            notes.append(f"velocity and position {channel.name} are those of {only} alone")
+    if not result.schuler and last > result.quarter_period:
+        notes.append(
+            f"the short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "
+            "period: give schuler=True (--schuler)"
+        )
+    if result.schuler and last > result.quarter_period:
+        notes.append(
+            "the vertical channel alone is unstable: aid it with a height; the Earth's rotation is left out"
+        )
+    if last + result.calibration > sensors.record / 2.0:
+        notes.append(
+            "times and calibration beyond half the record, "
+            f"{duration(sensors.record / 2.0)}, extrapolate the model"
+        )
+    return notes
