@@ -37,6 +37,12 @@ from allanjax.fleet.stream import AllanAccumulator as AllanAccumulator
 from allanjax.fleet.stream import accumulate as accumulate
 from allanjax.inspection import Inspection as Inspection
 from allanjax.inspection import inspect as inspect
+from allanjax.kalman.bank import Adapted as Adapted
+from allanjax.kalman.bank import AdaptedAxis as AdaptedAxis
+from allanjax.kalman.bank import adaptive_filter as adaptive_filter
+from allanjax.kalman.filtering import kalman_filter as kalman_filter
+from allanjax.kalman.result import Filtered as Filtered
+from allanjax.kalman.result import FilteredAxis as FilteredAxis
 from allanjax.navigation.alignment import Alignment as Alignment
 from allanjax.navigation.alignment import AxisAlignment as AxisAlignment
 from allanjax.navigation.alignment import align as align
@@ -46,12 +52,6 @@ from allanjax.navigation.navigator import navigate as navigate
 from allanjax.navigation.rates import AxisRates as AxisRates
 from allanjax.navigation.rates import SampleRates as SampleRates
 from allanjax.navigation.rates import sample_rates as sample_rates
-from allanjax.kalman.bank import Adapted as Adapted
-from allanjax.kalman.bank import AdaptedAxis as AdaptedAxis
-from allanjax.kalman.bank import adaptive_filter as adaptive_filter
-from allanjax.kalman.filtering import kalman_filter as kalman_filter
-from allanjax.kalman.result import Filtered as Filtered
-from allanjax.kalman.result import FilteredAxis as FilteredAxis
 from allanjax.noise import terms as terms
 from allanjax.noise.butterworth import Biquad as Biquad
 from allanjax.noise.butterworth import Butterworth as Butterworth

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,23 +12,21 @@ from threadpoolctl import threadpool_limits
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.causes import CAUSES
-from allanjax.critic.causes.common_mode import common_mode
+from allanjax.critic.causes.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
+from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
-from allanjax.critic.search import AcceptanceRule, Search, basic_model, extended, search, view_of
+from allanjax.critic.search import Search, basic_model, extended, further_terms, search, view_of
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, View
 from allanjax.estimate.fit import fit as fit_recording
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Recording
 
-# Discrepancies of an extended model that are less probable than this are reported as unexplained: a
-# judgement.
-_UNEXPLAINED = 1e-6
 # Statistics that compare with other channels: what they show has its cause in these.
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 # Statistics of the samples themselves, by the cause that explains each.
@@ -58,11 +57,7 @@ def criticize(
     per_axis = false_alarms / len(recording.axes)
 
     def searched(k: int) -> Search:
-        scale, x = float(recording.own_scales[k]), recording.values[:, k]
-        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-        drawn = None if recording.missing is None else recording.missing[:, k]
-        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-        return search(view, causes, per_axis, tell)
+        return _searched(recording, given, causes, per_axis, tell, k)
 
     # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
     # search needs no fit: it is for the report.
@@ -85,7 +80,7 @@ def criticize(
             [w.whitened_coefficients for w in last],
             [w.share(WHITE) for w in last],
             recording.rate,
-            AcceptanceRule.of(per_axis, causes).share,
+            AcceptanceRule.of(per_axis).level(NAME),
         )
     )
 
@@ -109,9 +104,9 @@ def criticize(
             record.forget()
         # An effect may be why there is no fit.
         baseline = result.model if result.converged else basic_model(s.start)
-        return AxisCritique(
-            axis, tuple(findings), before, after, s.tests, stages[k], baseline, extended(s), result.misfit
-        )
+        model, left_out = extended(s)
+        told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
+        return AxisCritique(axis, *told)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         axes = tuple(pool.map(judged, range(len(searches))))
@@ -122,6 +117,23 @@ def criticize(
     return Critique(
         recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead, fit.warnings
     )
+
+
+def _searched(
+    recording: Recording,
+    given: Fit | None,
+    causes: Sequence[Cause],
+    false_alarms: float,
+    tell: Callable[[str], None],
+    k: int,
+) -> Search:
+    """Search in one axis, with the further terms of the model that was given."""
+    scale, x = float(recording.own_scales[k]), recording.values[:, k]
+    baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
+    drawn = None if recording.missing is None else recording.missing[:, k]
+    view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
+    others = None if baseline is None else further_terms(baseline[0])
+    return dataclasses.replace(search(view, causes, false_alarms, tell), others=others if others else None)
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:
@@ -211,7 +223,7 @@ def _finding(
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
     """Finding of the most significant discrepancy that is left, if it is beyond doubt."""
     known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.preprocessed else ())
-    left = [d for d in after if d.p_value < _UNEXPLAINED and d.statistic not in known]
+    left = [d for d in after if d.p_value < judged("unexplained", "p_value") and d.statistic not in known]
     if not left:
         return []
     worst = min(left, key=lambda d: d.p_value)

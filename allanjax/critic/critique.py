@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from allanjax.base.cache import release_programs
+from allanjax.critic.policy import FALSE_ALARMS
 from allanjax.critic.result import Critique
-from allanjax.critic.view import FALSE_ALARMS, Cause
+from allanjax.critic.view import Cause
 from allanjax.estimate.result import Fit
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
@@ -39,7 +40,7 @@ def critique(
             are causes too; if they were chosen, the choice is made anew with every finding.
         causes: what to look for; by default `allanjax.critic.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding; it is shared by its
-            axes. Basic terms that a given model lacks come on top (`Cause.min_log_odds`, as often again).
+            axes. Basic terms that a given model lacks come on top, as often again (`critic.policy`).
         progress: called with a text that says what is being done.
         rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.
         gaps: what to do about missing samples, as in `read`; of an array those that are nan.

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
@@ -21,7 +21,9 @@ from allanjax.critic.parameters import values_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import Fit
 from allanjax.noise.model import Model
-from allanjax.record.recording import Axis, DeadAxis
+from allanjax.noise.simulate import simulate_recording
+from allanjax.noise.terms import BiasStep, DriftRamp, WarmUp
+from allanjax.record.recording import Axis, DeadAxis, Recording
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,6 +67,7 @@ class AxisCritique(ByValue):
         baseline: model that the critique started from.
         model: extended model: noise terms and deterministic ones, with their values.
         misfit: how far the baseline's curve is off, if it does not suffice.
+        left_out: causes that change samples as no term of a model does, such as outliers.
     """
 
     axis: Axis
@@ -76,6 +79,19 @@ class AxisCritique(ByValue):
     baseline: Model
     model: Model
     misfit: Misfit | None = None
+    left_out: tuple[str, ...] = ()
+
+    def bias(self, rate: float) -> float:
+        """Constant rate that the extended model's samples at `rate` [Hz] are added to [SI]."""
+        x = self.stages[0].x
+        time = (np.arange(len(x)) + 0.5) / rate
+        # Lines have no mean, and the effect of a channel counts from that in the record.
+        shifts = (
+            getattr(term, term.amplitude_parameter().name) * float(np.mean(term.column(time)))
+            for term in self.model.terms
+            if isinstance(term, BiasStep | WarmUp | DriftRamp)
+        )
+        return float(np.mean(x)) - sum(shifts)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The axis's rows of `Critique.to_dataframe`."""
@@ -131,6 +147,43 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def models(self) -> dict[str, Model]:
         """The extended model of each axis."""
         return {a.axis.name: a.model for a in self.results}
+
+    def simulate(
+        self,
+        key: PRNGKeyArray | int,
+        *,
+        n: int | None = None,
+        auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+    ) -> Recording:
+        """Simulated recording of the extended models: axes, rate, units, bias and lines' phases as recorded.
+
+        What a model has no term for (outliers, rounding, noise that axes share) is left out, and so is the
+        effect of a channel that is not given: the recording's `notes` say which.
+
+        Args:
+            key: a JAX random key, or an integer to make one of.
+            n: number of samples, by default as many as were recorded.
+            auxiliary: channels of n samples by name, e.g. the recording's own `auxiliary`.
+
+        Raises:
+            AllanjaxError, RecordingError: as `simulate_recording`.
+        """
+        units = {a.axis.sensor: a.axis.unit for a in self.results}
+        simulated = simulate_recording(
+            self.models,
+            len(self.results[0].stages[0].x) if n is None else n,
+            self.rate,
+            key,
+            bias={a.axis.name: a.bias(self.rate) for a in self.results},
+            auxiliary=auxiliary,
+            gyro_unit=units.get("gyro", "deg/s"),
+            accel_unit=units.get("accel", "m/s²"),
+            name=self.name,
+        )
+        lacking = [(", ".join(a.left_out), a.axis.name) for a in self.results if a.left_out]
+        lacking += [(f.cause, ", ".join(f.axes)) for f in self.shared_findings]
+        notes = (f"{axes}: not simulated: {causes.replace('_', ' ')}" for causes, axes in lacking)
+        return dataclasses.replace(simulated, notes=(*simulated.notes, *notes))
 
     @property
     def gain(self) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,10 +11,11 @@ from jaxtyping import Bool, Float
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
 from allanjax.critic.parameters import Detail
+from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, FALSE_ALARMS, Candidate, Cause, View
+from allanjax.critic.view import EVERYTHING, Candidate, Cause, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -46,6 +46,7 @@ class Search:
         notes: notes for the user: causes as probable as noise, or that the search ended early.
         preprocessed: whether a finding says that the samples are not what the sensor gave.
         noise_model: random terms of the extended model, if there is a filter or a resonance among them.
+        others: terms of the baseline that are no basic ones, if it has any.
     """
 
     start: View
@@ -55,28 +56,7 @@ class Search:
     notes: tuple[str, ...] = ()
     preprocessed: bool = False
     noise_model: Model | None = None
-
-
-class AcceptanceRule(NamedTuple):
-    """Rule by which candidates in one axis are accepted.
-
-    `share` is the probability of a false finding for each kind of cause, `ratio` that in the axis over
-    `FALSE_ALARMS`.
-    """
-
-    share: float
-    ratio: float
-
-    @classmethod
-    def of(cls, false_alarms: float, causes: Sequence[Cause]) -> AcceptanceRule:
-        """Rule with one share for each kind of cause, and one for noise that axes have in common."""
-        kinds = len({type(cause) for cause in causes}) + 1
-        return cls(false_alarms / kinds, false_alarms / FALSE_ALARMS)
-
-    def accepts(self, candidate: Candidate, cause: Cause) -> bool:
-        """Whether a candidate is significant; both thresholds scale with the accepted false alarms."""
-        level = self.share if cause.max_p is None else cause.max_p * self.ratio
-        return bool(candidate.gain >= cause.min_log_odds - np.log(self.ratio) and candidate.chance < level)
+    others: Model | None = None
 
 
 def search(
@@ -89,7 +69,7 @@ def search(
         candidate = cause.detect(view)
         if (
             candidate is not None
-            and candidate.chance < accepted.share
+            and accepted.accepts(candidate)
             # What cannot be held out is nan.
             and not (gain := candidate.held_out()) <= 0.0
         ):
@@ -214,8 +194,8 @@ def _chosen(
     """Candidate with the largest gain that is significant and has a gain on held-out data."""
     by_gain = sorted(candidates, key=lambda pair: -pair[1].gain)
     ranked = [candidate for _, candidate in by_gain]
-    for cause, candidate in by_gain:
-        if not accepted.accepts(candidate, cause):
+    for _, candidate in by_gain:
+        if not accepted.accepts(candidate):
             continue
         gain = candidate.held_out()
         if not gain > 0.0:
@@ -329,7 +309,7 @@ def view_of(
     model, template = baseline
     allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
     basic = [name for name in model.term_labels if name in EVERYTHING]
-    others = model.without(basic)
+    others = further_terms(model)
     y, density = x, np.zeros(n - 1)
     for term in others.terms:
         if not term.deterministic:
@@ -347,6 +327,11 @@ def view_of(
     if not set(allowed) - {RAMP}:
         allowed = ("angle_random_walk", *allowed)
     return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, drawn, drawn=drawn)
+
+
+def further_terms(model: Model) -> Model:
+    """Model without its basic terms."""
+    return model.without([name for name in model.term_labels if name in EVERYTHING])
 
 
 def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Float[np.ndarray, " n"]:
@@ -373,17 +358,19 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
     return y + x.mean()
 
 
-def basic_model(view: View) -> Model:
-    """Model of the basic terms of a view, with their values."""
-    model = view.noise.model()
-    return model + DriftRamp(abs(view.slope)) if view.noise.ramp else model
+def basic_model(view: View, random: Model | None = None) -> Model:
+    """Model of the basic terms of a view, with their values, or with these in place of the random ones."""
+    model = random or view.noise.model()
+    if not view.noise.ramp:
+        return model
+    return model + DriftRamp(abs(view.slope), sign=int(np.copysign(1.0, view.slope)))
 
 
-def extended(search: Search) -> Model:
-    """Model of an axis with all findings in it."""
-    model = basic_model(search.end) if search.noise_model is None else search.noise_model
-    if search.noise_model is not None and search.end.noise.ramp:
-        model = model + DriftRamp(abs(search.end.slope))
+def extended(search: Search) -> tuple[Model, tuple[str, ...]]:
+    """Model of an axis with all findings in it, and causes that change samples as no term of a model does."""
+    model, left_out = basic_model(search.end, search.noise_model), []
     for step in search.steps:
-        model = step.candidate.add_to_model(model)
-    return model
+        before, model = model, step.candidate.add_to_model(model)
+        if model is before and step.candidate.domain == "time" and step.change.path is not None:
+            left_out.append(step.candidate.cause)
+    return (model if search.others is None else model + search.others), tuple(dict.fromkeys(left_out))

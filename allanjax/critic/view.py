@@ -29,11 +29,6 @@ _STEADY: tuple[tuple[str, ...], ...] = (
     ("quantization", "angle_random_walk", "bias_instability"),
     ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", RAMP),
 )
-#: Log evidence that a cause must gain beyond the basic terms [nats]: odds of twenty to one.
-MARGIN = 3.0
-#: Probability of a false finding in a record of one axis that `Cause.min_log_odds` and `Cause.max_p` are made
-#: for.
-FALSE_ALARMS = 0.01
 #: Names of all basic terms.
 EVERYTHING = (*FIXED, MARKOV, RAMP)
 
@@ -374,15 +369,11 @@ class Candidate:
 
 
 class Cause(ABC):
-    """An effect that a sensor's model may lack; a subclass has a `name`, and the method `detect`."""
+    """An effect that a sensor's model may lack; what is asked of a candidate is in `critic.policy`."""
 
     name: str
     #: Whether it is seen in the samples themselves and must be undone before anything else is looked for.
     is_preprocessing: ClassVar[bool] = False
-    #: Log Bayes factor from which on it is accepted [nats], at `FALSE_ALARMS`.
-    min_log_odds: ClassVar[float] = MARGIN
-    #: p-value below which it is accepted, at `FALSE_ALARMS`; None for a share of the critique's false alarms.
-    max_p: ClassVar[float | None] = None
     #: Whether it is refitted when later findings change what it was conditional on: at once, since its misfit
     #: would be taken for other effects, or at last.
     refit: ClassVar[Literal["", "at once", "at last"]] = ""

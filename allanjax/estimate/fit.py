@@ -65,7 +65,6 @@ def fit(
     lines by far. Ramps, lines and regressors are profiled out exactly.
     `objective="wavelet"`: the wavelet variances (see `wavelet_variance`) of all levels are fitted as the
     Allan variances are. With "haar" these are half the Allan variances at octaves.
-
     `objective="exact"`: maximum of the Gaussian likelihood of the samples themselves, by a Kalman filter: for
     a given model of noise terms and short records, up to 100,000 samples, in which the few lowest frequencies
     matter; missing samples are left out, not drawn. Where the model does not follow the data, an axis has
@@ -124,7 +123,7 @@ def fit_inspected(
     _regressors(recording, regressors, objective)
     if not seen.refusal:
         quiet = seen.quiet(recording)
-        # But for the exact likelihood as if it were complete; what that claims too much is made good afterwards.
+        # As if it were complete, but for the exact likelihood; what that claims too much is made good after.
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         found = _fitted(whole, model, objective, regressors, plain, wavelet)

@@ -49,7 +49,8 @@ class Filtered(Process):
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples; the filter has seen some thousand of them before the first."""
         x = self.process.simulate(key, n + _SETTLING, rate)
-        return self.response.filtered(x - x[0], rate)[_SETTLING:]
+        # It starts at rest at the first of these, which it passes: constants it leaves as they are.
+        return self.response.filtered(x - x[0], rate)[_SETTLING:] + x[0]
 
     @property
     def _known_rate(self) -> float:

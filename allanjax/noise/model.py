@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import equinox as eqx
@@ -53,6 +53,15 @@ class NoiseTerm(Parametrized, Process):
     def sampled(self, rate: float) -> Self:
         """The term as seen by a sensor that samples at `rate` [Hz]; itself, unless sampling matters."""
         return self
+
+    def given(self, channels: Mapping[str, Float[np.ndarray, " n"]], rate: float) -> NoiseTerm:
+        """The term with the channel that it follows, sampled at `rate` [Hz]; itself if it follows none."""
+        return self
+
+    @property
+    def missing_channel(self) -> str:
+        """Name of the channel that it follows and has not been given; "" if there is none."""
+        return ""
 
     def at_low_frequencies(self) -> NoiseTerm | None:
         """Smooth term that an oscillating one becomes at low frequencies; None if that is white noise."""
@@ -271,6 +280,10 @@ class Model(eqx.Module):
         if self.response is None:
             return dataclasses.replace(self, terms=terms, rate=0.0)
         return dataclasses.replace(self, terms=terms, response=self.response.sampled(rate), rate=rate)
+
+    def given(self, channels: Mapping[str, Float[np.ndarray, " n"]], rate: float) -> Model:
+        """The model whose terms have been given the channels that they follow, sampled at `rate` [Hz]."""
+        return dataclasses.replace(self, terms=tuple(term.given(channels, rate) for term in self.terms))
 
     def check_complete(self) -> None:
         """Raise AllanjaxError if a parameter has no value."""

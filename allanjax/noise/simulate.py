@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.columns import recognise
@@ -50,6 +50,7 @@ def simulate_recording(
     key: PRNGKeyArray | int,
     *,
     bias: Mapping[str, float] | None = None,
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
     gyro_unit: str = "deg/s",
     accel_unit: str = "m/s²",
     name: str = "",
@@ -62,12 +63,14 @@ def simulate_recording(
         rate: sample rate [Hz].
         key: a JAX random key, or an integer to make one of.
         bias: constant rate [rad/s or m/s²] to add to an axis, e.g. `{"accel_z": 9.81}`.
+        auxiliary: channels of n samples by name, e.g. a temperature, that terms follow; an effect whose
+            channel is not given is left out, and the recording's notes say so.
         gyro_unit, accel_unit: units of the recording, for display.
         name: name of the recording.
 
     Raises:
         AllanjaxError: as `simulate`; a bias for an axis that is not simulated.
-        RecordingError: a name that is no axis, or fewer than 16 samples.
+        RecordingError: a name that is no axis, fewer than 16 samples, or a channel of another length.
         UnitError: a unit that does not fit the sensor.
     """
     if not models:
@@ -79,19 +82,39 @@ def simulate_recording(
                 f"a bias is given for {axis!r}, which has no model; there are {', '.join(models)}"
             )
     keys = jax.random.split(as_key(key), len(models))
+    channels = {channel: np.asarray(samples, float) for channel, samples in (auxiliary or {}).items()}
+    for channel, samples in channels.items():
+        if samples.shape != (n,):
+            raise RecordingError(
+                f"the channel {channel!r} has the shape {samples.shape}; it must have one of ({n},), "
+                "a sample for each that is simulated"
+            )
+    known = {axis: as_model(model, [recognise(axis)]).given(channels, rate) for axis, model in models.items()}
     columns = [
-        np.asarray(simulate(as_model(model, [recognise(axis)]), n, rate, k)) + bias.get(axis, 0.0)
-        for (axis, model), k in zip(models.items(), keys, strict=True)
+        np.asarray(simulate(model, n, rate, k)) + bias.get(axis, 0.0)
+        for (axis, model), k in zip(known.items(), keys, strict=True)
     ]
+    left_out = tuple(
+        f"{axis}: the effect of {channel} is left out; give auxiliary={{{channel!r}: …}} to have it"
+        for axis, model in known.items()
+        for term in model.terms
+        if (channel := term.missing_channel)
+    )
     recording = Recording.from_array(
-        np.stack(columns, axis=1), rate, gyro_unit="rad/s", accel_unit="m/s²", names=list(models), name=name
+        np.stack(columns, axis=1),
+        rate,
+        gyro_unit="rad/s",
+        accel_unit="m/s²",
+        names=list(models),
+        auxiliary=channels,
+        name=name,
     )
     own = {"gyro": gyro_unit, "accel": accel_unit}
     axes = (
         dataclasses.replace(axis, unit=parse_sample_unit(own[axis.sensor], axis.sensor).name)
         for axis in recording.axes
     )
-    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated",))
+    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated", *left_out))
 
 
 @eqx.filter_jit

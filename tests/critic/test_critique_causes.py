@@ -21,6 +21,7 @@ from allanjax.critic.causes.variance_change import VarianceChange
 from allanjax.critic.factor import _ends, _grid
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, family_of
+from allanjax.critic.policy import FALSE_ALARMS, AcceptanceRule
 from allanjax.critic.search import _grouped, search
 from allanjax.critic.step import Step
 from allanjax.critic.template_pairs import best_pair
@@ -316,7 +317,7 @@ def test_no_filter_is_found_in_unfiltered_noise(seed):
     """Also where one is tried that stops nearly all: a record whose ends are replaced is another record."""
     samples = draw(seed, None, duration=600.0, rate=100.0).values[:, 0]
     candidate = SpectralShape().detect(view_of(samples))
-    assert candidate is None or candidate.gain < SpectralShape.min_log_odds
+    assert candidate is None or candidate.gain < AcceptanceRule(FALSE_ALARMS).least_log_odds("spectral_shape")
 
 
 def test_an_analog_filter_is_found_and_its_deep_stop_band_does_no_harm():

@@ -11,8 +11,9 @@ from allanjax.critic.causes.disturbance import Disturbance
 from allanjax.critic.causes.outliers import Outliers
 from allanjax.critic.causes.sinusoid import Sinusoid
 from allanjax.critic.causes.temperature import Temperature
-from allanjax.critic.search import AcceptanceRule, _chosen
-from allanjax.critic.view import FALSE_ALARMS, Candidate
+from allanjax.critic.policy import FALSE_ALARMS, JUDGEMENTS, OWN, PRIORS, AcceptanceRule
+from allanjax.critic.search import _chosen
+from allanjax.critic.view import Candidate
 
 RATE = 50.0
 WHITE = ("angle_random_walk",)
@@ -85,15 +86,79 @@ MARGINS = {
     "rate_random_walk": 1.5,
     "drift_ramp": 1.5,
     "markov": 1.5,
+    "power_law": np.log(100.0),
+    "disturbance": 12.0,
+    # Their odds are no number.
+    "rounding": 0.0,
+    "saturation": 0.0,
+    "repeated_samples": 0.0,
 }
 
 
-def test_margins_are_those_that_false_findings_were_counted_for():
-    assert {cause.name: cause.min_log_odds for cause in CAUSES} == {
-        c.name: MARGINS.get(c.name, 3.0) for c in CAUSES
+def test_least_odds_are_those_that_false_findings_were_counted_for():
+    rule = AcceptanceRule(0.01)
+    assert {c.name: rule.least_log_odds(c.name) for c in CAUSES} == {
+        c.name: pytest.approx(MARGINS.get(c.name, 3.0), abs=1e-12) for c in CAUSES
     }
     assert FALSE_ALARMS == 0.01
     assert MARGINS.keys() < {cause.name for cause in CAUSES}
+    # Of a tenth of the false alarms, ten times the odds.
+    assert AcceptanceRule(0.001).least_log_odds("outliers") == pytest.approx(3.0 + np.log(10.0))
+
+
+def test_all_causes_are_in_the_table_and_share_no_more_than_all_false_alarms():
+    assert PRIORS.keys() == {cause.name for cause in CAUSES} | {"common_mode"}
+    shares = [prior.share for prior in PRIORS.values() if prior.share not in (None, 1.0)]
+    assert sum(shares) + OWN.share <= 1.0
+    everything = [*PRIORS.values(), OWN, *JUDGEMENTS.values()]
+    assert all(len(entry.provenance) > 20 for entry in everything)
+
+
+class Own(Outliers):
+    def __init__(self, name):
+        self.name = name
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_cause_of_ones_own_changes_the_threshold_of_no_other(count):
+    """It is tested at the share that is reserved for such causes, which several share."""
+    own = [Own(f"own_{k}") for k in range(count)]
+    rule = AcceptanceRule.of(0.01, [*CAUSES, *own])
+    for prior, level in (("sinusoid", 0.01 / 15.0), ("outliers", 0.01 / 15.0), ("bias_step", 0.01)):
+        assert rule.level(prior) == pytest.approx(level, rel=1e-12)
+    assert sum(rule.level(cause.name) for cause in own) == pytest.approx(0.01 / 15.0 if own else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("cause", "gain", "p_value", "bound", "found"),
+    [
+        # p-values at the cause's share, 1/1500, whatever the odds.
+        ("sinusoid", 50.0, 6.6e-4, 1.0, True),
+        ("sinusoid", 50.0, 6.7e-4, 1.0, False),
+        # e^-gain in the place of a larger p-value, or of none.
+        ("temperature", 7.4, 0.5, np.exp(-7.4), True),
+        ("temperature", 7.3, 0.5, np.exp(-7.3), False),
+        ("spectral_shape", 7.4, None, np.exp(-7.4), True),
+        ("spectral_shape", 7.3, None, np.exp(-7.3), False),
+        # Odds that are the test.
+        ("telegraph", 3.01, None, np.exp(-3.01), True),
+        ("telegraph", 2.99, None, np.exp(-2.99), False),
+        ("power_law", 4.61, None, np.exp(-4.61), True),
+        ("power_law", 4.6, None, np.exp(-4.6), False),
+        ("markov", 1.51, 0.9, 1.0, True),
+        ("markov", 1.49, 1e-9, 1.0, False),
+        ("disturbance", 11.9, 1e-9, 1.0, False),
+        # What is seen in the samples has no odds.
+        ("rounding", np.nan, None, 0.0, True),
+        ("saturation", np.nan, None, 1e-2, False),
+        ("of my own", 3.01, 6.6e-4, 1.0, True),
+        ("of my own", 2.99, 6.6e-4, 1.0, False),
+    ],
+)
+def test_the_rule(cause, gain, p_value, bound, found):
+    view = view_of(np.random.default_rng(24).standard_normal(512), WHITE)
+    candidate = Candidate(cause, (), gain, p_value, view, lambda: 1.0, bound=bound)
+    assert AcceptanceRule.of(0.01, [Own("of my own")]).accepts(candidate) is found
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from hidden_effects import TERMS, draw
 from hidden_verdict import compared, model_without, others, recording_of, right
 
 import allanjax as aj
-from allanjax.critic import CAUSES, Bank, Candidate, Cause, View, additive, centred
+from allanjax.critic import CAUSES, Bank, Candidate, Cause, Template, View, additive, centred
+from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.critique import critique
 
 SMALL = {"duration": 600.0, "rate": 50.0}
@@ -129,6 +130,33 @@ def test_a_users_own_cause_is_looked_for():
     assert finding.cause == "hump"
     deviation = 1.0 / np.sqrt(np.sum(hump(n) ** 2))
     assert finding.parameters["amplitude"].value == pytest.approx(0.3, abs=4.0 * deviation)
+
+
+def sawtooth(time, period):
+    """A user's own in ten lines: a heater that switches on and off, and a bias that follows."""
+    return time / period % 1.0
+
+
+HEATER = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
+
+
+def test_a_users_own_cause_is_a_function_and_a_grid():
+    """Found with its period, by its own share of the false alarms, and not found where it is not."""
+    n, period, truth = 30_000, 31.0, 0.2
+    time = (np.arange(n) + 0.5) / SMALL["rate"]
+    noise = np.random.default_rng(1).standard_normal(n)
+    causes = [BiasStep(), HEATER]
+    for amplitude, expected in ((truth, ["heater"]), (0.0, [])):
+        samples = noise + amplitude * sawtooth(time, period)
+        recording = aj.Recording.from_array(samples, SMALL["rate"], gyro_unit="rad/s", names=["gyro_x"])
+        found = critique(recording, causes=causes).findings
+        assert [finding.cause for finding in found] == expected
+        for finding in found:
+            p = finding.parameters
+            assert p["period"].value == pytest.approx(period, abs=4.0 * p["period"].std)
+            # Of a sawtooth of the variance 1/12; the bank's nearest period is half a per cent off, at most.
+            deviation = np.sqrt(12.0 / n)
+            assert p["amplitude"].value == pytest.approx(truth, abs=4.0 * deviation + 0.02)
 
 
 def test_a_record_of_which_half_is_silent_is_criticized():

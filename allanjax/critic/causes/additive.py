@@ -18,7 +18,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
-# Smallest signal-to-noise ratio that is looked at more closely: a judgement.
+# Smallest signal-to-noise ratio that is looked at more closely.
 _WORTH = 3.5
 # Most rounds in which the shape and the noise are estimated in turn.
 _ROUNDS = 3

@@ -9,19 +9,18 @@ from scipy.special import gammaincc
 
 from allanjax.critic.bank import folds
 from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.record.completion import in_time
 
 # Shortest disturbance [s], and longest one as a share of the record: judgements.
 _SHORTEST = 0.1
 _LONGEST = 0.25
-# Smallest gain [nats]: a judgement.
+# Smallest gain of a window that is looked at more closely [nats].
 _WORTH = 12.0
 # Bands of the spectrum, each twice as wide as the one below.
 _BANDS = 6
-# Least share of the excess power in the lowest quarter of the frequencies, since motion is smooth; and least
-# ratio of the power in some band to that of the noise: judgements.
-_SMOOTH, _LOUD = 0.75, 2.0
+_SMOOTH, _LOUD = judged("disturbance", "smooth"), judged("disturbance", "loud")
 # Standard deviations of its mean square from which on a block is loud: a judgement.
 _QUIET = 3.0
 # Blocks in which a fading beginning or end is looked for; share of a disturbance that noise hides at either.
@@ -63,7 +62,7 @@ class Disturbance(Cause):
         white = 0.5 * m * (level - 1.0 - np.log(level))
         price = 2.0 * np.log(len(squares) / block) + 2.5 * len(excess)
         gain = coloured - price
-        if gain < _WORTH or coloured - 2.5 * len(excess) < white:
+        if coloured - 2.5 * len(excess) < white:
             return None
         p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
         # It begins and ends below the noise: a share of it is not seen.

@@ -14,6 +14,7 @@ from allanjax.critic.bank import any_of, folds
 from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.record.completion import in_time
 
@@ -24,13 +25,12 @@ _SHARES = np.geomspace(1e-7, 0.1, 40)
 _NOTICED = 3.0
 # Score from which on samples count one by one; below they count in bins of this width.
 _LOUD, _FINE = 8.0, 0.02
-# Smallest gain in log-likelihood [nats]: a judgement.
+# Smallest gain in log-likelihood that is looked at more closely [nats]: the odds are shorter by its trials.
 _WORTH = 8.0
 # Log odds from which on a sample counts as an outlier, seven to one: a judgement.
 _ODDS = 2.0
-# Distance [samples] below which prediction errors may have one cause; and longest train that is an outlier:
-# judgements.
-_APART, _LONGEST = 8, 48
+# Distance [samples] below which prediction errors may have one cause: a judgement.
+_APART, _LONGEST = 8, judged("outliers", "longest")
 # Samples at each end of the record whose scatter is computed; most rounds in which neighbours are found.
 _END, _ROUNDS = 16, 5
 # Neighbouring samples that are held out together.

@@ -7,15 +7,13 @@ from jaxtyping import Bool, Float
 from scipy.stats import norm
 
 from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.inspection.levels import lattice
 
-# Fewest repeats that are reported: a judgement.
-_LEAST = 3
-# Least excess of repeats over those by rounding, in its standard deviations: a judgement.
-_DOUBTLESS = 8.0
-# Error of the predicted share of repeats by rounding: a judgement.
-_PREDICTED = 0.03
+_LEAST, _DOUBTLESS, _PREDICTED = (
+    judged("repeated_samples", name) for name in ("count", "deviations", "share")
+)
 # Distance [samples] at which equal samples are by rounding, since values are rarely held so long: a
 # judgement.
 _APART = 12

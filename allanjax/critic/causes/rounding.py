@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from allanjax.critic.causes.imputation import draw_between
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.inspection.levels import TOLERANCE, lattice
 
-#: Resolution over the deviation of the noise below which rounding does no harm: a judgement.
-HARMLESS = 0.35
+#: Resolution over the deviation of the noise below which rounding does no harm.
+HARMLESS = judged("rounding", "harmless")
 
 
 class Rounding(Cause):

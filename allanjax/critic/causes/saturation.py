@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from allanjax.critic.causes.imputation import draw_between
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.inspection.levels import is_piled_up, lattice
 from allanjax.noise.estimate import Estimate
@@ -34,7 +35,7 @@ class Saturation(Cause):
             name = "upper_level" if side > 0.0 else "lower_level"
             levels.append(view.amplitude_estimate(name, level, 0.0))
         count = int(every.sum())
-        if count > 0.9 * view.n:
+        if count > judged("saturation", "share") * view.n:
             return None
         x, sigma = draw_between(view.samples, lower, upper, count)
         # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit: the

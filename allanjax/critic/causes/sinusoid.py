@@ -9,18 +9,18 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.critic.bank import folds
 from allanjax.critic.parameters import ONE_SIDED
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
 from allanjax.record.completion import in_time
 
-# Fewest periods in a record: fewer are not told from drift. A judgement.
-_PERIODS = 6.0
+_PERIODS = judged("sinusoid", "periods")
 # Zero padding, with which frequencies are half a Fourier bin apart; between two of them a line's power may be
 # a fifth more, so peaks above this share of the highest one are refined, so many at most.
 _PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
-# Smallest half squared signal-to-noise ratio: a judgement.
+# Smallest half squared signal-to-noise ratio that is looked at more closely.
 _WORTH = 8.0
 # Blocks of the record of which parts are made that are held out.
 _FOLD_BLOCKS = 256
@@ -41,7 +41,7 @@ class Sinusoid(Cause):
         after = view.with_samples(view.samples - wave(f, beta, view.n, view.rate))
         v = after.variance()
         f, f_std, beta, std, z = refined(view.coefficients, v, f, view.rate)
-        amplitude = float(np.hypot(*beta))
+        amplitude, phase = float(np.hypot(*beta)), np.asarray(-np.arctan2(beta[1], beta[0]))
         snr = np.sqrt(2.0 * z)
         gain = after.noise.log_evidence - view.noise.log_evidence
         # Prior: the amplitude's of `evidence`, any phase, any frequency.
@@ -77,7 +77,7 @@ class Sinusoid(Cause):
             held_out,
             (f - width, f + width),
             "frequency",
-            lambda model: model + terms.Sinusoid(amplitude, f),
+            lambda model: model + terms.Sinusoid(amplitude, f, phase=phase),
         )
 
 

@@ -9,21 +9,20 @@ from scipy.fft import dct, idct
 from allanjax.critic.bank import SLOW, Bank, any_of
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
+from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
 # Most lags that are compared.
 _LAGS = 48
-# Share of a channel's variance about a straight line below which it is a clock or a counter.
-_CLOCK = 1e-6
+_CLOCK = judged("temperature", "clock")
 
 
 class Temperature(Cause):
     """Effect coefficient · channel(t − lag) of an auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"
-    # Shorter odds than for other causes, since units do feel the temperature: a judgement.
-    min_log_odds = 1.5
     refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:
@@ -46,9 +45,23 @@ class Temperature(Cause):
         lags, bank = found
         step = view.n / min(SLOW, view.n - 1)
 
+        def delay(k: int) -> int:
+            return round(lags[k] * step)
+
+        def delayed(k: int) -> np.ndarray:
+            return np.concatenate([np.full(delay(k), z[0]), z[: view.n - delay(k)]])
+
         def shape(k: int) -> np.ndarray:
-            delay = round(lags[k] * step)
-            return np.concatenate([np.full(delay, z[0]), z[: view.n - delay]]) - z.mean()
+            return delayed(k) - z.mean()
+
+        def term(k: int, a: float) -> terms.ChannelEffect:
+            return terms.ChannelEffect(
+                abs(a),
+                delay(k) / view.rate,
+                sign=int(np.copysign(1.0, a)),
+                channel=name,
+                reference=np.mean(delayed(k)),
+            )
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
             # The bank is not evenly spaced: its points count by the lags they stand for.
@@ -67,6 +80,7 @@ class Temperature(Cause):
             shape,
             parameters,
             log_trials=float(np.log(len(view.auxiliary))),
+            term=term,
             details={"channel": name},
         )
 

@@ -13,17 +13,18 @@ from scipy.stats import multivariate_normal, norm
 from allanjax.critic.bank import any_of, extrapolated, folds
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.parameters import ONE_SIDED
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
 
 # Most blocks that intervals are made of.
 _BLOCKS = 256
-# Share of the record that an interval has at least; what is shorter is an event. A judgement.
-_SHORTEST = 0.01
+# Share of the record that an interval has at least; probability that it lasts to an end; log Occam factor.
+_SHORTEST, _LASTING, _PRICE = (judged("variance_change", name) for name in ("shortest", "lasting", "price"))
 # Draws from which the law of the largest score is extrapolated.
 _DRAWS = 1000
-# Smallest score [nats]: a judgement.
+# Smallest score that is looked at more closely [nats].
 _WORTH = 6.0
 # Places on either side of an end within a block at which it is located.
 _FINER = 32
@@ -97,8 +98,7 @@ def _kinds(view: View) -> list[_Kind]:
 class VarianceChange(Cause):
     """An interval in which the noise, or its white part, has another variance.
 
-    Under the prior it is as likely to last to an end of the record as to begin and end within it: a
-        judgement.
+    Under the prior it is as likely to last to an end of the record as to begin and end within it.
     """
 
     name = "variance_change"
@@ -116,7 +116,7 @@ class VarianceChange(Cause):
             return None
         i, j = np.unravel_index(int(np.argmax(score)), score.shape)
         # The mean over those that last to an end, of which each counts fully, and the others together.
-        count = 2.0 * len(kinds) * np.sum(_lasting(len(score)))
+        count = len(kinds) * np.sum(_lasting(len(score))) / _LASTING
         each = np.concatenate([s[_intervals(len(s))] for s in scores])
         mean = float(np.logaddexp.reduce(each) - np.log(count))
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
@@ -142,7 +142,7 @@ class VarianceChange(Cause):
                 view.time_estimate("end", b, spreads[1]),
                 _ratio(view, found, scatter),
             ],
-            mean - 3.0,
+            mean - _PRICE,
             _p_value(float(score.max()), kinds),
             after,
             lambda: _held_out(kind),
@@ -198,7 +198,7 @@ def _log_trials_factor(edges: int) -> Float[np.ndarray, "k k"]:
     """Log trials factor of each interval [nats], larger within the record, where there are more of them."""
     lasting = _lasting(edges)
     others = _intervals(edges) & ~lasting
-    return np.where(others, np.log(others.sum() / lasting.sum()), 0.0)
+    return np.where(others, np.log(others.sum() / lasting.sum() * _LASTING / (1.0 - _LASTING)), 0.0)
 
 
 def interval_gains(

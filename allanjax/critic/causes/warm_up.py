@@ -22,8 +22,6 @@ class WarmUp(Cause):
     """Exponential a·exp(−t/T), T from a five hundredth of the record to half of it: beyond, it is a ramp."""
 
     name = "warm_up"
-    # Shorter odds than for other causes, since units do warm up: a judgement.
-    min_log_odds = 1.0
     refit = "at once"
 
     def p_value(self, view: View) -> float:
@@ -51,7 +49,7 @@ class WarmUp(Cause):
             lambda k: np.exp(-t / times[k]),
             parameters,
             lambda k: (0.0, min(3.0 * times[k], view.duration)),
-            term=lambda k, a: terms.WarmUp(abs(a), float(times[k])),
+            term=lambda k, a: terms.WarmUp(abs(a), float(times[k]), sign=int(np.copysign(1.0, a))),
         )
 
 

@@ -4,6 +4,7 @@ from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.parameter import Parameter, parameter
 from allanjax.noise.terms.bias_instability import BiasInstability
 from allanjax.noise.terms.bias_step import BiasStep
+from allanjax.noise.terms.channel_effect import ChannelEffect
 from allanjax.noise.terms.drift_ramp import DriftRamp
 from allanjax.noise.terms.low_pass import LowPass
 from allanjax.noise.terms.markov import Markov
@@ -26,6 +27,7 @@ __all__ = [
     "AngleRandomWalk",
     "BiasInstability",
     "BiasStep",
+    "ChannelEffect",
     "DriftRamp",
     "LowPass",
     "Markov",

@@ -10,19 +10,21 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
-from allanjax.noise.parameter import Value, parameter
+from allanjax.noise.parameter import Value, option, parameter
 from allanjax.noise.state_block import Block, block
 
 
 class DriftRamp(NoiseTerm):
     """Linear drift of the rate, Ω = R·t: σ²(T) = R²T²/2 (4.56).
 
-    `coefficient` R in rad/s² or m/s³; the Allan curve determines |R| only. The ramp is deterministic, but
+    `coefficient` R in rad/s² or m/s³; the Allan curve determines |R| only, and with the
+    `sign` −1 it falls. The ramp is deterministic, but
     R²t⁴/24 serves as its phase covariance: second differences over T_i and T_j then have the product
     R²T_i²T_j², as they should.
     """
 
     coefficient: Value = parameter("R", time_exponent=-1.0)
+    sign: int = option(1)
     deterministic: ClassVar[bool] = True
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
@@ -35,7 +37,7 @@ class DriftRamp(NoiseTerm):
         return self.coefficient**2 / xp.abs(2.0 * np.pi * xp.asarray(frequency, float)) ** 3
 
     def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
-        return namespace(self, time).asarray(time)
+        return self.sign * namespace(self, time).asarray(time)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         return self.coefficient * self.column((jnp.arange(n) + 0.5) / rate)

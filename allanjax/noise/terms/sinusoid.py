@@ -22,7 +22,8 @@ class Sinusoid(NoiseTerm):
 
     `amplitude` Ω0 in rad/s or m/s²; `frequency` f0 in Hz. (4.64) is for a sensor that averages over its
     sample interval, as (4.1) says, which damps a line by sin(πf0t0)/(πf0t0). In fits and simulations at a
-    known rate (`sampled`) Ω0 is the amplitude that the samples show.
+    known rate (`sampled`) Ω0 is the amplitude that the samples show. A simulation draws the phase φ at the
+    record's start, unless it has a value [rad]; fits have no use for one.
 
     The thesis's (4.63) in (4.25) gives twice (4.64). A line of amplitude Ω0 has the PSD
     (Ω0²/4)[δ(f−f0) + δ(f+f0)], and (4.64) is right.
@@ -32,6 +33,7 @@ class Sinusoid(NoiseTerm):
     frequency: Value = parameter("f0", "line")
     #: Sample interval [s]; 0 for the continuous rate.
     sample_interval: float = 0.0
+    phase: Value = None
     deterministic: ClassVar[bool] = True
 
     @property
@@ -69,7 +71,11 @@ class Sinusoid(NoiseTerm):
         return block(transition, [1.0, 0.0], np.zeros((2, 2)), start, ("cosine", "sine"))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Simulated line with a random phase."""
+        """Simulated line with its phase, a random one if it has none."""
         amplitude = self.amplitude * (jnp.sinc(self.frequency / rate) if self.sample_interval == 0.0 else 1.0)
         cycles = self.frequency / rate * jnp.arange(n) % 1.0
-        return amplitude * jnp.cos(2.0 * jnp.pi * (cycles + jax.random.uniform(key)))
+        start = jax.random.uniform(key)
+        if self.phase is not None:
+            # At the middle of the first sample's interval.
+            start = self.phase / (2.0 * jnp.pi) + 0.5 * self.frequency / rate
+        return amplitude * jnp.cos(2.0 * jnp.pi * (cycles + start))

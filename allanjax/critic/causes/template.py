@@ -1,0 +1,76 @@
+"""A cause of a user's own: a waveform that is known but for its amplitude and one parameter."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from allanjax.critic.bank import SLOW, Bank
+from allanjax.critic.causes.additive import additive, shape_parameter
+from allanjax.critic.noise import centred
+from allanjax.critic.view import Candidate, Cause, View
+from allanjax.noise.estimate import Estimate
+
+
+class Template(Cause):
+    """Waveform `amplitude`·`shape`(time, value), looked for at each of some values of its parameter.
+
+        def sawtooth(time, period):
+            return time / period % 1.0
+
+        heater = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
+        aj.critique(recording, causes=[*allanjax.critic.CAUSES, heater])
+
+    Slow waveforms are found, of up to some thousand cosine coefficients. Neighbouring values should differ by
+    so little that their waveforms correlate by nine tenths or more.
+    """
+
+    refit = "at once"
+
+    def __init__(
+        self,
+        name: str,
+        shape: Callable[[Float[np.ndarray, " n"], float], Float[np.ndarray, " n"]],
+        values: Float[ArrayLike, " shapes"] | Sequence[float],
+        parameter: str,
+        unit: str = "1",
+    ) -> None:
+        """Make a cause.
+
+        Args:
+            name: its name.
+            shape: gives the waveform at times since the record's start [s], for a value of the parameter.
+            values: values of the parameter that are compared, increasing.
+            parameter: the parameter's name.
+            unit: the parameter's unit.
+        """
+        self.name, self.shape, self.parameter, self.unit = name, shape, parameter, unit
+        self.values = np.asarray(values, float)
+
+    def p_value(self, view: View) -> float:
+        return self._bank(view.n, view.rate).p_value(view, view.noise)
+
+    def detect(self, view: View) -> Candidate | None:
+        time = (np.arange(view.n) + 0.5) / view.rate
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
+            amplitude = view.amplitude_estimate("amplitude", a, std)
+            if len(self.values) == 1:
+                return [amplitude]
+            spacing = np.gradient(self.values)
+            value, spread, limit = shape_parameter(self.values, likelihood, spacing)
+            # It is known no better than its values are apart.
+            spread = float(np.hypot(spread, np.interp(value, self.values, spacing) / np.sqrt(12.0)))
+            return [amplitude, view.estimate(self.parameter, value, spread, self.unit, limit)]
+
+        bank = self._bank(view.n, view.rate)
+        return additive(view, self.name, bank, lambda k: self.shape(time, self.values[k]), parameters)
+
+    @functools.lru_cache(maxsize=4)  # noqa: B019 - causes are few
+    def _bank(self, n: int, rate: float) -> Bank:
+        """The waveform at all values."""
+        time = (np.arange(n) + 0.5) / rate
+        return Bank(np.stack([centred(self.shape(time, float(x)))[:SLOW] for x in self.values]))

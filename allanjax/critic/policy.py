@@ -1,0 +1,187 @@
+"""Which candidates are accepted as findings: one rule, and all that it takes as given in two tables.
+
+A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its cause. It is
+accepted if
+
+- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the probability of a false finding that the axis
+  may have: nothing at the default, more where several axes share it; and
+- where the test is a p-value, p < α·share. A cause's share of the false alarms is its own: another cause, or
+  one of a user's, changes it for none. Noise alone has odds of e^gain with a probability of e^−gain at most
+  (Markov's inequality), which stands for p where it is less, or where there is no other test.
+
+What is seen in the samples themselves has no odds, and is tested by its probability alone. A finding must
+also gain on held-out data, if it can be held out.
+
+`PRIORS` has the prior odds and the share of each cause, `JUDGEMENTS` the limits of what counts as an
+instance of a cause at all, each with where it is from. Other constants of the critic are numerical: grids,
+resolutions, numbers of rounds, and from where on a closer look is worth its time. What was measured was
+counted on records of one generator (tests/support/hidden_effects.py) by `benchmarks/studies/critic.py`; its
+seeds were not written down, and are not apart from those that this study reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from allanjax.critic.noise import FIXED, MARKOV, RAMP
+
+if TYPE_CHECKING:
+    from allanjax.critic.view import Candidate, Cause
+
+#: Probability of a false finding in a record of one axis that the prior odds are made for.
+FALSE_ALARMS = 0.01
+# Share of the axis's false alarms of each of fifteen kinds of test.
+_EQUAL = 1.0 / 15.0
+_TWENTY = "judgement: twenty to one against an effect; the share is one of fifteen equal ones"
+
+
+class Prior(NamedTuple):
+    """What is taken as given of a cause.
+
+    Attributes:
+        log_odds: log prior odds for it [nats], with those that acceptance asks of it at `FALSE_ALARMS`.
+        share: share of an axis's false alarms that its p-value may have; None where its odds are the test.
+        provenance: where the two are from: derived, cited, measured (by what, on which records), or judged.
+    """
+
+    log_odds: float
+    share: float | None
+    provenance: str
+
+
+_OF_SAMPLES = (
+    "its probability is that of the samples, beyond any threshold; the share is one of fifteen equal"
+)
+
+#: Prior odds and shares by the name of the cause.
+PRIORS: Mapping[str, Prior] = {
+    **dict.fromkeys(
+        (*FIXED, MARKOV, RAMP),
+        Prior(
+            -1.5,
+            None,
+            "measured: of 600 hidden-effects records whose model was complete seven gained so much by a "
+            "further term (2,029 were tried)",
+        ),
+    ),
+    "bias_step": Prior(
+        -1.0,
+        1.0,
+        "measured: of 900 hidden-effects records without an effect five have a step of such odds; its "
+        "p-value may be that of all false alarms, since the odds are the test",
+    ),
+    "power_law": Prior(
+        -float(np.log(100.0)),
+        None,
+        "measured: of 600 hidden-effects records without one none gains more than two nats; the odds "
+        "are those of a hundred to one",
+    ),
+    "telegraph": Prior(
+        -3.0,
+        None,
+        "measured: of 600 hidden-effects records without an effect none has these odds and a gain on "
+        "held-out data",
+    ),
+    "warm_up": Prior(-1.0, _EQUAL, "judgement: units do warm up; the share is one of fifteen equal ones"),
+    "temperature": Prior(
+        -1.5, _EQUAL, "judgement: units do feel the temperature; the share is one of fifteen equal ones"
+    ),
+    "disturbance": Prior(-12.0, _EQUAL, "judgement: many other things are loud; the share is one of fifteen"),
+    "outliers": Prior(-3.0, _EQUAL, _TWENTY),
+    "sinusoid": Prior(-3.0, _EQUAL, _TWENTY),
+    "spectral_shape": Prior(-3.0, _EQUAL, _TWENTY),
+    "variance_change": Prior(-3.0, _EQUAL, _TWENTY),
+    "rounding": Prior(0.0, _EQUAL, _OF_SAMPLES),
+    "saturation": Prior(0.0, _EQUAL, _OF_SAMPLES),
+    "repeated_samples": Prior(0.0, _EQUAL, _OF_SAMPLES),
+    "common_mode": Prior(
+        0.0, _EQUAL, "derived: the law of a correlation is known; one of fifteen equal shares"
+    ),
+}
+#: Of all causes of a user's own together, which share it equally.
+OWN = Prior(-3.0, _EQUAL, "judgement: as for any other cause; the share is reserved for them")
+
+
+class Judgement(NamedTuple):
+    """Limit of what counts as an instance of a cause, and why it is there."""
+
+    value: float
+    provenance: str
+
+
+#: Limits by cause and name.
+JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
+    ("disturbance", "smooth"): Judgement(
+        0.75,
+        "least share of the excess power in the lowest quarter of the frequencies, since motion is smooth; "
+        "that of the hidden motions, 0.3 … 5 Hz at 50 Hz and more, is larger",
+    ),
+    ("disturbance", "loud"): Judgement(2.0, "least ratio of the power in some band to that of the noise"),
+    ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is no outlier"),
+    ("power_law", "instead"): Judgement(
+        1, "a power law takes the place of the Markov process, as in the hidden records; both cannot be found"
+    ),
+    ("repeated_samples", "count"): Judgement(3, "fewest repeats that are reported"),
+    ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in its deviations"),
+    ("repeated_samples", "share"): Judgement(0.03, "error of the predicted share of repeats by rounding"),
+    ("rounding", "harmless"): Judgement(
+        0.35,
+        "resolution over the noise's deviation below which rounding does no harm; hidden steps are larger",
+    ),
+    ("saturation", "share"): Judgement(
+        0.9, "share of clipped samples from which on nothing is known of others"
+    ),
+    ("sinusoid", "periods"): Judgement(6.0, "fewer periods in a record are not told from drift"),
+    ("telegraph", "jumps"): Judgement(3, "one or two jumps are steps; hidden telegraphs have three or more"),
+    ("temperature", "clock"): Judgement(
+        1e-6, "share of a channel's variance about a straight line below which it is a clock or a counter"
+    ),
+    ("variance_change", "lasting"): Judgement(
+        0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"
+    ),
+    ("variance_change", "shortest"): Judgement(0.01, "share of the record; what is shorter is an event"),
+    ("variance_change", "price"): Judgement(3.0, "log Occam factor of its ratio [nats]: twenty values of it"),
+    ("unexplained", "p_value"): Judgement(
+        1e-6, "p-value below which what no cause explains is told as a finding: some fourteen tests an axis"
+    ),
+}
+
+
+def judged(cause: str, name: str) -> float:
+    """Value of a judgement."""
+    return JUDGEMENTS[cause, name].value
+
+
+class AcceptanceRule(NamedTuple):
+    """Rule by which candidates in one axis are accepted.
+
+    `false_alarms` is the probability of a false finding in the axis; `own` are names of causes that are not
+    in the table.
+    """
+
+    false_alarms: float
+    own: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, false_alarms: float, causes: Iterable[Cause] = ()) -> AcceptanceRule:
+        """Rule for an axis with these causes."""
+        own = (cause.name for cause in causes if cause.name not in PRIORS)
+        return cls(false_alarms, tuple(dict.fromkeys(own)))
+
+    def least_log_odds(self, cause: str) -> float:
+        """Gain from which on a candidate of a cause has the posterior odds that are asked for [nats]."""
+        return float(np.log(FALSE_ALARMS / self.false_alarms)) - PRIORS.get(cause, OWN).log_odds
+
+    def level(self, cause: str) -> float:
+        """Probability of a false finding of a cause; 1 where its odds are the test."""
+        share = PRIORS[cause].share if cause in PRIORS else _EQUAL / max(len(self.own), 1)
+        return 1.0 if share is None else self.false_alarms * share
+
+    def accepts(self, candidate: Candidate) -> bool:
+        """Whether a candidate is probable enough, and improbable by chance."""
+        # What is seen in the samples has no odds: nan.
+        doubtful = candidate.gain < self.least_log_odds(candidate.cause)
+        return bool(not doubtful and candidate.chance < self.level(candidate.cause))
