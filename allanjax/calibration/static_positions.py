@@ -95,18 +95,15 @@ def calibrate(
     for sensor in SENSORS:
         own = tuple(axis for axis in axes if axis.sensor == sensor)
         if own:
-            square = second_order and sensor == "accel"
-            unknown = model is None and fit is None
+            square, unknown = second_order and sensor == "accel", model is None and fit is None
             setting = Setting(own, places, world, square, orientation_error, unknown)
-            columns = [axis.name for axis in own]
-            means = np.stack([r.select(*columns).values.mean(axis=0) for r in recordings])
-            noise = Covariances.of(places, [parts[name] for name in columns])
+            means = np.stack([r.select(*(a.name for a in own)).values.mean(axis=0) for r in recordings])
+            noise = Covariances.of(places, [parts[axis.name] for axis in own])
             found, misfit[sensor] = errors_of(setting, means, noise)
             results += found
             notes += _scatter(setting, misfit[sensor])
     notes += _remarks(results, turned, world)
-    g, g_std, _ = world
-    return Calibration(tuple(results), places, misfit, g, g_std, latitude, source, tuple(notes))
+    return Calibration(tuple(results), places, misfit, *world, source, tuple(notes))
 
 
 def _places(

@@ -14,6 +14,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration, finite_or_none, significant
+from allanjax.calibration.earth import EARTH_RATE
 from allanjax.estimate.result import Fit
 from allanjax.navigation.likely import AxisNoise, Sensors, ends, in_si, one_by_one, sensors_of
 from allanjax.navigation.navigator import STANDARD_GRAVITY
@@ -25,8 +26,6 @@ from allanjax.record.units import SI
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Rate at which the Earth turns [rad/s].
-EARTH_RATE = 7.292115e-5
 # Latitude beyond which the horizontal part of that is below 1/50.
 _POLAR = math.radians(89.0)
 # Longest averaging time for models [s], times an octave, and error beyond which an angle is not small.
