@@ -67,8 +67,7 @@ def calibrate(
             longest of the positions is fitted, and where the means scatter more than it says, the intervals
             are as much wider.
         starts: when each recording starts [s]; without, each follows the one before it at once.
-        second_order: whether to estimate the second-order scale factor S2·f² of accelerometers (in (2.23)
-            the square is missing), too.
+        second_order: whether accelerometers have a part S2·f², too (in (2.23) the square is missing).
         orientation_error: standard deviation [rad] of the orientations given, about each horizontal axis.
         as_is: whether to use all of a recording, also where it was handled.
         rate, gyro_unit, accel_unit, names: of arrays and files, as `fit` takes them.
