@@ -88,10 +88,13 @@ KNOWN: dict[str, Callable[[aj.Finding], bool]] = {
 }
 
 
+def told(critique: aj.Critique) -> list[aj.Finding]:
+    return [f for f in critique.findings if f.cause != "unexplained"]
+
+
 def says(critique: aj.Critique, is_it: Callable[[aj.Finding], bool]) -> str:
     """The places in the story of the findings of this kind; ten are printed."""
-    causes = [f for f in critique.findings if f.cause != "unexplained"]
-    found = [str(k) for k, f in enumerate(causes, 1) if is_it(f)]
+    found = [str(k) for k, f in enumerate(told(critique), 1) if is_it(f)]
     return f"finding{'s' if len(found) > 1 else ''} {', '.join(found)}" if found else "no"
 
 
@@ -117,7 +120,7 @@ def main() -> None:
 def report(rows: list[list[str]], stories: dict[str, aj.Critique]) -> str:
     head = ["unit", "axis", "inside", "below 1 s", "worst outside", "model off below 1 s", "halves alike"]
     counts = [
-        ["findings", *(str(len(c.findings)) for c in stories.values())],
+        ["findings", *(str(len(told(c))) for c in stories.values())],
         ["lines that are printed", *(str(len(str(c).splitlines())) for c in stories.values())],
         *([text, *(says(c, is_it) for c in stories.values())] for text, is_it in KNOWN.items()),
     ]
@@ -130,8 +133,8 @@ def report(rows: list[list[str]], stories: dict[str, aj.Critique]) -> str:
             f"The first half is criticized, {SIMULATIONS} recordings are simulated by the extended models,",
             "and the second half's Allan deviation at each octave is compared with the least and the largest",
             "of these, a band that one more simulation is in with 95 %. The band is the model's own: it does",
-            "not know how uncertain the model's coefficients are, and a step of the first half comes again at",
-            "its time. Inside: cluster times, of all and of those below 1 s. Worst outside: measured over",
+            "not know how uncertain the coefficients are, and a step of the first half comes again at its",
+            "time. Inside: cluster times, of all and of those below 1 s. Worst outside: measured over",
             "simulated where it is outside the band and differs most. Model off: largest error of the",
             f"simulated deviation below 1 s (wanted: within {100 * WANTED:.0f} % for gyro_z). Halves alike:",
             "cluster times at which the two measured halves differ by no more than two simulations do with",
