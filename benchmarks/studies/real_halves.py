@@ -2,10 +2,10 @@
 
     python benchmarks/studies/real_halves.py [--data FOLDER] [--pictures FOLDER] [--results PATH]
 
-Two units of the ADIS16405, six axes, 10⁶ samples at 100 Hz each. The first half is criticized; 39 recordings
-of its length are simulated by `critique.simulate`. The second half's Allan deviation at octaves is compared
-with them: if it was one more of them, it would be between the least and the largest in 38 of 40 cases. Then
-the whole recording is criticized, and its story searched for what is known of these sensors.
+Two units of the ADIS16405, six axes, 10⁶ samples at 100 Hz each. The first half is criticized; the second
+half's Allan deviation at octaves is compared with that of the extended model and with the band that 95 % of
+records of the model are in. Then the whole recording is criticized, and its story searched for what is known
+of these sensors.
 """
 
 from __future__ import annotations
@@ -18,47 +18,59 @@ import numpy as np
 import paths
 from common.machine import describe
 from common.report import publish, table
+from scipy.stats import chi2
 
 import allanjax as aj
 
 UNITS = ("adis16405_unit1", "adis16405_unit2")
-SIMULATIONS = 39
 # Cluster times below this one [s] have errors of their own, and how large these may be.
 SHORT, WANTED = 1.0, 0.05
 ACCELEROMETERS = {"accel_x", "accel_y", "accel_z"}
 EVENTS = ("event", "disturbance", "variance_change", "outliers", "bias_step")
 
 
+def expected(model: aj.Model, n: int, sizes: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Allan deviations of the model, and the degrees of freedom of their squares' estimates.
+
+    An estimate is a sum of the periodogram, whose ordinates are independent and exponential, by the gain of
+    the differences of cluster means; this neglects only the record's ends.
+    """
+    f = np.arange(1, n // 2) * rate / n
+    power = np.asarray(model.sampled_psd(f, rate))
+    w = np.pi * f / rate
+    degrees = []
+    for m in sizes:
+        parts = power * np.sin(m * w) ** 4 / (m * np.sin(w)) ** 2
+        degrees.append(2.0 * parts.sum() ** 2 / np.sum(parts**2))
+    return np.sqrt(np.asarray(model.sampled(rate).allan_variance(sizes / rate))), np.array(degrees)
+
+
 def halves(recording: aj.Recording, first: aj.Critique) -> list[list[str]]:
-    """A row for each axis: how the second half's Allan deviation compares with simulations of the first."""
+    """A row for each axis: how the second half's Allan deviation compares with the model of the first."""
     middle = recording.duration / 2.0
     parts = [recording.between(0.0, middle), recording.between(middle)]
     before, after = (aj.allan_deviation(part, cluster_times="octave") for part in parts)
     times = after.cluster_time
-    drawn = np.stack(
-        [aj.allan_deviation(first.simulate(k), cluster_times="octave").deviation for k in range(SIMULATIONS)]
-    )
-    expected = np.exp(np.mean(np.log(drawn), axis=0))
-    # Two halves of one sensor differ by √2 times the scatter of one.
-    alike = np.abs(np.log(after.deviation / before.deviation)) < 1.96 * np.sqrt(2.0) * np.std(
-        np.log(drawn), axis=0, ddof=1
-    )
-    inside = (after.deviation >= drawn.min(axis=0)) & (after.deviation <= drawn.max(axis=0))
-    ratio = after.deviation / expected
     rows = []
-    for k, axis in enumerate(recording.axes):
-        outside = np.where(inside[:, k], 0.0, np.abs(np.log(ratio[:, k])))
-        worst, small = int(np.argmax(outside)), times < SHORT
-        short = int(np.argmax(np.where(small, np.abs(ratio[:, k] - 1.0), 0.0)))
+    for k, (name, model) in enumerate(first.models.items()):
+        deviation, degrees = expected(model, after.n, after.cluster_size, recording.rate)
+        low, high = (np.sqrt(chi2.ppf(q, degrees) / degrees) for q in (0.025, 0.975))
+        ratio, small = after.deviation[:, k] / deviation, times < SHORT
+        inside = (low <= ratio) & (ratio <= high)
+        # The logarithm of a deviation scatters by 1/√(2 degrees), that of a ratio of two by √2 times this.
+        apart = np.abs(np.log(after.deviation[:, k] / before.deviation[:, k]))
+        alike = apart < 1.96 / np.sqrt(degrees)
+        outside = np.where(inside, 0.0, np.abs(np.log(ratio)))
+        worst, short = int(np.argmax(outside)), int(np.argmax(small * np.abs(1.0 / ratio - 1.0)))
         rows.append(
             [
                 recording.name,
-                axis.name,
-                f"{inside[:, k].sum()} of {len(times)}",
-                f"{inside[small, k].sum()} of {small.sum()}",
-                f"{ratio[worst, k]:.3f} at {times[worst]:.4g} s" if outside[worst] else "–",
-                f"{100.0 * (1.0 / ratio[short, k] - 1.0):+.1f} % at {times[short]:.2g} s",
-                f"{alike[:, k].sum()} of {len(times)}",
+                name,
+                f"{inside.sum()} of {len(times)}",
+                f"{inside[small].sum()} of {small.sum()}",
+                f"{ratio[worst]:.3f} at {times[worst]:.4g} s" if outside[worst] else "–",
+                f"{100.0 * (1.0 / ratio[short] - 1.0):+.1f} % at {times[short]:.2g} s",
+                f"{alike.sum()} of {len(times)}",
             ]
         )
     return rows
@@ -130,15 +142,15 @@ def report(rows: list[list[str]], stories: dict[str, aj.Critique]) -> str:
             "",
             describe(),
             "",
-            f"The first half is criticized, {SIMULATIONS} recordings are simulated by the extended models,",
-            "and the second half's Allan deviation at each octave is compared with the least and the largest",
-            "of these, a band that one more simulation is in with 95 %. The band is the model's own: it does",
-            "not know how uncertain the coefficients are, and a step of the first half comes again at its",
-            "time. Inside: cluster times, of all and of those below 1 s. Worst outside: measured over",
-            "simulated where it is outside the band and differs most. Model off: largest error of the",
-            f"simulated deviation below 1 s (wanted: within {100 * WANTED:.0f} % for gyro_z). Halves alike:",
-            "cluster times at which the two measured halves differ by no more than two simulations do with",
-            "95 %, model or not.",
+            "The first half is criticized, and the second half's Allan deviation at each octave is compared",
+            "with that of the extended model. Inside: cluster times, of all and of those below 1 s, at which",
+            "it is in the band that 95 % of records of the model are in, by χ² laws whose degrees of freedom",
+            "follow from its spectrum. The band is the model's own: it does not know how uncertain the",
+            "coefficients are; a step or a ramp of the first half is no part of it. Worst outside: measured",
+            "over model where it is outside and differs most. Model off: largest error of the model's",
+            f"deviation below 1 s (wanted: within {100 * WANTED:.0f} % for gyro_z). Halves alike: cluster",
+            "times at which the two measured halves differ by no more than two records of the model do with",
+            "95 %.",
             "",
             table(head, rows),
             "",
