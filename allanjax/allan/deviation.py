@@ -210,8 +210,8 @@ def allan_deviation(
 
     The degrees of freedom are those under white noise, which dominates most curves at short cluster times.
     Of a recording in which missing samples were drawn (`gaps="fill"`) all clusters are used, and the degrees
-    of freedom are fewer: ν/(1/(1 − f) + f) for a share f. Clusters of what is there alone have more scatter,
-    and behind a filter another expectation (`benchmarks/results/gaps.md`).
+    of freedom are fewer: ν/(1/(1 − f) + f) for a share f. Means over what is there of a cluster would have
+    more white noise than its length says.
 
     Raises:
         AllanjaxError: no rate or not a positive one, samples that are not finite, too few of them, an unknown
