@@ -154,7 +154,7 @@ def errors_of(
     size = (len(axes), len(setting.units))
     determined = found.determined.reshape(size)
     if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
-        told = ", ".join(position.label for position in positions)
+        told = "; ".join(position.label for position in positions)
         raise RecordingError(
             f"the positions do not span: from {told} follow bias and scale factor of no {setting.sensor} "
             f"axis{' beside its second order' if setting.second_order else ''}; {_remedy(setting, axes[0])}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from allanjax.base.wording import duration
 from allanjax.navigation.error_growth import SHOWN, ErrorGrowth, Navigation
 from allanjax.report.figure import (
@@ -61,7 +63,9 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
                     _draw(panel, growth, channel, styles)
                     if growth.time[-1] > result.quarter_period:
                         panel.axvline(result.quarter_period, color="0.4", linewidth=0.8, linestyle=":")
-        handles = [Line2D([], [], **{**MODEL, "label": "error, 1σ, with its 95 % interval"})]
+        # Models that are taken as exact have none.
+        interval = ", with its 95 % interval" if np.isfinite(growths[0].lower).any() else ""
+        handles = [Line2D([], [], **{**MODEL, "label": f"error, 1σ{interval}"})]
         handles += [Line2D([], [], label=name, **of) for name, of in styles.items()]
         place_of_key = height - _BOTTOM - lines * _LINE
         add_legend(figure, handles, "upper left", _LEFT, place_of_key, ncols=len(columns))

@@ -190,7 +190,7 @@ def test_drift_that_the_model_lacks_widens_the_intervals():
 
 # ------------------------------------------------------------------------------- what positions determine
 def test_positions_that_do_not_span_are_refused(six):
-    with pytest.raises(aj.RecordingError, match=r"do not span: from x up, y up .* as well"):
+    with pytest.raises(aj.RecordingError, match=r"do not span: from x up; y up .* as well"):
         aj.calibrate({k: six[k] for k in ("x up", "y up")}, gravity=G, model=NOISE)
 
 

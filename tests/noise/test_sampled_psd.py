@@ -229,3 +229,9 @@ def test_the_density_integrates_to_the_variance_of_interval_means(correlation_ti
     scale = 1.0 / (2.0 * np.pi * correlation_time)
     power = 2.0 * np.sum(w * np.cosh(y) * scale * np.asarray(term.sampled_psd(np.sinh(y) * scale, RATE)))
     assert power == pytest.approx(variance * lags / h**2, rel=1e-9)
+
+
+def test_quantization_without_a_sample_interval_says_what_to_do():
+    with pytest.raises(aj.AllanjaxError, match=r"model\.sampled\(rate\)\.psd"):
+        aj.SENSORS["cimu"]["gyro_x"].model.psd(1.0)
+    assert float(aj.SENSORS["cimu"]["gyro_x"].model.sampled(200.0).psd(1.0)) > 0.0

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
+from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import NO_POLES, Parts
@@ -31,8 +32,16 @@ class Quantization(NoiseTerm):
         return namespace(self, lag).where(lag == 0.0, self.coefficient**2, 0.0)
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """Two-sided PSD of sampled data, 4Q² sin²(πfT_z)/T_z ≈ (2πf)² T_z Q² (4.28)."""
+        """Two-sided PSD of sampled data, 4Q² sin²(πfT_z)/T_z ≈ (2πf)² T_z Q² (4.28).
+
+        Raises:
+            AllanjaxError: no sample interval.
+        """
         xp, T_z = namespace(self, frequency), self.sample_interval
+        if isinstance(T_z, float) and T_z == 0.0:
+            raise AllanjaxError(
+                "the PSD of quantization depends on the sample interval: take model.sampled(rate).psd(f)"
+            )
         return 4.0 * self.coefficient**2 / T_z * xp.sin(np.pi * xp.asarray(frequency) * T_z) ** 2
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
