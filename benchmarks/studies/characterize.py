@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import paths
@@ -46,14 +47,30 @@ def simulated(folder: Path) -> Path:
     return path
 
 
-def seconds(command: list[str], **environment: str) -> float:
+class Taken(NamedTuple):
+    """Of a process: wall-clock and processor seconds, and its peak memory [GB]."""
+
+    seconds: float
+    processor: float
+    memory: float
+
+
+def taken(command: list[str], **environment: str) -> Taken:
     start = time.perf_counter()
-    subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment})
-    return time.perf_counter() - start
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env={**os.environ, **environment})
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    processor = usage.ru_utime + usage.ru_stime
+    return Taken(time.perf_counter() - start, processor, usage.ru_maxrss / 2**20)
 
 
-def runs(path: Path, folder: Path, rows: int, checkout: Path) -> list[float]:
-    """Seconds of a first run, the least of two later ones, and of one of another length, nine tenths."""
+def runs(path: Path, folder: Path, rows: int, checkout: Path) -> list[str]:
+    """Seconds of a first run, the least of two later ones, and of one of another length, nine tenths.
+
+    With the processor seconds and the peak memory of the later one.
+    """
     import pandas as pd
 
     table_of = pd.read_parquet(path)
@@ -65,10 +82,12 @@ def runs(path: Path, folder: Path, rows: int, checkout: Path) -> list[float]:
     cache = tempfile.mkdtemp(dir=folder)
     apart = {"ALLANJAX_CACHE": cache, "JAX_COMPILATION_CACHE_DIR": cache, "PYTHONPATH": str(checkout)}
 
-    def run(file: Path) -> float:
-        return seconds([sys.executable, "-c", start, "characterize", str(file), *options], **apart)
+    def run(file: Path) -> Taken:
+        return taken([sys.executable, "-c", start, "characterize", str(file), *options], **apart)
 
-    return [run(files[0]), min(run(files[0]) for _ in range(2)), run(files[1])]
+    first, later, other = run(files[0]), min(run(files[0]) for _ in range(2)), run(files[1])
+    seconds = (first.seconds, later.seconds, other.seconds, later.processor)
+    return [*(f"{x:.1f}" for x in seconds), f"{later.memory:.1f}"]
 
 
 def main() -> None:
@@ -86,10 +105,13 @@ def main() -> None:
         rows = []
         for count in (1_000_000, 60_000):
             for name, checkout in checkouts.items():
-                found = runs(path, folder, count, checkout)
-                rows.append([f"{name}six axes × {count:,}", *(f"{x:.1f}" for x in found)])
+                rows.append([f"{name}six axes × {count:,}", *runs(path, folder, count, checkout)])
         peers = [sys.executable, "-c", PEERS, str(path)]
-        rows.append(["allantools and allan-variance, six axes × 1,000,000", "", f"{seconds(peers):.1f}", ""])
+        own = taken(peers)
+        numbers = [f"{own.seconds:.1f}", "", f"{own.processor:.1f}", f"{own.memory:.1f}"]
+        rows.append(["allantools and allan-variance, six axes × 1,000,000", "", *numbers])
+    head = ["recording", "first run on a machine", "later", "another length"]
+    head += ["later, processor s", "later, peak memory, GB"]
     lines = [
         "# From file to coefficients",
         "",
@@ -97,7 +119,7 @@ def main() -> None:
         "It writes a table with intervals, JSON, CSV and two pictures; the peers end with the numbers of",
         "`oadev` and a fit of five terms.",
         "",
-        table(["recording", "first run on a machine", "later", "another length"], rows),
+        table(head, rows),
         "",
         "## Machine",
         "",

@@ -1,12 +1,12 @@
 """How long the critic takes: six axes × 10⁶ samples, cold and warm.
 
-    python benchmarks/studies/critic_speed.py [FILE ...] [--before CHECKOUT] [--results PATH]
+    python benchmarks/studies/critic_speed.py [FILE ...] [--files-only] [--before CHECKOUT] [--results PATH]
 
 Each run is a process of its own: cold with an empty compilation cache, warm with that of the run before. The
 recordings: noise alone, noise with five effects, and any FILE (Parquet, gyros in deg/s, accelerometers in
-g, 100 Hz), each cut to 10⁶ samples. Beside it, in the same process, ten passes of NumPy's FFT over it. With
-a checkout of an earlier version each run is done by that, too. Processor seconds are those of all threads:
-they do not depend on what else the machine does.
+g, 100 Hz), cut to 10⁶ samples and to 36,600. Beside it, in the same process, ten passes of NumPy's FFT over
+it. With a checkout of an earlier version each run is done by that, too. Processor seconds are those of all
+threads: they do not depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import paths
 from common.machine import describe
 from common.report import publish, table
 
-SAMPLES, RATE = 1_000_000, 100.0
+SAMPLES, SHORT, RATE = 1_000_000, 36_600, 100.0
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 CLEAN, EFFECTS = "noise alone", "five effects"
 
@@ -46,7 +46,7 @@ def simulated(effects: bool) -> np.ndarray:
     return x
 
 
-def one(name: str) -> None:
+def one(name: str, samples: int) -> None:
     """Criticize in this process, and print what it took."""
     import allanjax as aj
 
@@ -57,7 +57,7 @@ def one(name: str) -> None:
         )
     else:
         whole = aj.read(name, rate=RATE, gyro_unit="deg/s", accel_unit="g")
-        recording = whole.between(0.0, SAMPLES / RATE)
+        recording = whole.between(0.0, samples / RATE)
     begun = time.perf_counter()
     for _ in range(10):
         np.fft.rfft(recording.values, axis=0)
@@ -74,8 +74,8 @@ def one(name: str) -> None:
     print(json.dumps(row))
 
 
-def run(name: str, cache: str, checkout: Path) -> dict[str, float]:
-    command = [sys.executable, __file__, "--one", name]
+def run(name: str, samples: int, cache: str, checkout: Path) -> dict[str, float]:
+    command = [sys.executable, __file__, "--one", name, "--samples", str(samples)]
     environment = {**os.environ, "ALLANJAX_CACHE": cache, "PYTHONPATH": str(checkout)}
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
     return json.loads(done.stdout.splitlines()[-1])
@@ -86,20 +86,24 @@ def main() -> None:
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--before", type=Path, help="checkout of an earlier version, to be compared with")
     parser.add_argument("--results", type=Path, default=paths.RESULTS / "critic_speed.md")
+    parser.add_argument("--files-only", action="store_true", help="without the simulated recordings")
     parser.add_argument("--one", help=argparse.SUPPRESS)
+    parser.add_argument("--samples", type=int, default=SAMPLES, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
-        one(options.one)
+        one(options.one, options.samples)
         return
     sides = {"": paths.ROOT} | ({"before: ": options.before.resolve()} if options.before else {})
     lines = []
-    for name in (CLEAN, EFFECTS, *options.files):
+    simulated_ones = [] if options.files_only else [(CLEAN, SAMPLES), (EFFECTS, SAMPLES)]
+    for name, samples in [*simulated_ones, *((f, n) for f in options.files for n in (SAMPLES, SHORT))]:
+        called = name if isinstance(name, str) else name.stem
         for side, checkout in sides.items():
             with tempfile.TemporaryDirectory() as cache:
-                cold, warm = (run(str(name), cache, checkout) for _ in range(2))
+                cold, warm = (run(str(name), samples, cache, checkout) for _ in range(2))
             lines.append(
                 [
-                    side + (name if isinstance(name, str) else name.stem),
+                    f"{side}{called}, {samples:,}",
                     str(warm["findings"]),
                     f"{cold['seconds']:.0f}",
                     f"{warm['seconds']:.0f}",
@@ -114,8 +118,8 @@ def main() -> None:
     ]
     text = f"""# How long the critic takes
 
-Six axes × 10⁶ samples, `aj.critique(recording)`, wall-clock; cold: all programs compiled anew; warm: with
-the compilation cache of the run before. In ten FFTs: in the time of ten passes of NumPy's FFT over the
+Six axes, so many samples, `aj.critique(recording)`, wall-clock; cold: all programs compiled anew; warm:
+with the compilation cache of the run before. In ten FFTs: in the time of ten passes of NumPy's FFT over the
 recording, in the same process. Reproduce with `python benchmarks/studies/critic_speed.py`.
 
 {table(head, lines)}
