@@ -21,7 +21,7 @@ def test_letters_and_names_are_the_same_terms():
     )
     assert parse_model(", ".join(model.term_labels)) == model
     others = {"markov", "sinusoid", "resonance", "power_law", "low_pass", "telegraph", "bias_step", "warm_up"}
-    others |= {"wandering_resonance"}
+    others |= {"wandering_resonance", "channel_effect"}
     assert set(term_classes()) == {*model.term_labels, *others}
 
 
