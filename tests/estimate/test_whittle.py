@@ -278,7 +278,7 @@ def test_its_coefficient_is_that_of_generalized_least_squares(regressed):
 def test_errors_say_what_to_do(regressed):
     x, temperature, _ = regressed
     whole = recording(x, temperature=temperature, constant=np.full(N_SAMPLES, 3.0))
-    with pytest.raises(aj.AllanjaxError, match='must be "allan" or "whittle"'):
+    with pytest.raises(aj.AllanjaxError, match='must be one of "allan", "whittle", "wavelet", "exact", not'):
         aj.fit(whole, WHITE_ONLY, "spectrum")
     with pytest.raises(aj.AllanjaxError, match='give objective="whittle"'):
         aj.fit(whole, WHITE_ONLY, regressors=["temperature"])
