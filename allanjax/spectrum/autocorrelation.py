@@ -104,9 +104,6 @@ class Autocorrelation(ByValue):
             reason = f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}"
             return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         i = below[0]
-        if i == 1:
-            reason = "the autocorrelation falls to 1/e within a sample interval: approximate it first"
-            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         time = float(np.interp(-R[0] / np.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
         accuracy = markov_accuracy(time, self.n / self.rate)
         remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
