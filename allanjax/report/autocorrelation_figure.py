@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches.
-_LEFT, _WIDTH, _HEIGHT, _GAP, _TOP, _BELOW = 0.9, 3.6, 2.2, 0.75, 0.9, 0.75
+_LEFT, _RIGHT, _WIDTH, _HEIGHT, _GAP, _TOP, _BELOW = 1.1, 0.2, 3.6, 2.2, 0.75, 0.9, 0.75
 # Half width of a 95 % interval in standard errors.
 _WIDE = 1.959964
 
@@ -67,16 +67,18 @@ def plot_autocorrelation(
         return figure
     with style():
         columns = max(map(len, rows))
-        width = _LEFT + columns * (_WIDTH + _GAP)
+        width = _LEFT + columns * (_WIDTH + _GAP) - _GAP + _RIGHT
         height = _TOP + len(rows) * (_HEIGHT + _BELOW)
         figure = plt.figure(figsize=(width, height))
-        write_title(figure, _LEFT, "autocorrelation", facts_of(found.n, found.rate))
+        write_title(figure, _LEFT, "Autocorrelation", facts_of(found.n, found.rate))
         for i, row in enumerate(rows):
             for column, k in enumerate(row):
                 bottom = height - _TOP - (i + 1) * (_HEIGHT + _BELOW) + _BELOW
                 panel = place(figure, _LEFT + column * (_WIDTH + _GAP), bottom, _WIDTH, _HEIGHT)
                 panel.set_title(found.names[k], loc="left", fontweight="bold")
                 _draw(panel, found, k)
+                if column:
+                    panel.set_ylabel("")
         return save_and_close(figure, path)
 
 

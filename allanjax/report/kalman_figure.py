@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.2, 0.95, 0.5, 0.3
-_WIDTH, _BIAS_HEIGHT, _STRIP_HEIGHT, _BETWEEN = 7.6, 1.8, 0.9, 0.45
-# Most points that are drawn of a record: others are left out at even distances.
-_MOST = 4000
+_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.2, 1.15, 0.5, 0.1
+_WIDTH, _BIAS_HEIGHT, _STRIP_HEIGHT, _BETWEEN = 7.6, 1.8, 0.9, 0.6
+# Most points that are drawn of a record, others being left out at even distances; and of its means.
+_MOST, _MEANS = 4000, 300
 _BLUE = COLOURS[0]
 
 
@@ -45,8 +45,8 @@ def plot_filtered(
 ) -> Figure:
     """Draw the bias with its 95 % band over the samples, and standardized innovations below, an axis a row.
 
-    Innovations should be white and 95 % of them within the grey band. Of long records every so many
-    samples are drawn.
+    Innovations should be white and 95 % of them within the grey band. Of long records means of as many
+    samples are drawn, some hundreds, and every so many innovations.
 
     Args:
         filtered: what `kalman_filter` returns.
@@ -59,11 +59,8 @@ def plot_filtered(
     chosen = [filtered[name] for name in _names(filtered.axes, axes)]
 
     def bias(panel: Axes, result: FilteredAxis, scale: float) -> None:
-        some = _some(len(result.samples))
-        there = some[~result.missing[some]]
-        panel.plot(result.time[there], result.samples[there] / scale, **_samples())
-        known = some[np.isfinite(result.bias_std[some])]
-        _draw_band(panel, result.time, result.bias, result.bias_std, known, scale)
+        samples = np.where(result.missing, np.nan, result.samples)
+        _draw_bias(panel, samples, result, scale)
 
     def strip(panel: Axes, result: FilteredAxis) -> None:
         some = _some(len(result.samples))
@@ -100,10 +97,7 @@ def plot_adapted(
     ]
 
     def bias(panel: Axes, result: AdaptedAxis, scale: float) -> None:
-        some = _some(len(result.samples))
-        panel.plot(result.time[some], result.samples[some] / scale, **_samples())
-        known = some[np.isfinite(result.bias_std[some])]
-        _draw_band(panel, result.time, result.bias, result.bias_std, known, scale)
+        _draw_bias(panel, result.samples, result, scale)
 
     def strip(panel: Axes, result: AdaptedAxis) -> None:
         some = _some(len(result.samples))
@@ -116,7 +110,7 @@ def plot_adapted(
         panel.set_ylim(-0.05, 1.05)
         panel.set_ylabel("probability")
 
-    return _figure(adapted.name or "adaptive filter", chosen, bias, strip, [*_key(), *lines], path)
+    return _figure(adapted.name or "Adaptive filter", chosen, bias, strip, [*_key(), *lines], path)
 
 
 def _names(there: Sequence[str], chosen: Sequence[str] | str | None) -> list[str]:
@@ -133,7 +127,7 @@ def _some(n: int) -> Any:
 
 
 def _samples() -> dict[str, Any]:
-    return {**DOTS, "color": "0.7", "markersize": 1.6, "label": "samples"}
+    return {**DOTS, "color": "0.6", "markersize": 2.0, "label": "samples, in means"}
 
 
 def _key() -> list[Any]:
@@ -148,21 +142,27 @@ def _key() -> list[Any]:
     ]
 
 
-def _draw_band(
-    panel: Axes,
-    time: Float[np.ndarray, " n"],
-    bias: Float[np.ndarray, " n"],
-    std: Float[np.ndarray, " n"],
-    at: Any,
-    scale: float,
+def _draw_bias(
+    panel: Axes, samples: Float[np.ndarray, " n"], result: FilteredAxis | AdaptedAxis, scale: float
 ) -> None:
-    """Draw a bias and its 95 % band at these samples."""
-    half = TWO_SIDED_95 * std[at] / scale
-    value = bias[at] / scale
-    panel.fill_between(
-        time[at], value - half, value + half, color=_BLUE, alpha=0.3, linewidth=0.0, label="95 % interval"
-    )
-    panel.plot(time[at], value, color=_BLUE, linewidth=1.2, label="bias")
+    """Draw samples, of long records their means, and the bias with its 95 % band.
+
+    The samples' scale is that of the panel, for at first the band is as wide as they scatter.
+    """
+    length = -(-len(samples) // _MEANS)
+    parts = np.append(samples, np.full(-len(samples) % length, np.nan)).reshape(-1, length)
+    count = np.isfinite(parts).sum(axis=1)
+    seen = count > 0
+    means = np.nansum(parts, axis=1)[seen] / count[seen]
+    middle = (np.flatnonzero(seen) * length + (length - 1) / 2.0) / result.rate
+    panel.plot(middle, means / scale, **_samples())
+    panel.set_ylim(panel.get_ylim())
+    some = _some(len(samples))
+    at = some[np.isfinite(result.bias_std[some])]
+    value, half = result.bias[at] / scale, TWO_SIDED_95 * result.bias_std[at] / scale
+    band: dict[str, Any] = {"alpha": 0.3, "linewidth": 0.0, "label": "95 % interval"}
+    panel.fill_between(result.time[at], value - half, value + half, color=_BLUE, **band)
+    panel.plot(result.time[at], value, color=_BLUE, linewidth=1.2, label="bias")
 
 
 def _figure(

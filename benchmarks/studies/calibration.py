@@ -34,7 +34,7 @@ from allanjax.record.axes import Axis
 
 RATE, LONG, T, PAUSE, G = 5.0, 14400.0, 600.0, 20.0, 9.8118
 N = 5e-4
-SEED = 230611
+SEED = 261_125
 # Units that are fitted together.
 BLOCK = 4
 TERMS = {"random walk": "N + K", "flicker noise": "N + B"}

@@ -108,6 +108,15 @@ def test_the_table_frame_and_document(fit):
     assert frame[frame.axis == "gyro_x"].error.min() == document["axes"][0]["best"]
 
 
+def test_the_title_names_what_the_sensors_do():
+    gyro, accel = {"gyro_x": aj.AngleRandomWalk(N)}, {"accel_x": aj.AngleRandomWalk(N)}
+    told = [str(aj.align(of, 51.0, rate=1.0)) for of in (gyro, accel, gyro | accel)]
+    assert told[0].startswith("gyro-compassing at 51°")
+    assert told[1].startswith("leveling at 51°")
+    assert told[2].startswith("leveling and gyro-compassing at 51°")
+    assert not any("interval" in text for text in told)
+
+
 def test_a_gyro_that_cannot_find_north_says_so(small_fit):
     found = aj.align(small_fit, 51.0)
     assert "gyro_x" in found

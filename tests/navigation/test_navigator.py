@@ -245,6 +245,47 @@ def test_the_table_the_frame_and_the_document_tell_the_same(result):
     assert row.error == result["position"].of("down")[-1]
 
 
+def test_a_table_of_exact_models_has_no_interval_and_tells_the_times_nearest_to_decades():
+    """Neighbouring ones of 30 times between 0.7 s and 2,000 s are 0.12 decades apart."""
+    result = aj.navigate({"gyro_x": QUIET}, np.geomspace(0.7, 2000.0, 30), rate=RATE)
+    text = str(result)
+    assert "interval" not in text
+    rows = [line.split("│") for line in text.splitlines() if line.startswith("│")]
+    told = [float(row[2].replace(",", "").removesuffix(" s ")) for row in rows[:5]]
+    np.testing.assert_allclose(np.log10(told), [0, 1, 2, 3, np.log10(2000.0)], atol=0.07)
+
+
+def test_intervals_of_a_posterior_are_those_of_its_draws():
+    """Angles of white noise: N² (t + t²/C), so that the interval is that of N but for the choice of draws.
+
+    400 of 1,000 or more draws scatter the ends by a tenth of their distance.
+    """
+    recording = aj.simulate_recording({"gyro_x": aj.AngleRandomWalk(1e-3)}, 20_000, RATE, 1)
+    fit = aj.fit(recording, "N", as_is=True)
+    posterior = aj.sample(fit, seed=1)
+    attitude = aj.navigate(posterior, [1.0, 10.0], calibration=50.0)["attitude"]
+    N, grown = posterior["gyro_x"]["angle_random_walk"], np.sqrt([1.0 + 1.0 / 50.0, 10.0 + 100.0 / 50.0])
+    np.testing.assert_allclose(attitude.of("north"), N.value * grown, rtol=0.1 * N.std / N.value)
+    for found, end in zip((attitude.lower, attitude.upper), N.interval, strict=True):
+        np.testing.assert_allclose(found[0], end * grown, rtol=0.4 * N.std / N.value)
+    tilted = aj.align(posterior, 45.0)["gyro_x"]
+    assert tilted.lower[-1] < tilted.error[-1] < tilted.upper[-1]
+
+
+def test_draws_of_a_posterior_have_their_own_correlation_times():
+    model = aj.AngleRandomWalk(1e-3) + aj.Markov(1e-3, 5.0)
+    recording = aj.simulate_recording({"gyro_x": model}, 20_000, RATE, 1)
+    fit = aj.fit(recording, "N + markov", as_is=True)
+    posterior = aj.sample(fit, seed=1)
+    found = aj.navigate(posterior, [10.0], calibration=50.0)["attitude"]
+    of_draws = [
+        aj.navigate({"gyro_x": model}, [10.0], rate=RATE, calibration=50.0)["attitude"].of("north")[0]
+        for model in posterior["gyro_x"].models(100)
+    ]
+    ends = np.sqrt(np.quantile(np.square(of_draws), [0.025, 0.975]))
+    np.testing.assert_allclose([found.lower[0, 0], found.upper[0, 0]], ends, rtol=1e-9)
+
+
 @pytest.mark.usefixtures("no_windows")
 def test_the_picture_has_a_panel_an_error_with_its_causes(result, tmp_path):
     figure = result.plot(tmp_path / "a.png")
@@ -279,7 +320,7 @@ def test_the_loop_holds_errors_back_and_its_absence_is_told():
     ("data", "options", "message"),
     [
         ({"gyro_x": QUIET}, {}, "models need the sample rate"),
-        ({}, {"rate": 1.0}, "give a fit, or models by axis"),
+        ({}, {"rate": 1.0}, "give a fit, a posterior, or models by axis"),
         ({"temperature": QUIET}, {"rate": 1.0}, "'temperature' is no axis"),
         ({"gyro_x": QUIET}, {"rate": 1.0, "times": [0.1]}, "times must be finite and at least a sample"),
         ({"gyro_x": QUIET}, {"rate": 1.0, "calibration": 0.0}, "calibration must be finite"),
