@@ -22,16 +22,22 @@ from allanjax.record.units import SI, Sensor, convert
 
 # Draws of the powers; of a posterior with shapes, each of which is a model of its own, fewer.
 _DRAWS, _SHAPES = 400, 100
+# Least probability of a set of terms for which an interval has to hold by itself.
+_LIKELY = 0.05
 _VALUE = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*")
 
 
 class Drawn(NamedTuple):
     """A quantity that is linear in the powers of the terms of an axis.
 
+    An average over sets of terms would put the 5 % of a set that is likely by 10 % beyond the interval's end.
+    So each end is that of the set of terms for which it is outermost.
+
     Attributes:
-        mean: of the terms that were found; by term, in words.
-        known: draws of the sum of the terms that were found.
-        upper: the same with terms that are only known to be below a limit.
+        mean: of the terms that were found, averaged over sets of terms; by term, in words.
+        known: draws of the sum of the terms that were found, of the set whose lower end is lowest.
+        upper: the same with terms that are only known to be below a limit, of that whose upper end is
+            highest.
     """
 
     mean: Mapping[str, Float[np.ndarray, ...]]
@@ -53,7 +59,8 @@ class AxisNoise(NamedTuple):
     def drawn(self, of_terms: Callable[[Model], Float[np.ndarray, "terms ..."]]) -> Drawn:
         """Draws of a quantity, given what it is for each term of unit amplitude by itself."""
         mean: dict[str, np.ndarray] = {}
-        known, upper = [], []
+        known: dict[tuple[str, ...], list[np.ndarray]] = {}
+        upper: dict[tuple[str, ...], list[np.ndarray]] = {}
         draws = sum(len(s.power) for s in self.sets)
         for likely in self.sets:
             each = of_terms(likely.model)
@@ -61,9 +68,24 @@ class AxisNoise(NamedTuple):
             for k, label in enumerate(likely.labels[:count]):
                 title = f"{self.axis.name} {title_of(label, self.axis)}"
                 mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
-            known.append(np.tensordot(likely.power[:, :count], each[:count], axes=1))
-            upper.append(known[-1] + np.tensordot(likely.power[:, count:], each[count:], axes=1))
-        return Drawn(mean, np.concatenate(known), np.concatenate(upper))
+            found = np.tensordot(likely.power[:, :count], each[:count], axes=1)
+            known.setdefault(likely.labels, []).append(found)
+            more = np.tensordot(likely.power[:, count:], each[count:], axes=1)
+            upper.setdefault(likely.labels, []).append(found + more)
+        return Drawn(mean, _outermost(known, 0.025), _outermost(upper, 0.975))
+
+
+def _outermost(
+    by_terms: Mapping[tuple[str, ...], Sequence[np.ndarray]], probability: float
+) -> Float[np.ndarray, "draws ..."]:
+    """Draws of the likely set of terms whose quantile is the outermost, the draws of each set repeated."""
+    sets = [np.concatenate(parts) for parts in by_terms.values()]
+    least = min(_LIKELY * sum(map(len, sets)), max(map(len, sets)))
+    sets = [own for own in sets if len(own) >= least]
+    ends = np.stack([np.quantile(own, probability, axis=0) for own in sets])
+    best = ends.argmin(axis=0) if probability < 0.5 else ends.argmax(axis=0)
+    filled = np.stack([own[np.arange(_DRAWS) * len(own) // _DRAWS] for own in sets])
+    return np.take_along_axis(filled, best[None, None], axis=0)[0]
 
 
 class Sensors(NamedTuple):
@@ -128,7 +150,8 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
         return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, found, notes)
     if not isinstance(data, Mapping) or not data:
         raise AllanjaxError(
-            'give a fit, a posterior, or models by axis, e.g. {"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
+            "give a fit, a posterior, or models by axis, e.g. "
+            '{"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
         )
     if rate is None or not 0.0 < rate < np.inf:
         raise AllanjaxError(f"models need the sample rate, positive and finite: give rate in Hz, not {rate}")
@@ -193,9 +216,8 @@ def ends(drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
 def together(parts: Sequence[Drawn]) -> Drawn:
     """Sum of independent quantities."""
     mean = {title: part for drawn in parts for title, part in drawn.mean.items()}
-    # Each is ordered by sets of terms, which are not to be paired, and may have a draw more.
-    size = min(len(drawn.known) for drawn in parts)
-    order = [np.random.default_rng(k).permutation(size) for k in range(len(parts))]
+    # Draws that are repeated are not to be paired.
+    order = [np.random.default_rng(k).permutation(_DRAWS) for k in range(len(parts))]
     known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
     upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))
     return Drawn(mean, np.asarray(known), np.asarray(upper))

@@ -55,8 +55,9 @@ def navigate(
 
     Args:
         data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and,
-            where the data do not tell sets of terms apart, an average over the likely ones; a posterior, whose
-            draws the intervals are those of; or models by the names of axes, taken as exact.
+            where the data do not tell sets of terms apart, an average over the likely ones and intervals that
+            hold for each of them; a posterior, for intervals by its draws; or models by the names of axes,
+            taken as exact.
         times: when to tell the errors [s]; by default from 1 s to 1,000 s.
         rate: sample rate [Hz] of models.
         calibration: time at rest before the start [s].
