@@ -346,14 +346,11 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         N = L @ adjoint.N @ L.T + N
         ends = _smoothed_std(system, P, N), _smoothed_std(system, P + change, adjoint.N)
         share = jnp.arange(1, BLOCK + 1) / BLOCK
-
-        def step(r: Array, at: tuple[_Seen, Array]) -> tuple[Array, Array]:
-            seen, part = at
-            r, a = _back(system, r, seen)
-            return r, system.rows @ (seen[1] + P @ a + part * (change @ a))
-
         seen = (innovation, x, gains, there)
-        r, value = jax.lax.scan(step, adjoint.r, (seen, share), reverse=True)
+        r, a = jax.lax.scan(lambda r, at: _back(system, r, at), adjoint.r, seen, reverse=True)
+        part = share[:, None, None]
+        moved = jnp.einsum("ij,bjc->bic", P, a) + part * jnp.einsum("ij,bjc->bic", change, a)
+        value = jnp.einsum("rn,bnc->brc", system.rows, x + moved)
         std = ends[0] + share[:, None] * (ends[1] - ends[0])
         return _Adjoint(r, N, std[0], adjoint.age + BLOCK, adjoint.settled), Rows(value, std)
 
