@@ -85,7 +85,7 @@ class Autocorrelation(ByValue):
         autocorrelation of the process itself. It knows nothing of other noise, which is to be taken out
         before (`wavelet_decomposition`), nor of the bias that subtracting the mean and reading off one lag
         have; see `benchmarks/results/autocorrelation.md`. There is no reading where the autocorrelation does
-        not fall to σ²/e.
+        not fall to σ²/e, or does so within a sample.
 
         Raises:
             AllanjaxError: samples without unit.
@@ -105,6 +105,9 @@ class Autocorrelation(ByValue):
             reason = f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}"
             return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         i = below[0]
+        if i == 1:
+            reason = "it falls to 1/e within a sample, as white noise does: take that out first"
+            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         time = float(np.interp(-R[0] / math.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
         accuracy = markov_accuracy(time, self.n / self.rate)
         remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
