@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
 from allanjax.base.chi_squared import upper_tail
+from allanjax.base.earth import EARTH_RATE
 from allanjax.base.errors import RecordingError
-from allanjax.calibration.earth import EARTH_RATE
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.calibration.least_squares import (
     KNOWN,
     Solution,
@@ -28,7 +29,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor, si_unit
 
-_QUANTILES = (1.959964, 0.994458)
+_QUANTILES = (TWO_SIDED_95, TWO_SIDED_68)
 # Below this p-value positions are named that do not fit.
 _DOUBT = 1e-3
 # Positions whose omission lowers χ² by the same to within this share are not told apart.

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from allanjax.base.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravity
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.wording import duration, significant
-from allanjax.calibration.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravity
 from allanjax.calibration.noise import Part, parts_of_fit, parts_of_model
 from allanjax.calibration.orientation import Orientation, OrientationLike, as_orientation, orientation_in
 from allanjax.calibration.result import USEFUL, AxisCalibration, Calibration, Misfit, Position, place_of

@@ -367,6 +367,6 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         return jax.lax.switch(jnp.where(after, 2, kept), ways, adjoint, state, samples, there)
 
     last = _Adjoint(jnp.zeros((n, 2)), jnp.zeros((n, n)), jnp.zeros(rows), jnp.asarray(0), jnp.asarray(False))
-    at = (states, *map(jnp.asarray, record))
+    at = (states, jnp.asarray(record.sample), jnp.asarray(record.there), jnp.asarray(record.after))
     _, found = jax.lax.scan(block, last, at, reverse=True)
     return jax.tree.map(_joined, found)

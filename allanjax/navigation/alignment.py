@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration, finite_or_none, significant
-from allanjax.calibration.earth import EARTH_RATE
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, ends, in_si, one_by_one, sensors_of
-from allanjax.navigation.navigator import STANDARD_GRAVITY
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.base.earth import EARTH_RADIUS, STANDARD_GRAVITY
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration
 from allanjax.navigation.error_growth import ErrorGrowth, Navigation, Quantity
-from allanjax.navigation.growth import EARTH_RADIUS, ErrorVariances
+from allanjax.navigation.growth import ErrorVariances
 from allanjax.navigation.likely import AxisNoise, Drawn, NoiseLike, Sensors, ends, in_si, sensors_of, together
 from allanjax.record.units import SI
 
-STANDARD_GRAVITY = 9.80665
 # Samples from the start to the last time, at most: their covariances are held in memory.
 _MOST = 2**21
 

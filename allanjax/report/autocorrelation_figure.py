@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.report.figure import (
     POINTS,
     add_grid,
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 # Inches.
 _LEFT, _RIGHT, _WIDTH, _HEIGHT, _GAP, _TOP, _BELOW = 1.1, 0.2, 3.6, 2.2, 0.75, 0.9, 0.75
-# Half width of a 95 % interval in standard errors.
-_WIDE = 1.959964
 
 
 def plot_autocorrelation(
@@ -92,7 +91,7 @@ def _draw(panel: Axes, found: Autocorrelation, k: int) -> None:
     value, error = found.value[:, k] / scale, found.standard_error[:, k] / scale
     if np.isfinite(error).all():
         band: dict[str, Any] = {"color": "0.85", "linewidth": 0.0, "label": "95 % under the model"}
-        panel.fill_between(found.lag, value - _WIDE * error, value + _WIDE * error, **band)
+        panel.fill_between(found.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
     panel.plot(found.lag, value, color=POINTS, linewidth=1.0, label="estimate")
     below = np.flatnonzero(math.e * value < value[0])
     if below.size:

@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.presented import presented
 from allanjax.base.wording import duration
 from allanjax.noise.estimate import Estimate
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
 _LONGEST = 0.1
 # Autocovariance at the end of the record, relative to that at lag zero, from which on it has no end in it.
 _ENDED = 0.05
-# Half widths of 95 % and 68 % intervals in standard deviations.
-_WIDTHS = (1.959964, 0.994458)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +114,9 @@ class Autocorrelation(ByValue):
         units = (square_unit(axis)[0], "s")
         for label, value, unit in zip(labels, (float(R[0]), time), units, strict=True):
             std = accuracy * value
-            wide, narrow = ((max(value - z * std, 0.0), value + z * std) for z in _WIDTHS)
+            wide, narrow = (
+                (max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68)
+            )
             found[label] = Estimate(
                 axis=axis,
                 label=label,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.navigation.alignment import EARTH_RATE
+from allanjax.base.earth import EARTH_RATE
 
 DEG = math.pi / 180.0
 N, K = 6e-7, 2e-9

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.navigation.growth import EARTH_RADIUS, ErrorVariances, bias_response
+from allanjax.base.earth import EARTH_RADIUS
+from allanjax.navigation.growth import ErrorVariances, bias_response
 
 DEG = math.pi / 180.0
 RATE = 20.0
