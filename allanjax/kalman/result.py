@@ -14,7 +14,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import presented
-from allanjax.base.wording import duration, format_interval, format_with_error
+from allanjax.base.wording import duration, finite_or_none, format_interval, format_with_error
 from allanjax.kalman.innovations import ChiSquared, normalized_square, whiteness
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -197,6 +197,24 @@ class FilteredAxis(BiasTrack):
         ]
         return [*rows, ("missing samples", f"{lost:,} of {len(self.samples):,}")] if lost else rows
 
+    def to_dict(self) -> dict[str, Any]:
+        """Bias in the last sample and tests as plain dictionaries, in SI; None where there is none."""
+        tests = {"whiteness": self.whiteness, "nis": self.nis}
+        return {
+            "axis": self.axis.name,
+            "smoothed": self.smoothed,
+            "bias": float(self.bias[-1]),
+            "bias_std": finite_or_none(self.bias_std[-1]),
+            "drift": list(self.slow),
+            **{
+                name: {k: finite_or_none(v) for k, v in dataclasses.asdict(test).items()}
+                for name, test in tests.items()
+            },
+            "log_likelihood": self.log_likelihood,
+            "missing": int(self.missing.sum()),
+            "samples": len(self.samples),
+        }
+
     def __repr__(self) -> str:
         return f"<FilteredAxis {self.axis.name}: {self._told()[0][1]}>"
 
@@ -211,6 +229,11 @@ class Filtered(BiasTracks[FilteredAxis]):
     def log_likelihood(self) -> float:
         """Log-likelihood of all axes [nats], which are independent of each other."""
         return sum(result.log_likelihood for result in self.results)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result of each axis as plain dictionaries, in SI."""
+        axes = [result.to_dict() for result in self.results]
+        return {"name": self.name, "rate_hz": self.results[0].rate, "axes": axes}
 
     def _title(self) -> str:
         first = self.results[0]
