@@ -293,3 +293,18 @@ def test_words_tables_and_figures(tmp_path):
     assert band.min() == pytest.approx(np.min(low), rel=1e-3)
     with pytest.raises(aj.AllanjaxError, match="name at least one axis"):
         found.plot("gyro_q")
+
+
+def test_a_long_record_is_drawn_in_means_that_set_the_scale():
+    """900 samples in 300 means of three, and of two where one is missing, whose range the bias is seen in."""
+    z, lost = samples(SUM, 900), np.zeros(900, bool)
+    lost[1] = True
+    panel = aj.kalman_filter(recording(z), SUM, missing=lost).plot().axes[0]
+    means = z.reshape(300, 3).mean(axis=1)
+    means[0] = (z[0] + z[2]) / 2.0
+    line = next(line for line in panel.lines if "samples" in str(line.get_label()))
+    scale = np.pi / 180.0 if "deg/s" in panel.get_ylabel() else 1.0
+    np.testing.assert_allclose(line.get_ydata() * scale, means, rtol=1e-9)
+    low, high = panel.get_ylim()
+    assert means.min() > low * scale > means.min() - 0.1 * np.ptp(means)
+    assert means.max() < high * scale < means.max() + 0.1 * np.ptp(means)
