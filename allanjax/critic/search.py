@@ -139,6 +139,7 @@ def going_on(
         notes += (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
     # It may have to wait for those of other axes.
     view.forget()
+    notes = tuple(dict.fromkeys(notes))
     return dataclasses.replace(draft, steps=tuple(steps), end=view, notes=notes, is_anew=anew)
 
 

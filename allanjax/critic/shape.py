@@ -127,6 +127,8 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
         finer = record.binned(new)
         found, before = finer.fit(new), finer.fit(now.structure)
         (k,) = set(new.oscillators.tolist()) - set(now.structure.oscillators.tolist())
+        if found.structure.power[FULL.first_oscillator + k] <= 0.0:
+            continue
         std = float(np.sqrt(found.covariance[FULL.frequencies + k, FULL.frequencies + k]))
         width = max(2.0 * place.reach / place.frequency * len(places), np.sqrt(2.0 * np.pi) * std)
         gain = found.evidence - before.evidence + float(np.log(np.log(record.n / FREQUENCIES) / width))
