@@ -1,4 +1,4 @@
-"""Tables of results: as text for a terminal, as HTML for a notebook."""
+"""Tables of results: as text for a terminal, as HTML for a notebook. Empty columns are left out."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ def text_table(
     from rich.console import Console
     from rich.table import Table
 
+    headings, rows = _filled(headings, rows)
     table = Table(title=printable(title), title_justify="left")
     for heading in headings:
         table.add_column(printable(heading), justify="right" if heading in right else "left")
@@ -41,9 +42,18 @@ def text_table(
 
 def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Table as HTML for a notebook."""
+    headings, rows = _filled(headings, rows)
     head = "".join(f"<th>{html.escape(heading)}</th>" for heading in headings)
     body = "".join(
         "<tr>" + "".join(f"<td style='text-align:left'>{html.escape(cell)}</td>" for cell in row) + "</tr>"
         for row in rows
     )
     return f"<p>{html.escape(title)}</p><table><tr>{head}</tr>{body}</table>"
+
+
+def _filled(
+    headings: Sequence[str], rows: Sequence[Sequence[str]]
+) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Headings and rows without the columns that have nothing in any row."""
+    kept = [k for k in range(len(headings)) if not rows or any(row[k] for row in rows)]
+    return [headings[k] for k in kept], [[row[k] for k in kept] for row in rows]

@@ -72,9 +72,9 @@ class AxisCalibration(ByValue, AxisEstimates):
 
     Attributes:
         axis: whose they are.
-        coefficients: "bias" [mg or deg/h], "scale_factor" [ppm], "misalignment_y" and its like, the response
-            to what acts along another axis [µrad], and "second_order" [µg/g²], if asked for. A value that
-            the positions do not determine is nan, and its remark says what it takes.
+        coefficients: "bias" [mg or deg/h], "scale_factor" [ppm, of gyros %], "misalignment_y" and its like,
+            the response to what acts along another axis [µrad, of gyros mrad], and "second_order" [µg/g²], if
+            asked for. A value that the positions do not determine is nan, and its remark says what it takes.
         widening: standard deviation of each over what white noise alone would give; nan without white noise.
     """
 
@@ -93,7 +93,7 @@ class AxisCalibration(ByValue, AxisEstimates):
             (
                 self.axis.name,
                 c.title,
-                c.in_unit().describe(),
+                "not determined" if c.remark else c.in_unit().describe(),
                 f"× {significant(wider)}" if wider > 0.0 else "",
             )
             for c, wider in zip(self.coefficients.values(), self.widening.values(), strict=True)
@@ -131,6 +131,7 @@ class Misfit(ByValue):
         chi2, dof, p_value: weighted squares of the residuals, means less parameters, and the probability of
             a larger χ²; nan without degrees of freedom, where any means would fit.
         suspects: positions that fit worst, where p is below 0.1 %; several where they are not told apart.
+        wider: how many times the intervals were widened because the means scatter.
     """
 
     names: tuple[str, ...]
@@ -140,6 +141,7 @@ class Misfit(ByValue):
     dof: int
     p_value: float
     suspects: tuple[str, ...]
+    wider: float = 1.0
 
     def __str__(self) -> str:
         if not self.dof:
@@ -265,6 +267,14 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         """Draw the residuals of each position with the scatter that the noise model gives them."""
         raise NotImplementedError
 
+    def _remedies(self) -> dict[str, list[str]]:
+        """What it takes to determine the parameters that are not, with the axes."""
+        found: dict[str, list[str]] = {}
+        for result in self.results:
+            for remark in dict.fromkeys(c.remark for c in result.coefficients.values() if c.remark):
+                found.setdefault(remark, []).append(result.axis.name)
+        return found
+
     def _title(self) -> str:
         return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s²"
 
@@ -273,6 +283,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
 
     def __str__(self) -> str:
         lines = [f"{sensor}: {misfit}" for sensor, misfit in self.misfit.items()]
+        lines += [f"not determined of {', '.join(axes)}: {what}" for what, axes in self._remedies().items()]
         lines += [f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
         return "\n".join([super().__str__(), *map(printable, lines)])
 

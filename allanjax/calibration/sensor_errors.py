@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
 from allanjax.base.chi_squared import upper_tail
+from allanjax.base.earth import EARTH_RATE
 from allanjax.base.errors import RecordingError
-from allanjax.calibration.earth import EARTH_RATE
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.calibration.least_squares import (
     KNOWN,
     Solution,
@@ -28,14 +29,17 @@ from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor, si_unit
 
-_QUANTILES = (1.959964, 0.994458)
+_QUANTILES = (TWO_SIDED_95, TWO_SIDED_68)
 # Below this p-value positions are named that do not fit.
 _DOUBT = 1e-3
 # Positions whose omission lowers χ² by the same to within this share are not told apart.
 _TIE = 0.02
 # An axis is vertical if the cosine of its tilt is one to within this.
 _VERTICAL = 1e-6
-_UNITS = {"scale_factor": "ppm", "second_order": "µg/g²"}
+_UNITS: dict[Sensor, dict[str, str]] = {
+    "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
+    "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
+}
 
 
 class World(NamedTuple):
@@ -108,6 +112,23 @@ class Setting(NamedTuple):
         X = np.concatenate([np.ones((len(f), 1)), np.nan_to_num(f), own**2], axis=1)
         return np.where(np.isfinite(own), X, np.nan)[:, : len(self.units)]
 
+    def seen(self, axis: Axis) -> Float[np.ndarray, "k p"]:
+        """Design of an axis in the positions, of a gyro as if aligned where only so they tell its errors.
+
+        A constant part of the Earth's rate along another axis is not told from the bias.
+        """
+        X = self.design(axis, self.known)
+        aligned = X.copy()
+        aligned[:, [1 + j for j in range(3) if j != place_of(axis)]] *= 0.0
+        tells = self.tells(axis, aligned) and not self.tells(axis, X)
+        return aligned if self.sensor == "gyro" and tells else X
+
+    def tells(self, axis: Axis, X: Float[np.ndarray, "k p"]) -> bool:
+        """Whether a design determines bias and scale factor of an axis."""
+        used = X[np.isfinite(X[:, 0])] / self.units
+        found = is_determined(determined_directions(used, KNOWN))
+        return bool(found[0] and found[1 + place_of(axis)])
+
 
 class Covariances(NamedTuple):
     """Covariance of each axis's means of the positions: of all its noise, and of its white noise."""
@@ -140,7 +161,7 @@ def errors_of(
     names, rows = tuple(axis.name for axis in axes), np.ones((len(positions), len(axes)), bool)
     alone: Solution | None = None
     if setting.known:
-        X = np.stack([setting.design(axis, setting.known) for axis in axes], axis=1)
+        X = np.stack([setting.seen(axis) for axis in axes], axis=1)
         rows = np.isfinite(X[:, :, 0])
         found = _linear(setting, X, means, full, setting.orientation_error)
         if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
@@ -159,7 +180,7 @@ def errors_of(
             f"the positions do not span: from {told} follow bias and scale factor of no {setting.sensor} "
             f"axis{' beside its second order' if setting.second_order else ''}; {_remedy(setting, axes[0])}"
         )
-    wider, quantiles = by_scatter(found.chi2, found.dof) if setting.lacks_drift else (1.0, _QUANTILES)
+    wider, quantiles = _by_scatter(found) if setting.lacks_drift else (1.0, _QUANTILES)
     variance = wider**2 * found.covariance.diagonal().reshape(size)
     over_white = np.full(size, np.nan)
     if alone is not None:
@@ -180,7 +201,7 @@ def errors_of(
             widening[label] = float(over_white[k, j]) if known else np.nan
         _check_direction(estimates["scale_factor"])
         results.append(AxisCalibration(axis, estimates, widening))
-    return tuple(results), _misfit(found, rows, names, positions)
+    return tuple(results), _misfit(found, rows, names, positions, wider)
 
 
 def _linear(
@@ -221,23 +242,23 @@ def _labels(axis: Axis, second_order: bool) -> dict[str, int]:
     return {"bias": 0, "scale_factor": 1 + own, **others, **({"second_order": 4} if second_order else {})}
 
 
-def by_scatter(chi2: float, dof: int) -> tuple[float, tuple[float, float]]:
+def _by_scatter(found: Solution) -> tuple[float, tuple[float, float]]:
     """How many times wider errors are where the means scatter more than the noise model says, and quantiles.
 
     The ratio of Birge (1932, Phys. Rev. 40:207) and Student's law of its degrees of freedom.
     """
-    if dof == 0 or chi2 <= dof:
+    if found.dof == 0 or found.chi2 <= found.dof:
         return 1.0, _QUANTILES
-    outer, inner = stdtrit(dof, [0.975, 0.84])
-    return math.sqrt(chi2 / dof), (float(outer), float(inner))
+    outer, inner = stdtrit(found.dof, [0.975, 0.84])
+    return math.sqrt(found.chi2 / found.dof), (float(outer), float(inner))
 
 
 def _estimate(
     axis: Axis, label: str, value: float, std: float, remark: str, quantiles: tuple[float, float]
 ) -> Estimate:
     """A parameter that is nan if it is not determined; then the remark says what to do."""
-    bias = "mg" if axis.sensor == "accel" else "deg/h"
-    unit = bias if label == "bias" else _UNITS.get(label, "µrad")
+    units = _UNITS[axis.sensor]
+    unit = units.get(label, units["misalignment"])
     ends = [(value - z * std, value + z * std) for z in quantiles]
     return Estimate(
         axis=axis,
@@ -279,11 +300,15 @@ def _remedy(setting: Setting, axis: Axis) -> str:
         more = np.concatenate([X, setting.design(axis, [candidate]) / setting.units])
         if len(determined_directions(more, KNOWN)) > len(before):
             X, added = more, [*added, candidate.name]
-    return f"it takes, e.g., {' and '.join(added)} as well"
+    return f"it takes, e.g., {' and '.join(map(repr, added))} as well"
 
 
 def _misfit(
-    found: Solution, used: Bool[np.ndarray, "k n"], names: tuple[str, ...], positions: Sequence[Position]
+    found: Solution,
+    used: Bool[np.ndarray, "k n"],
+    names: tuple[str, ...],
+    positions: Sequence[Position],
+    wider: float,
 ) -> Misfit:
     """How well the means fit, and which positions fit worst."""
     residuals, scatter = np.full(used.shape, np.nan), np.full(used.shape, np.nan)
@@ -297,4 +322,4 @@ def _misfit(
         suspects = tuple(
             p.label for p, g in zip(positions, gain, strict=True) if g >= (1.0 - _TIE) * gain.max()
         )
-    return Misfit(names, residuals, scatter, found.chi2, found.dof, p, suspects)
+    return Misfit(names, residuals, scatter, found.chi2, found.dof, p, suspects, wider)

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from allanjax.base.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravity
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.wording import duration, significant
-from allanjax.calibration.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravity
 from allanjax.calibration.noise import Part, parts_of_fit, parts_of_model
 from allanjax.calibration.orientation import Orientation, OrientationLike, as_orientation, orientation_in
 from allanjax.calibration.result import USEFUL, AxisCalibration, Calibration, Misfit, Position, place_of
-from allanjax.calibration.sensor_errors import Covariances, Setting, World, by_scatter, errors_of
+from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
@@ -100,8 +100,8 @@ def calibrate(
             noise = Covariances.of(places, [parts[axis.name] for axis in own])
             found, misfit[sensor] = errors_of(setting, means, noise)
             results += found
-            notes += _scatter(setting, misfit[sensor])
-    notes += _remarks(results, turned, world)
+            notes += _scatter(sensor, misfit[sensor])
+    notes += _remarks(results, world)
     return Calibration(tuple(results), places, misfit, *world, source, tuple(notes))
 
 
@@ -248,20 +248,17 @@ def _model_of(model: ModelLike | Mapping[str, ModelLike], axis: Axis) -> ModelLi
     return found
 
 
-def _scatter(setting: Setting, misfit: Misfit) -> list[str]:
+def _scatter(sensor: Sensor, misfit: Misfit) -> list[str]:
     """Note that the means scatter more than a noise model says that may lack drift, if they do."""
-    wider, _ = by_scatter(misfit.chi2, misfit.dof)
-    if not (setting.lacks_drift and wider > 1.0):
+    if misfit.wider == 1.0:
         return []
     return [
-        f"{setting.sensor}: the means scatter {significant(wider)} times as much as this noise model says: "
+        f"{sensor}: the means scatter {significant(misfit.wider)} times as much as this noise model says: "
         "the intervals are as much wider, and follow Student's law"
     ]
 
 
-def _remarks(
-    results: Sequence[AxisCalibration], orientations: Sequence[Orientation | None], world: World
-) -> list[str]:
+def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
     """What a user should know of gravity, and of what the Earth's rate does not tell of gyros."""
     notes = []
     if world.gravity_std and any(r.axis.sensor == "accel" for r in results):
@@ -269,19 +266,26 @@ def _remarks(
     gyros = [r for r in results if r.axis.sensor == "gyro"]
     if not gyros:
         return notes
+    rate = convert(EARTH_RATE, "rad/s", "deg/h")
     notes.append("gyros: a sensitivity to gravity would show as scale factor and misalignment")
-    if any(o is not None and o.north is None for o in orientations):
+    aligned = [r.axis.name for r in gyros if _as_if_aligned(r)]
+    if aligned:
         notes.append(
-            "gyros: where headings are not given ('x up, y north') the vertical axis is used alone, as if it "
-            "were aligned"
+            f"{', '.join(aligned)}: as if aligned, for a misalignment of 1 mrad makes a bias of up to "
+            f"{1e-3 * rate:.3f} deg/h; the positions, with headings ('x up, y north') or without, do not tell"
         )
     scales = [c.std for r in gyros for label, c in r.coefficients.items() if label != "bias"]
     worst = max((s for s in scales if math.isfinite(s)), default=0.0)
     if worst > USEFUL:
-        rate = convert(EARTH_RATE, "rad/s", "deg/h")
         notes.append(
             f"gyros: the Earth's rate, {rate:.2f} deg/h, tells scale factors and misalignments to ± "
             f"{significant(100.0 * worst, 2)} % (1 σ) only; what is known to no better than 1 % is not "
             "applied. It takes a rate table"
         )
     return notes
+
+
+def _as_if_aligned(result: AxisCalibration) -> bool:
+    """Whether an axis has a scale factor and none of its misalignments is determined."""
+    known = {label: math.isfinite(c.value) for label, c in result.coefficients.items()}
+    return known.pop("scale_factor") and not any(found for label, found in known.items() if label != "bias")

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+from allanjax.base.earth import STANDARD_GRAVITY
 from allanjax.base.tables import text_table
 from allanjax.base.wording import plain
 from allanjax.estimate.result import Fit
@@ -33,7 +34,7 @@ def demo_models() -> Mapping[str, Model]:
 def demo_recording() -> Recording:
     """Recording of 25 minutes of a six-axis sensor at 100 Hz, always the same."""
     n = round(DURATION * RATE)
-    return simulate_recording(demo_models(), n, RATE, _SEED, bias={"accel_z": 9.80665}, name="demo")
+    return simulate_recording(demo_models(), n, RATE, _SEED, bias={"accel_z": STANDARD_GRAVITY}, name="demo")
 
 
 def compare(fit: Fit) -> tuple[str, int, int]:

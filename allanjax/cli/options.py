@@ -90,10 +90,11 @@ def _fit_options(
         ),
     ] = None,
     objective: Annotated[
-        Literal["allan", "whittle", "exact"],
+        Literal["allan", "wavelet", "whittle", "exact"],
         typer.Option(
-            help="Fit the Allan variances, the spectrum by Whittle's likelihood (better for lines), or the "
-            "samples by their exact likelihood (given terms, up to 100,000 samples)."
+            help="Fit the Allan variances, the Haar wavelet variances (the five basic terms, if none are "
+            "given), the spectrum by Whittle's likelihood (better for lines), or the samples by their exact "
+            "likelihood (given terms, up to 100,000 samples)."
         ),
     ] = "allan",
     regressors: Annotated[

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.first_look import Inspection
 from allanjax.inspection.levels import is_piled_up, lattice
@@ -23,7 +24,6 @@ from allanjax.record.units import rate_unit_of
 #: Verdicts, from good to bad.
 Verdict = Literal["fine", "look", "stop"]
 
-_G = 9.80665
 # Jitter, as a share of the interval, up to which samples are as good as even; readers refuse a fifth.
 _JITTER = 0.05
 # Least noise in steps of the output beside which rounding is little: a twelfth of its power.

@@ -7,12 +7,12 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.inspection.motion import AT_REST, DEG
 from allanjax.inspection.windows import Windows
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import parse_sample_unit, unit_scale
 
-_G = 9.80665
 # Tolerance of gravity measured by a triad, and by a single axis. Gravity is known to 0.3 % anywhere, biases
 # and scale factors of consumer sensors to 5 %. A tilted single axis may read anything: hence less for it.
 _TRIAD, _ALONE = 0.05, 0.01

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -22,23 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import presented
-from allanjax.base.wording import duration, format_with_error, plain
+from allanjax.base.wording import duration, plain
 from allanjax.kalman.constant import Constant
 from allanjax.kalman.filtering import ModelsLike, check_noise, missing_of, model_of, with_constant
 from allanjax.kalman.recursion import Rows, run_bank
-from allanjax.kalman.result import TWO_SIDED_95
+from allanjax.kalman.result import BiasTrack, BiasTracks
 from allanjax.kalman.system import FilterModel, in_blocks, padded, room_for, stacked
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import rate_unit_of
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
+from allanjax.record.recording import Recording
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,37 +47,24 @@ class Change:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class AdaptedAxis(ByValue):
+class AdaptedAxis(BiasTrack):
     """What a bank of filters says of one axis. All is in SI.
 
     Attributes:
-        axis: whose it is.
-        rate: sample rate [Hz].
-        samples: what was filtered.
+        axis, rate, samples: see `BiasTrack`.
+        bias, bias_std: the filters' biases, blended by the weights, and their spread: that of each, and
+            between them.
+        log_likelihood: under the bank.
         labels: of the models.
         weights: probability of each model by the samples up to each, [samples, models].
         probability: the same by all samples.
-        bias, bias_std: the filters' biases, blended by the weights, and their spread: that of each, and
-            between them.
-        log_likelihood: of the samples under the bank [nats].
         switching: probability of a change per second.
     """
 
-    axis: Axis
-    rate: float
-    samples: Float[np.ndarray, " n"]
     labels: tuple[str, ...]
     weights: Float[np.ndarray, "n models"]
     probability: Float[np.ndarray, "n models"]
-    bias: Float[np.ndarray, " n"]
-    bias_std: Float[np.ndarray, " n"]
-    log_likelihood: float
     switching: float
-
-    @property
-    def time(self) -> Float[np.ndarray, " n"]:
-        """Time of each sample in s from the first."""
-        return np.arange(len(self.samples)) / self.rate
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -97,71 +75,35 @@ class AdaptedAxis(ByValue):
             Change(float(k / self.rate), self.labels[best[k - 1]], self.labels[best[k]]) for k in places
         )
 
-    def to_dataframe(self) -> pd.DataFrame:
-        """Table of a row a sample: axis, time, sample, bias and its std (SI), weights and probabilities."""
-        import pandas as pd
-
-        columns = {
-            "axis": self.axis.name,
-            "time": self.time,
-            "sample": self.samples,
-            "bias": self.bias,
-            "bias_std": self.bias_std,
-        }
+    def _columns(self) -> dict[str, Any]:
+        own: dict[str, Any] = {}
         for k, label in enumerate(self.labels):
-            columns |= {f"weight_{label}": self.weights[:, k], f"probability_{label}": self.probability[:, k]}
-        return pd.DataFrame(columns)
+            own |= {f"weight_{label}": self.weights[:, k], f"probability_{label}": self.probability[:, k]}
+        return super()._columns() | own
 
     def _told(self) -> list[tuple[str, str]]:
-        unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
-        bias, std = float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale
-        interval = f"± {plain(TWO_SIDED_95 * std, 2)} {unit} with 95 %"
         last = sorted(zip(self.weights[-1], self.labels, strict=True), reverse=True)
         changed = [f"{c.before} → {c.after} at {duration(c.time)}" for c in self.changes]
         return [
-            ("bias at the end", f"{format_with_error(bias, std)} {unit} ({interval})"),
+            ("bias at the end", self._last_bias()),
             ("weights at the end", ", ".join(f"{label} {plain(w, 3)}" for w, label in last)),
             ("changes", "; ".join(changed) or f"none: {last[0][1]} throughout"),
         ]
-
-    def __str__(self) -> str:
-        return "\n".join(f"{self.axis.name} {what}: {value}" for what, value in self._told())
 
     def __repr__(self) -> str:
         return f"<AdaptedAxis {self.axis.name}: {self._told()[2][1]}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Adapted(ByValue, PerAxis[AdaptedAxis]):
-    """What a bank of filters says of every axis of a recording.
-
-    Attributes:
-        name: the recording's name.
-        results: one an axis.
-    """
+class Adapted(BiasTracks[AdaptedAxis]):
+    """What a bank of filters says of every axis of a recording."""
 
     CALLED: ClassVar[str] = "the adaptive filter"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "quantity", "value")
-
-    name: str
-    results: tuple[AdaptedAxis, ...]
-
-    @presented
-    def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
-    ) -> Figure:
-        """Draw the blended bias over the samples, and the models' probabilities; see `plot_adapted`."""
-        raise NotImplementedError
 
     def _title(self) -> str:
         first = self.results[0]
         models = f"{len(first.labels)} models, changes at {first.switching:g} per second"
         return f"{self.name or 'recording'}: adaptive filter, {models}"
-
-    def _cells(self) -> list[tuple[str, str, str]]:
-        return [(result.axis.name, *row) for result in self.results for row in result._told()]
 
 
 def adaptive_filter(

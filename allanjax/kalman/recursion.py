@@ -19,6 +19,7 @@ compile.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -113,10 +114,11 @@ class State(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Samples in blocks, and which are there."""
+    """Samples in blocks, which of them are there, and which blocks are after the end, and only pad."""
 
     sample: Float[Array, "blocks block"]
     there: Bool[Array, "blocks block"]
+    after: Bool[Array, " blocks"]
 
 
 def _triangular(M: Float[Array, "n m"]) -> Float[Array, "n n"]:
@@ -179,10 +181,10 @@ def _step(system: System, state: State, sample: Array, there: Array) -> tuple[St
 _Found = tuple[Array, Array, Gains]
 
 
-def _block(system: System, state: State, samples: Array, there: Array) -> tuple[State, _Found]:
+def _block(system: System, state: State, samples: Array, there: Array, after: Array) -> tuple[State, _Found]:
     """State after a block, with innovations, updated states and gains in it."""
-    whole, empty = jnp.all(there), ~jnp.any(there) & (state.age >= 0)
-    steady = empty | (whole & state.settled)
+    whole = jnp.all(there)
+    steady = after | (whole & state.settled)
     old = whole & system.skip.allowed & (state.age >= _YOUNG)
 
     def one_by_one(state: State) -> tuple[State, _Found]:
@@ -219,14 +221,12 @@ def _block(system: System, state: State, samples: Array, there: Array) -> tuple[
 def run_filter(system: System, record: Record) -> tuple[Innovations, Rows, State]:
     """Innovations and updated rows at every sample, and the state before every block of samples."""
 
-    def block(state: State, at: tuple[Array, Array]) -> tuple[State, tuple[Innovations, Rows, State]]:
+    def block(state: State, at: Sequence[Array]) -> tuple[State, tuple[Innovations, Rows, State]]:
         end, (innovation, x, gains) = _block(system, state, *at)
         rows = Rows(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
         return end, (Innovations(innovation, gains.innovation_std), rows, state)
 
-    _, (*found, states) = jax.lax.scan(
-        block, _start(system), (jnp.asarray(record.sample), jnp.asarray(record.there))
-    )
+    _, (*found, states) = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
     innovations, rows = jax.tree.map(_joined, found)
     return innovations, rows, states
 
@@ -250,25 +250,58 @@ def run_innovations(systems: System, record: Record) -> Innovations:
     """Innovations alone of several filters."""
 
     def one(system: System) -> Innovations:
-        def block(state: State, at: tuple[Array, Array]) -> tuple[State, Innovations]:
+        def block(state: State, at: Sequence[Array]) -> tuple[State, Innovations]:
             end, (innovation, _, gains) = _block(system, state, *at)
             return end, Innovations(innovation, gains.innovation_std)
 
-        found = jax.lax.scan(block, _start(system), (jnp.asarray(record.sample), jnp.asarray(record.there)))[
-            1
-        ]
-        return jax.tree.map(_joined, found)
+        found = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
+        return jax.tree.map(_joined, found[1])
 
     return jax.lax.map(one, jax.tree.map(jnp.asarray, systems))
 
 
 class _Adjoint(NamedTuple):
-    """State of the smoother: r and a factor of its covariance N after a sample, and whether that changes."""
+    """State of the smoother after a sample: what later samples say.
+
+    Attributes:
+        r, N: of both columns, and its covariance.
+        std: smoothed standard deviations of the rows at the next sample.
+        age: samples to the last one, or to a missing one.
+        settled: whether covariances no longer change.
+    """
 
     r: Float[Array, "n 2"]
-    factor: Float[Array, "n n"]
+    N: Float[Array, "n n"]
     std: Float[Array, " rows"]
+    age: Int[Array, ""]
     settled: Bool[Array, ""]
+
+
+# What a step back takes of a sample: innovation, updated states, gains, and whether it is there.
+_Seen = tuple[Array, Array, Gains, Array]
+
+
+def _back(system: System, r: Float[Array, "n 2"], at: _Seen) -> tuple[Array, Array]:
+    """r before a sample, and Aᵀr, by which the states at the sample are corrected."""
+    innovation, _, gains, there = at
+    h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
+    a = system.A.T @ r
+    return h[:, None] * (innovation / sd**2 - jnp.where(there, gains.gain, 0.0) @ a) + a, a
+
+
+def _closed(system: System, gains: Gains, there: Array) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+    """What a sample makes of N: L·N·Lᵀ + h·hᵀ/s."""
+    h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
+    seen = h / sd
+    return system.A.T - jnp.outer(h, system.A @ gains.gain), jnp.outer(seen, seen)
+
+
+def _smoothed_std(system: System, P: Float[Array, "n n"], N: Float[Array, "n n"]) -> Float[Array, " rows"]:
+    """Standard deviations of the rows, from the filter's covariance and that of r after the sample."""
+    known = system.rows @ P
+    moved = known @ system.A.T
+    variance = jnp.sum(known * system.rows, axis=1) - jnp.sum((moved @ N) * moved, axis=1)
+    return jnp.sqrt(jnp.maximum(variance, 0.0))
 
 
 @eqx.filter_jit
@@ -278,53 +311,62 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
     The estimates of Rauch, Tung and Striebel (1965) in the form of Bryson and Frazier, which inverts no
     covariance (states that are known exactly have a singular one): with r and N = cov(r), backwards,
 
-        x̂ = x + P Aᵀr,   cov = P − P Aᵀ N A P,   r ← h e/s + (I − h gᵀ)Aᵀr,   N ← h hᵀ/s + (…)N(…)ᵀ.
+        x̂ = x + P Aᵀr,   cov = P − P Aᵀ N A P,   r ← h e/s + (I − h gᵀ)Aᵀr,   N ← h hᵀ/s + (…)N(…)ᵀ,
+
+    where N is a sum of squares, and needs no factor. Long after the start and before the end, N is computed
+    at the ends of blocks, and P and the standard deviations between are interpolated, as the filter's gains.
     """
-    rows = jnp.asarray(system.rows)
 
     def forward(state: State, at: tuple[Array, Array]) -> tuple[State, tuple]:
         new, (innovation, x) = _step(system, state, *at)
-        return new, (innovation, x, new.gains, new.S, new.settled, at[1])
+        return new, ((innovation, x, new.gains, at[1]), new.S, new.settled)
 
-    def smoothed(adjoint: _Adjoint, at: tuple) -> tuple[Array, Array, Array, Array, Array]:
-        innovation, x, gains, S, there = at
-        h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
-        gain = jnp.where(there, gains.gain, 0.0)
-        a = system.A.T @ adjoint.r
-        r = h[:, None] * (innovation / sd**2 - gain @ a) + a
-        return rows @ (x + S @ (S.T @ a)), r, h, gain, sd
-
-    def backward(adjoint: _Adjoint, at: tuple) -> tuple[_Adjoint, Rows]:
-        innovation, x, gains, S, is_settled, there = at
-        value, r, h, gain, sd = smoothed(adjoint, (innovation, x, gains, S, there))
-        B = system.A.T @ adjoint.factor
-        taken = jnp.sum((B.T @ S @ S.T @ rows.T) ** 2, axis=0)
-        std = jnp.sqrt(jnp.maximum(gains.std**2 - taken, 0.0))
-        factor = _triangular(jnp.concatenate([h[:, None] / sd, B - jnp.outer(h, gain @ B)], axis=1))
-        size, old = (jnp.sqrt(jnp.sum(N**2, axis=1)) for N in (factor, adjoint.factor))
+    def backward(adjoint: _Adjoint, at: tuple[_Seen, Array, Array]) -> tuple[_Adjoint, Rows]:
+        seen, S, is_settled = at
+        _, x, gains, there = seen
+        r, a = _back(system, adjoint.r, seen)
+        std = _smoothed_std(system, S @ S.T, adjoint.N)
+        L, own = _closed(system, gains, there)
+        N = L @ adjoint.N @ L.T + own
+        size, old = (jnp.sqrt(jnp.diag(part)) for part in (N, adjoint.N))
         settled = is_settled & _unchanged(std, adjoint.std, std) & _unchanged(size, old, size)
-        return _Adjoint(r, factor, std, settled), Rows(value, std)
-
-    def steadily(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
-        _, (innovation, x, _) = _block(system, state, samples, there)
-
-        def step(adjoint: _Adjoint, at: tuple) -> tuple[_Adjoint, Rows]:
-            innovation, x, there = at
-            value, r, *_ = smoothed(adjoint, (innovation, x, state.gains, state.S, there))
-            return adjoint._replace(r=r), Rows(value, adjoint.std)
-
-        return jax.lax.scan(step, adjoint, (innovation, x, there), reverse=True)
+        age = jnp.where(there, adjoint.age + 1, 0)
+        return _Adjoint(r, N, std, age, settled), Rows(system.rows @ (x + S @ (S.T @ a)), std)
 
     def one_by_one(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
         found = jax.lax.scan(forward, state, (samples, there))[1]
         return jax.lax.scan(backward, adjoint, found, reverse=True)
 
-    def block(adjoint: _Adjoint, at: tuple) -> tuple[_Adjoint, Rows]:
-        steady = adjoint.settled & at[0].settled & jnp.all(at[2])
-        return jax.lax.cond(steady, steadily, one_by_one, adjoint, *at)
+    def at_once(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+        end, (innovation, x, gains) = _block(system, state, samples, there, jnp.asarray(False))
+        P, change = state.S @ state.S.T, end.S @ end.S.T - state.S @ state.S.T
+        L, N = _closed(system, jax.tree.map(lambda of: jnp.mean(of, axis=0), gains), jnp.asarray(True))
+        for _ in range(BLOCK.bit_length() - 1):
+            L, N = L @ L, N + L @ N @ L.T
+        N = L @ adjoint.N @ L.T + N
+        ends = _smoothed_std(system, P, N), _smoothed_std(system, P + change, adjoint.N)
+        share = jnp.arange(1, BLOCK + 1) / BLOCK
+        seen = (innovation, x, gains, there)
+        r, a = jax.lax.scan(lambda r, at: _back(system, r, at), adjoint.r, seen, reverse=True)
+        part = share[:, None, None]
+        moved = jnp.einsum("ij,bjc->bic", P, a) + part * jnp.einsum("ij,bjc->bic", change, a)
+        value = jnp.einsum("rn,bnc->brc", system.rows, x + moved)
+        std = ends[0] + share[:, None] * (ends[1] - ends[0])
+        return _Adjoint(r, N, std[0], adjoint.age + BLOCK, adjoint.settled), Rows(value, std)
 
-    n = len(system.h)
-    nothing = _Adjoint(jnp.zeros((n, 2)), jnp.zeros((n, n)), jnp.zeros(len(rows)), jnp.asarray(False))
-    at = (states, *map(jnp.asarray, record))
-    _, found = jax.lax.scan(block, nothing, at, reverse=True)
+    n, rows = len(system.h), len(system.rows)
+
+    def nothing(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+        return adjoint, Rows(jnp.zeros((BLOCK, rows, 2)), jnp.zeros((BLOCK, rows)))
+
+    def block(adjoint: _Adjoint, at: tuple[State, Array, Array, Array]) -> tuple[_Adjoint, Rows]:
+        state, samples, there, after = at
+        slow = system.skip.allowed & (jnp.minimum(state.age, adjoint.age) >= _YOUNG)
+        kept = jnp.all(there) & (slow | (adjoint.settled & state.settled))
+        ways = (one_by_one, at_once, nothing)
+        return jax.lax.switch(jnp.where(after, 2, kept), ways, adjoint, state, samples, there)
+
+    last = _Adjoint(jnp.zeros((n, 2)), jnp.zeros((n, n)), jnp.zeros(rows), jnp.asarray(0), jnp.asarray(False))
+    at = (states, jnp.asarray(record.sample), jnp.asarray(record.there), jnp.asarray(record.after))
+    _, found = jax.lax.scan(block, last, at, reverse=True)
     return jax.tree.map(_joined, found)

@@ -151,5 +151,6 @@ def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] 
     there, values = np.zeros(room, bool), np.zeros(room)
     there[:n] = True if missing is None else ~missing
     values[:n] = np.where(there[:n], samples, 0.0)
-    parts: Any = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK))
+    after = np.arange(0, room, BLOCK) >= n
+    parts: Any = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK), after)
     return Record(*parts)

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration, finite_or_none, significant
-from allanjax.calibration.earth import EARTH_RATE
-from allanjax.estimate.result import Fit
-from allanjax.navigation.likely import AxisNoise, Sensors, ends, in_si, one_by_one, sensors_of
-from allanjax.navigation.navigator import STANDARD_GRAVITY
+from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, ends, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI
 
@@ -166,14 +162,17 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
 
     def _title(self) -> str:
         name = f"{self.name}: " if self.name else ""
-        return f"{name}leveling and gyro-compassing at {self.latitude / _DEG:g}° of latitude, two positions"
+        done = {"tilt": "leveling", "azimuth": "gyro-compassing"}
+        angles = {result.angle for result in self.results}
+        told = " and ".join(what for angle, what in done.items() if angle in angles)
+        return f"{name}{told} at {self.latitude / _DEG:g}° of latitude, two positions"
 
     def _cells(self) -> list[tuple[str, str, str, str]]:
         return [row for result in self.results for row in result.rows()]
 
 
 def align(
-    data: Fit | Mapping[str, ModelLike],
+    data: NoiseLike,
     latitude: float,
     azimuth: float | str | None = None,
     *,
@@ -192,7 +191,7 @@ def align(
     terms it has a minimum, so that a wanted azimuth may be out of reach.
 
     Args:
-        data: what `fit` or `load` returned, or models by the names of axes, taken as exact.
+        data: what `fit` or `load` returned, a posterior, or models by the names of axes, taken as exact.
         latitude: where the sensor stands [deg].
         azimuth: standard deviation of the azimuth that is wanted [rad], or a text such as "0.1 deg".
         rate: sample rate [Hz] of models.

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import EARTH_RADIUS
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import duration, finite_or_none, plain, significant
-from allanjax.navigation.growth import EARTH_RADIUS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -216,9 +216,9 @@ class Navigation(ByValue, Mapping[str, ErrorGrowth]):
 
     def _rows(self) -> list[tuple[str, ...]]:
         time = self.growths[0].time
-        # Powers of ten, and the end.
-        decades = 10.0 ** np.arange(-3.0, 6.0)
-        told = {int(np.argmin(np.abs(time - t))) for t in decades if np.any(np.abs(time / t - 1.0) < 0.01)}
+        # The times nearest to powers of ten, and the end.
+        decades = np.arange(math.ceil(math.log10(time[0])), math.log10(time[-1]))
+        told = {int(np.argmin(np.abs(np.log10(time) - decade))) for decade in decades}
         at = sorted(told | {len(time) - 1}) if len(time) > 6 else list(range(len(time)))
         return [row for growth in self.growths for row in growth.rows(at)]
 

@@ -28,8 +28,6 @@ from jaxtyping import Float, Int
 from allanjax.navigation.likely import one_by_one
 from allanjax.noise.model import Model
 
-#: Mean radius of the Earth [m].
-EARTH_RADIUS = 6_371_000.0
 # Phase angle ωt below which the sine is taken by its series, and how many terms of it.
 _SMALL, _TERMS = 1.0, 9
 

@@ -1,10 +1,10 @@
-"""Noise models of sensor axes with what is known of their powers, from a fit or as given."""
+"""Noise models of sensor axes with what is known of their powers, from a fit, a posterior, or as given."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -15,21 +15,29 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
+from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.columns import recognise
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, convert
 
-_DRAWS = 400
+# Draws of the powers; of a posterior with shapes, each of which is a model of its own, fewer.
+_DRAWS, _SHAPES = 400, 100
+# Least probability of a set of terms for which an interval has to hold by itself.
+_LIKELY = 0.05
 _VALUE = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*")
 
 
 class Drawn(NamedTuple):
     """A quantity that is linear in the powers of the terms of an axis.
 
+    An average over sets of terms would put the 5 % of a set that is likely by 10 % beyond the interval's end.
+    So each end is that of the set of terms for which it is outermost.
+
     Attributes:
-        mean: of the terms that were found; by term, in words.
-        known: draws of the sum of the terms that were found.
-        upper: the same with terms that are only known to be below a limit.
+        mean: of the terms that were found, averaged over sets of terms; by term, in words.
+        known: draws of the sum of the terms that were found, of the set whose lower end is lowest.
+        upper: the same with terms that are only known to be below a limit, of that whose upper end is
+            highest.
     """
 
     mean: Mapping[str, Float[np.ndarray, ...]]
@@ -51,7 +59,8 @@ class AxisNoise(NamedTuple):
     def drawn(self, of_terms: Callable[[Model], Float[np.ndarray, "terms ..."]]) -> Drawn:
         """Draws of a quantity, given what it is for each term of unit amplitude by itself."""
         mean: dict[str, np.ndarray] = {}
-        known, upper = [], []
+        known: dict[tuple[str, ...], list[np.ndarray]] = {}
+        upper: dict[tuple[str, ...], list[np.ndarray]] = {}
         draws = sum(len(s.power) for s in self.sets)
         for likely in self.sets:
             each = of_terms(likely.model)
@@ -59,9 +68,24 @@ class AxisNoise(NamedTuple):
             for k, label in enumerate(likely.labels[:count]):
                 title = f"{self.axis.name} {title_of(label, self.axis)}"
                 mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
-            known.append(np.tensordot(likely.power[:, :count], each[:count], axes=1))
-            upper.append(known[-1] + np.tensordot(likely.power[:, count:], each[count:], axes=1))
-        return Drawn(mean, np.concatenate(known), np.concatenate(upper))
+            found = np.tensordot(likely.power[:, :count], each[:count], axes=1)
+            known.setdefault(likely.labels, []).append(found)
+            more = np.tensordot(likely.power[:, count:], each[count:], axes=1)
+            upper.setdefault(likely.labels, []).append(found + more)
+        return Drawn(mean, _outermost(known, 0.025), _outermost(upper, 0.975))
+
+
+def _outermost(
+    by_terms: Mapping[tuple[str, ...], Sequence[np.ndarray]], probability: float
+) -> Float[np.ndarray, "draws ..."]:
+    """Draws of the likely set of terms whose quantile is the outermost, the draws of each set repeated."""
+    sets = [np.concatenate(parts) for parts in by_terms.values()]
+    least = min(_LIKELY * sum(map(len, sets)), max(map(len, sets)))
+    sets = [own for own in sets if len(own) >= least]
+    ends = np.stack([np.quantile(own, probability, axis=0) for own in sets])
+    best = ends.argmin(axis=0) if probability < 0.5 else ends.argmax(axis=0)
+    filled = np.stack([own[np.arange(_DRAWS) * len(own) // _DRAWS] for own in sets])
+    return np.take_along_axis(filled, best[None, None], axis=0)[0]
 
 
 class Sensors(NamedTuple):
@@ -95,21 +119,30 @@ class Sensors(NamedTuple):
         return next((noise for noise in found if "_" not in noise.axis.name), None)
 
 
-def sensors_of(data: Fit | Mapping[str, ModelLike], rate: float | None, seed: int) -> Sensors:
-    """Axes of a fit with draws of their likely models, or of models that are given and taken as exact.
+#: What the errors of sensors are told from: a fit, a posterior, or models by the names of axes.
+NoiseLike: TypeAlias = Fit | Posterior | Mapping[str, ModelLike]
+
+
+def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
+    """Axes with draws of their likely models, or of models that are given and taken as exact.
 
     Raises:
         FitError: no axis of the fit has a measurement.
         AllanjaxError: models without a rate, or a fit with one; a parameter without a value.
     """
-    if isinstance(data, Fit):
+    if isinstance(data, Fit | Posterior):
         if rate is not None:
             raise AllanjaxError("a fit has its own rate: leave out rate")
-        good = [result for result in data.values() if result.measured]
+        sampled = data if isinstance(data, Posterior) else None
+        data = data.fit if isinstance(data, Posterior) else data
+        good = [r for r in data.values() if r.measured and (sampled is None or r.axis.name in sampled)]
         if not good:
             raise FitError("no axis has a measurement: the fit says why")
         rng = np.random.default_rng(seed)
-        axes = {r.axis.name: likely_models(data, r.axis.name, _DRAWS, rng) for r in good}
+        axes = {
+            name: likely_models(data, name, _DRAWS, rng) if sampled is None else _sampled(sampled[name])
+            for name in (r.axis.name for r in good)
+        }
         notes = tuple(
             f"{r.axis.name} is left out: {r.verdict()}" for r in data.values() if not r.measured
         ) + tuple(f"{dead.axis.name} is left out: {dead.reason}" for dead in data.dead)
@@ -117,7 +150,8 @@ def sensors_of(data: Fit | Mapping[str, ModelLike], rate: float | None, seed: in
         return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, found, notes)
     if not isinstance(data, Mapping) or not data:
         raise AllanjaxError(
-            'give a fit, or models by axis, e.g. {"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
+            "give a fit, a posterior, or models by axis, e.g. "
+            '{"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
         )
     if rate is None or not 0.0 < rate < np.inf:
         raise AllanjaxError(f"models need the sample rate, positive and finite: give rate in Hz, not {rate}")
@@ -131,10 +165,23 @@ def _given(name: str, model: ModelLike) -> AxisNoise:
         raise AllanjaxError(f"{name!r} is no axis of a gyro or an accelerometer; use names such as gyro_x")
     found = as_model(model, [column])
     found.check_complete()
-    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in found.terms]
-    unit = Model(tuple(t.with_unit_amplitude() for t in found.terms), found.response, found.inside)
-    likely = Likely(unit, found.term_labels, np.square(amplitude)[None, :], 0)
-    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [likely])
+    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [_exact(found)])
+
+
+def _exact(model: Model) -> Likely:
+    """A model with its own amplitudes as the only draw."""
+    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
+    unit = Model(tuple(t.with_unit_amplitude() for t in model.terms), model.response, model.inside)
+    return Likely(unit, model.term_labels, np.square(amplitude)[None, :], 0)
+
+
+def _sampled(posterior: AxisPosterior) -> list[Likely]:
+    """Draws of a posterior, those of the same shapes together; terms not sampled are left out."""
+    has_shapes = any(not posterior.coefficients[label].is_amplitude for label in posterior.labels)
+    alike: dict[str, list[Likely]] = {}
+    for likely in map(_exact, posterior.models(_SHAPES if has_shapes else _DRAWS)):
+        alike.setdefault(repr(likely.model), []).append(likely)
+    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in alike.values()]
 
 
 def one_by_one(model: Model) -> list[Model]:
@@ -169,9 +216,8 @@ def ends(drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
 def together(parts: Sequence[Drawn]) -> Drawn:
     """Sum of independent quantities."""
     mean = {title: part for drawn in parts for title, part in drawn.mean.items()}
-    # Each is ordered by sets of terms, which are not to be paired, and may have a draw more.
-    size = min(len(drawn.known) for drawn in parts)
-    order = [np.random.default_rng(k).permutation(size) for k in range(len(parts))]
+    # Draws that are repeated are not to be paired.
+    order = [np.random.default_rng(k).permutation(_DRAWS) for k in range(len(parts))]
     known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
     upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))
     return Drawn(mean, np.asarray(known), np.asarray(upper))

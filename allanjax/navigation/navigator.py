@@ -9,16 +9,14 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.base.earth import EARTH_RADIUS, STANDARD_GRAVITY
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration
-from allanjax.estimate.result import Fit
 from allanjax.navigation.error_growth import ErrorGrowth, Navigation, Quantity
-from allanjax.navigation.growth import EARTH_RADIUS, ErrorVariances
-from allanjax.navigation.likely import AxisNoise, Drawn, Sensors, ends, in_si, sensors_of, together
-from allanjax.noise.notation import ModelLike
+from allanjax.navigation.growth import ErrorVariances
+from allanjax.navigation.likely import AxisNoise, Drawn, NoiseLike, Sensors, ends, in_si, sensors_of, together
 from allanjax.record.units import SI
 
-STANDARD_GRAVITY = 9.80665
 # Samples from the start to the last time, at most: their covariances are held in memory.
 _MOST = 2**21
 
@@ -35,7 +33,7 @@ _CHANNELS = (_Channel("north", "x", "y"), _Channel("east", "y", "x"), _Channel("
 
 
 def navigate(
-    data: Fit | Mapping[str, ModelLike],
+    data: NoiseLike,
     times: Sequence[float] | None = None,
     *,
     rate: float | None = None,
@@ -57,8 +55,9 @@ def navigate(
 
     Args:
         data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and,
-            where the data do not tell sets of terms apart, an average over the likely ones; or models by the
-            names of axes, taken as exact.
+            where the data do not tell sets of terms apart, an average over the likely ones and intervals that
+            hold for each of them; a posterior, for intervals by its draws; or models by the names of axes,
+            taken as exact.
         times: when to tell the errors [s]; by default from 1 s to 1,000 s.
         rate: sample rate [Hz] of models.
         calibration: time at rest before the start [s].

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import presented
 from allanjax.base.wording import finite_or_none, plain, significant
@@ -301,7 +302,7 @@ def _of_axis(
     rates = np.array([curve.rate for curve in picked])
     ratio = below / above
     # As if independent: some of the scatter is common to both.
-    spread = 1.96 * np.sqrt(above_scatter + below_scatter)
+    spread = TWO_SIDED_95 * np.sqrt(above_scatter + below_scatter)
     spread[0] = 0.0
     ends = np.stack([1.0 - ratio * np.exp(spread), 1.0 - ratio * np.exp(-spread)], axis=1)
     Q = found.coefficients.get("quantization") if found.measured else None

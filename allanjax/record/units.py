@@ -63,6 +63,7 @@ degree_per_hour = degree / hour = dph
 revolution_per_minute = revolution / minute = rpm
 standard_gravity = 9.80665 * meter / second ** 2 = g
 ppm = 1e-6
+percent = 1e-2
 gal = 0.01 * meter / second ** 2 = Gal
 """
 
@@ -106,7 +107,17 @@ _ANY_CASE = {
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _SYMBOLS = str.maketrans(
-    {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "″": "arcsec", "”": "arcsec", '"': "arcsec", "′": "arcmin"}
+    {
+        "µ": "u",
+        "μ": "u",
+        "%": "percent",
+        "°": "deg",
+        "º": "deg",
+        "″": "arcsec",
+        "”": "arcsec",
+        '"': "arcsec",
+        "′": "arcmin",
+    }
     | dict.fromkeys("·⋅×", "*")
 )
 # A unit per unit of another channel, whose own is not known, e.g. `deg/s/[temperature]`.

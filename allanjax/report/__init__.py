@@ -7,16 +7,15 @@ from allanjax.base.presented import present
 
 present(
     {
-        "Adapted.plot": "allanjax.report.kalman_figure.plot_adapted",
         "AllanDeviation.plot": "allanjax.report.allan_figure.plot_allan",
         "Autocorrelation.plot": "allanjax.report.autocorrelation_figure.plot_autocorrelation",
         "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
+        "BiasTracks.plot": "allanjax.report.kalman_figure.plot_bias_tracks",
         "Calibration.plot": "allanjax.report.calibration_figure.plot_calibration",
         "Critique.__str__": "allanjax.report.critique_story.critique_text",
         "Critique.details": "allanjax.report.critique_story.details",
         "Critique.plot": "allanjax.report.critique_figure.plot_critique",
         "Critique.to_dict": "allanjax.report.critique_json.to_dict",
-        "Filtered.plot": "allanjax.report.kalman_figure.plot_filtered",
         "Finding.__repr__": "allanjax.report.critique_story.finding_repr",
         "Finding.__str__": "allanjax.report.critique_story.finding_text",
         "Fit.plot": "allanjax.report.allan_figure.plot_allan",

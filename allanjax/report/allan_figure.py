@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import duration
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import title_of
 from allanjax.noise.process import Process
@@ -207,7 +208,7 @@ def _plot_several(
     if of_curves and len(of_curves) < len(known):
         raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
     names = list(known)
-    facts = "; ".join(dict.fromkeys(facts_of(c.curve.n, c.curve.rate) for c in curves))
+    facts = _facts_of_several([c.curve for c in curves])
     has_model = any(c.fit is not None for c in curves)
     frame = Frame(_kind_of(curves[0].curve), facts, CLUSTER_TIME, has_model, has_strip=False)
     panels = [
@@ -215,6 +216,18 @@ def _plot_several(
         for name, axis in known.items()
     ]
     return frame.draw([[panels[k] for k in row] for row in rows_of(names, of_curves or None, axes)], path, ax)
+
+
+def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
+    """Lengths and rates of the records; of more than two kinds, from the least to the largest."""
+    facts = list(dict.fromkeys(facts_of(curve.n, curve.rate) for curve in curves))
+    if len(facts) <= 2:
+        return "; ".join(facts)
+    lengths, rates = sorted(c.n / c.rate for c in curves), sorted(c.rate for c in curves)
+    ends = [list(dict.fromkeys(map(duration, (lengths[0], lengths[-1]))))]
+    ends.append(list(dict.fromkeys(f"{rate:g}" for rate in (rates[0], rates[-1]))))
+    length, rate = (" to ".join(pair) for pair in ends)
+    return f"{length} at {rate} Hz"
 
 
 def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, has_legend: bool) -> Panel:

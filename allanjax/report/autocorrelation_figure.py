@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.report.figure import (
     POINTS,
     add_grid,
@@ -28,9 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches.
-_LEFT, _WIDTH, _HEIGHT, _GAP, _TOP, _BELOW = 0.9, 3.6, 2.2, 0.75, 0.9, 0.75
-# Half width of a 95 % interval in standard errors.
-_WIDE = 1.959964
+_LEFT, _RIGHT, _WIDTH, _HEIGHT, _GAP, _TOP, _BELOW = 1.1, 0.2, 3.6, 2.2, 0.75, 0.9, 0.75
 
 
 def plot_autocorrelation(
@@ -67,16 +67,18 @@ def plot_autocorrelation(
         return figure
     with style():
         columns = max(map(len, rows))
-        width = _LEFT + columns * (_WIDTH + _GAP)
+        width = _LEFT + columns * (_WIDTH + _GAP) - _GAP + _RIGHT
         height = _TOP + len(rows) * (_HEIGHT + _BELOW)
         figure = plt.figure(figsize=(width, height))
-        write_title(figure, _LEFT, "autocorrelation", facts_of(found.n, found.rate))
+        write_title(figure, _LEFT, "Autocorrelation", facts_of(found.n, found.rate))
         for i, row in enumerate(rows):
             for column, k in enumerate(row):
                 bottom = height - _TOP - (i + 1) * (_HEIGHT + _BELOW) + _BELOW
                 panel = place(figure, _LEFT + column * (_WIDTH + _GAP), bottom, _WIDTH, _HEIGHT)
                 panel.set_title(found.names[k], loc="left", fontweight="bold")
                 _draw(panel, found, k)
+                if column:
+                    panel.set_ylabel("")
         return save_and_close(figure, path)
 
 
@@ -89,12 +91,12 @@ def _draw(panel: Axes, found: Autocorrelation, k: int) -> None:
     value, error = found.value[:, k] / scale, found.standard_error[:, k] / scale
     if np.isfinite(error).all():
         band: dict[str, Any] = {"color": "0.85", "linewidth": 0.0, "label": "95 % under the model"}
-        panel.fill_between(found.lag, value - _WIDE * error, value + _WIDE * error, **band)
+        panel.fill_between(found.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
     panel.plot(found.lag, value, color=POINTS, linewidth=1.0, label="estimate")
-    below = np.flatnonzero(np.e * value < value[0])
+    below = np.flatnonzero(math.e * value < value[0])
     if below.size:
         dotted: dict[str, Any] = {"color": "0.5", "linewidth": 0.8, "linestyle": ":"}
-        panel.axhline(value[0] / np.e, **dotted)
+        panel.axhline(value[0] / math.e, **dotted)
         panel.axvline(found.lag[below[0]], **dotted)
     panel.set_xlim(-0.02 * found.lag[-1], found.lag[-1])
     panel.set_xlabel("lag [s]")

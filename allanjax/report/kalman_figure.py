@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.kalman.bank import Adapted, AdaptedAxis
-from allanjax.kalman.result import TWO_SIDED_95, Filtered, FilteredAxis
+from allanjax.kalman.result import BiasTracks, FilteredAxis
 from allanjax.record.units import rate_unit_of
 from allanjax.report.figure import (
     COLOURS,
@@ -31,92 +31,64 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.2, 0.95, 0.5, 0.3
-_WIDTH, _BIAS_HEIGHT, _STRIP_HEIGHT, _BETWEEN = 7.6, 1.8, 0.9, 0.45
-# Most points that are drawn of a record: others are left out at even distances.
-_MOST = 4000
+_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.2, 1.15, 0.5, 0.1
+_WIDTH, _BIAS_HEIGHT, _STRIP_HEIGHT, _BETWEEN = 7.6, 1.8, 0.9, 0.6
+# Most points that are drawn of a record, others being left out at even distances; and of its means.
+_MOST, _MEANS = 4000, 300
 _BLUE = COLOURS[0]
 
 
-def plot_filtered(
-    filtered: Filtered,
+def plot_bias_tracks(
+    result: BiasTracks[Any],
     axes: Sequence[str] | str | None = None,
     path: str | os.PathLike[str] | None = None,
 ) -> Figure:
-    """Draw the bias with its 95 % band over the samples, and standardized innovations below, an axis a row.
+    """Draw the bias with its 95 % band over the samples, an axis a row, and a strip below.
 
-    Innovations should be white and 95 % of them within the grey band. Of long records every so many
-    samples are drawn.
+    The strip is of standardized innovations, which should be white and 95 % of them within the grey band; of
+    an adaptive filter of the models' probabilities, by all samples, and dotted by those up to each. Of long
+    records means of as many samples are drawn, some hundreds, and every so many innovations.
 
     Args:
-        filtered: what `kalman_filter` returns.
+        result: what `kalman_filter` or `adaptive_filter` returns.
         axes: names of the axes to draw; all of them by default.
         path: a file to save the picture to, by its suffix .png, .svg or .pdf.
 
     Raises:
         AllanjaxError: there is no such axis.
     """
-    chosen = [filtered[name] for name in _names(filtered.axes, axes)]
-
-    def bias(panel: Axes, result: FilteredAxis, scale: float) -> None:
-        some = _some(len(result.samples))
-        there = some[~result.missing[some]]
-        panel.plot(result.time[there], result.samples[there] / scale, **_samples())
-        known = some[np.isfinite(result.bias_std[some])]
-        _draw_band(panel, result.time, result.bias, result.bias_std, known, scale)
-
-    def strip(panel: Axes, result: FilteredAxis) -> None:
-        some = _some(len(result.samples))
-        panel.axhspan(-TWO_SIDED_95, TWO_SIDED_95, color="0.9", linewidth=0.0)
-        panel.plot(result.time[some], result.standardized[some], **DOTS)
-        panel.set_ylabel("innovation\nover its std")
-
-    return _figure(filtered.name or "Kalman filter", chosen, bias, strip, _key(), path)
+    chosen = [result[name] for name in _names(result.axes, axes)]
+    strip: Any
+    if isinstance(result, Adapted):
+        title, strip, entries = "Adaptive filter", _draw_probabilities, _lines(chosen[0])
+    else:
+        title, strip, entries = "Kalman filter", _draw_innovations, []
+    return _figure(result.name or title, chosen, strip, [*_key(), *entries], path)
 
 
-def plot_adapted(
-    adapted: Adapted,
-    axes: Sequence[str] | str | None = None,
-    path: str | os.PathLike[str] | None = None,
-) -> Figure:
-    """Draw the blended bias with its 95 % band over the samples, and below it the models' probabilities.
+def _draw_innovations(panel: Axes, result: FilteredAxis) -> None:
+    some = _some(len(result.samples))
+    panel.axhspan(-TWO_SIDED_95, TWO_SIDED_95, color="0.9", linewidth=0.0)
+    panel.plot(result.time[some], result.standardized[some], **DOTS)
+    panel.set_ylabel("innovation\nover its std")
 
-    Solid lines are probabilities by all samples, dotted ones the weights by those up to each.
 
-    Args:
-        adapted: what `adaptive_filter` returns.
-        axes: names of the axes to draw; all of them by default.
-        path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+def _draw_probabilities(panel: Axes, result: AdaptedAxis) -> None:
+    some = _some(len(result.samples))
+    for k, line in enumerate(_lines(result)):
+        of: dict[str, Any] = {"color": line.get_color(), "label": line.get_label()}
+        panel.plot(result.time[some], result.probability[some, k], **of)
+        panel.plot(result.time[some], result.weights[some, k], ":", linewidth=0.8, **of)
+    panel.set_ylim(-0.05, 1.05)
+    panel.set_ylabel("probability")
 
-    Raises:
-        AllanjaxError: there is no such axis.
-    """
+
+def _lines(result: AdaptedAxis) -> list[Any]:
+    """Entries of the key for the models."""
     from matplotlib.lines import Line2D
 
-    chosen = [adapted[name] for name in _names(adapted.axes, axes)]
-    labels = chosen[0].labels
-    lines: list[Any] = [
-        Line2D([], [], color=COLOURS[(k + 1) % len(COLOURS)], label=label) for k, label in enumerate(labels)
-    ]
-
-    def bias(panel: Axes, result: AdaptedAxis, scale: float) -> None:
-        some = _some(len(result.samples))
-        panel.plot(result.time[some], result.samples[some] / scale, **_samples())
-        known = some[np.isfinite(result.bias_std[some])]
-        _draw_band(panel, result.time, result.bias, result.bias_std, known, scale)
-
-    def strip(panel: Axes, result: AdaptedAxis) -> None:
-        some = _some(len(result.samples))
-        for k, line in enumerate(lines):
-            colour, label = line.get_color(), labels[k]
-            panel.plot(result.time[some], result.probability[some, k], color=colour, label=label)
-            panel.plot(
-                result.time[some], result.weights[some, k], ":", color=colour, linewidth=0.8, label=label
-            )
-        panel.set_ylim(-0.05, 1.05)
-        panel.set_ylabel("probability")
-
-    return _figure(adapted.name or "adaptive filter", chosen, bias, strip, [*_key(), *lines], path)
+    colours = [COLOURS[(k + 1) % len(COLOURS)] for k in range(len(result.labels))]
+    return [Line2D([], [], color=c, label=label) for c, label in zip(colours, result.labels, strict=True)]
 
 
 def _names(there: Sequence[str], chosen: Sequence[str] | str | None) -> list[str]:
@@ -133,7 +105,7 @@ def _some(n: int) -> Any:
 
 
 def _samples() -> dict[str, Any]:
-    return {**DOTS, "color": "0.7", "markersize": 1.6, "label": "samples"}
+    return {**DOTS, "color": "0.6", "markersize": 2.0, "label": "samples, in means"}
 
 
 def _key() -> list[Any]:
@@ -148,27 +120,32 @@ def _key() -> list[Any]:
     ]
 
 
-def _draw_band(
-    panel: Axes,
-    time: Float[np.ndarray, " n"],
-    bias: Float[np.ndarray, " n"],
-    std: Float[np.ndarray, " n"],
-    at: Any,
-    scale: float,
-) -> None:
-    """Draw a bias and its 95 % band at these samples."""
-    half = TWO_SIDED_95 * std[at] / scale
-    value = bias[at] / scale
-    panel.fill_between(
-        time[at], value - half, value + half, color=_BLUE, alpha=0.3, linewidth=0.0, label="95 % interval"
-    )
-    panel.plot(time[at], value, color=_BLUE, linewidth=1.2, label="bias")
+def _draw_bias(panel: Axes, result: FilteredAxis | AdaptedAxis, scale: float) -> None:
+    """Draw samples, of long records their means, and the bias with its 95 % band.
+
+    The samples' scale is that of the panel, for at first the band is as wide as they scatter.
+    """
+    missing = result.missing if isinstance(result, FilteredAxis) else False
+    samples = np.where(missing, np.nan, result.samples)
+    length = -(-len(samples) // _MEANS)
+    parts = np.append(samples, np.full(-len(samples) % length, np.nan)).reshape(-1, length)
+    count = np.isfinite(parts).sum(axis=1)
+    seen = count > 0
+    means = np.nansum(parts, axis=1)[seen] / count[seen]
+    middle = (np.flatnonzero(seen) * length + (length - 1) / 2.0) / result.rate
+    panel.plot(middle, means / scale, **_samples())
+    panel.set_ylim(panel.get_ylim())
+    some = _some(len(samples))
+    at = some[np.isfinite(result.bias_std[some])]
+    value, half = result.bias[at] / scale, TWO_SIDED_95 * result.bias_std[at] / scale
+    band: dict[str, Any] = {"alpha": 0.3, "linewidth": 0.0, "label": "95 % interval"}
+    panel.fill_between(result.time[at], value - half, value + half, color=_BLUE, **band)
+    panel.plot(result.time[at], value, color=_BLUE, linewidth=1.2, label="bias")
 
 
 def _figure(
     title: str,
     results: Sequence[Any],
-    bias: Any,
     strip: Any,
     key: Sequence[Any],
     path: str | os.PathLike[str] | None,
@@ -188,7 +165,7 @@ def _figure(
             unit, scale = rate_unit_of(result.axis.unit, result.axis.sensor)
             upper = place(figure, _LEFT, top - _BIAS_HEIGHT, _WIDTH, _BIAS_HEIGHT)
             lower = place(figure, _LEFT, top - row, _WIDTH, _STRIP_HEIGHT)
-            bias(upper, result, scale)
+            _draw_bias(upper, result, scale)
             strip(lower, result)
             for panel in (upper, lower):
                 panel.set_xlim(0.0, max(float(result.time[-1]), 1.0 / result.rate))

@@ -87,7 +87,12 @@ def _styles(growths: list[ErrorGrowth]) -> dict[str, dict[str, Any]]:
         if (part**2 >= _DRAWN * growth.of(channel) ** 2).any()
     ]
     return {
-        name: {"color": COLOURS[k % len(COLOURS)], "linestyle": DASHES[k % len(DASHES)], "linewidth": 1.2}
+        # Where colours come again, their dashes are others.
+        name: {
+            "color": COLOURS[k % len(COLOURS)],
+            "linestyle": DASHES[(k + k // len(COLOURS)) % len(DASHES)],
+            "linewidth": 1.2,
+        }
         for k, name in enumerate(dict.fromkeys(names))
     }
 

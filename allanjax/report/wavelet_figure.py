@@ -63,7 +63,7 @@ def plot_wavelet_variance(
         return Panel(variance.names[k], label_in("wavelet variance", unit), [points], lambda _: None, [])
 
     facts = f"{variance.wavelet}, {facts_of(variance.n, variance.rate)}"
-    frame = Frame("wavelet variance", facts, "scale [s]", False, False)
+    frame = Frame("Wavelet variance", facts, "scale [s]", False, False)
     rows = rows_of(variance.names, variance.axes, axes)
     return frame.draw([[panel(k) for k in row] for row in rows], path, ax)
 
@@ -123,6 +123,7 @@ def plot_decomposition(
             panel = place(figure, _LEFT, bottom, _WIDTH - _LEFT - _RIGHT, _PANEL)
             _draw_range(panel, part.values[:, k] / scale, recording.rate, row in (0, len(parts) - 1))
             panel.set_ylabel(label, rotation=0, ha="right", va="center")
+            panel.yaxis.set_label_coords(-0.07, 0.5)
             add_grid(panel)
             panel.set_xlim(0.0, recording.n / recording.rate)
             panel.tick_params(labelbottom=row == len(parts) - 1)

@@ -13,6 +13,7 @@ standard error.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.presented import presented
 from allanjax.base.wording import duration
 from allanjax.noise.estimate import Estimate
@@ -44,8 +46,6 @@ if TYPE_CHECKING:
 _LONGEST = 0.1
 # Autocovariance at the end of the record, relative to that at lag zero, from which on it has no end in it.
 _ENDED = 0.05
-# Half widths of 95 % and 68 % intervals in standard deviations.
-_WIDTHS = (1.959964, 0.994458)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Autocorrelation(ByValue):
         autocorrelation of the process itself. It knows nothing of other noise, which is to be taken out
         before (`wavelet_decomposition`), nor of the bias that subtracting the mean and reading off one lag
         have; see `benchmarks/results/autocorrelation.md`. There is no reading where the autocorrelation does
-        not fall to σ²/e.
+        not fall to σ²/e, or does so within a sample.
 
         Raises:
             AllanjaxError: samples without unit.
@@ -98,20 +98,25 @@ class Autocorrelation(ByValue):
 
     def _markov(self, k: int, axis: Axis) -> AxisReadings:
         R = self.value[:, k]
-        below = np.flatnonzero(np.e * R < R[0])
+        below = np.flatnonzero(math.e * R < R[0])
         labels = ("markov variance", "markov correlation time")
         if not below.size:
             reason = f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}"
             return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         i = below[0]
-        time = float(np.interp(-R[0] / np.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
+        if i == 1:
+            reason = "it falls to 1/e within a sample, as white noise does: take that out first"
+            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
+        time = float(np.interp(-R[0] / math.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
         accuracy = markov_accuracy(time, self.n / self.rate)
         remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
         found: dict[str, Estimate | None] = {}
         units = (square_unit(axis)[0], "s")
         for label, value, unit in zip(labels, (float(R[0]), time), units, strict=True):
             std = accuracy * value
-            wide, narrow = ((max(value - z * std, 0.0), value + z * std) for z in _WIDTHS)
+            wide, narrow = (
+                (max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68)
+            )
             found[label] = Estimate(
                 axis=axis,
                 label=label,

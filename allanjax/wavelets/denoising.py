@@ -129,18 +129,24 @@ def denoise(
     found = WaveletFilter.of(wavelet)
     decomposition = wavelet_decomposition(recording, wavelet=wavelet)
     models = models_of(model, [axis.name for axis in recording.axes])
-    values, results = [], []
-    for k, (axis, of_axis) in enumerate(zip(recording.axes, models, strict=True)):
-        white, drift = _variances(of_axis, found, decomposition.levels, recording)
+    # One model may be that of all axes.
+    levels, known = decomposition.levels, {}
+    for of_axis in models:
+        if repr(of_axis) not in known:
+            known[repr(of_axis)] = _variances(of_axis, found, levels, recording)
+    results = []
+    for axis, of_axis in zip(recording.axes, models, strict=True):
+        white, drift = known[repr(of_axis)]
         prevails = np.flatnonzero(white > drift)
         level = int(prevails[-1]) + 1 if prevails.size else 0
         cutoff = recording.rate / 2.0 ** (level + 1)
         reason = _reason(axis, level, white, drift)
         results.append(AxisDenoising(axis, level, cutoff, white, drift, reason))
-        values.append(decomposition.approximation(level).values[:, k])
     told = ", ".join(f"{r.axis.name} at level {r.level}" for r in results)
     notes = (*recording.notes, f"de-noised with {wavelet}: {told}")
-    left = dataclasses.replace(recording, values=np.stack(values, axis=1), notes=notes)
+    at = {r.level: decomposition.approximation(r.level).values for r in results}
+    values = np.stack([at[r.level][:, k] for k, r in enumerate(results)], axis=1)
+    left = dataclasses.replace(recording, values=values, notes=notes)
     return Denoised(left, wavelet, tuple(results))
 
 

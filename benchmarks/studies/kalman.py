@@ -239,6 +239,7 @@ def speed_table(repeats: int) -> str:
         ("filter", "10⁶ samples", z, None),
         ("filter", "10⁵ samples, one in a thousand missing anywhere", z[short], gaps[short]),
         ("smoother", "10⁵ samples", z[short], None),
+        ("smoother", "10⁶ samples", z, None),
     )
     rows = []
     for what, name, samples, missing in runs:

@@ -198,14 +198,16 @@ def test_what_two_positions_do_not_tell_is_said(six):
     found = aj.calibrate({k: six[k] for k in ("x up", "x down")}, gravity=G, model=NOISE)
     assert found["accel_x"]["scale_factor"].value == pytest.approx(ERRORS.SN[0, 0], abs=1e-4)
     said = found["accel_y"]["scale_factor"].describe()
-    assert said == "not determined by these data; it takes, e.g., y up and z up as well"
+    assert said == "not determined by these data; it takes, e.g., 'y up' and 'z up' as well"
     assert np.isnan(found["accel_y"]["scale_factor"].std)
     assert found.errors("accel").M[1, 1] == 1.0
     json.dumps(found.to_dict(), allow_nan=False)
+    told = [line for line in str(found).splitlines() if line.startswith("not determined of")]
+    assert told[0] == "not determined of accel_x, accel_y, accel_z: it takes, e.g., 'y up' and 'z up' as well"
 
 
 def test_the_second_order_takes_a_third_level(six):
-    with pytest.raises(aj.RecordingError, match=r"beside its second order; it takes, .* y down and"):
+    with pytest.raises(aj.RecordingError, match=r"beside its second order; it takes, .* 'y down' and"):
         aj.calibrate({k: six[k] for k in ("x up", "x down")}, gravity=G, model=NOISE, second_order=True)
     errors = ERRORS._replace(S2=np.array([2e-5, 0.0, -1e-5]))
     found = aj.calibrate(recordings(errors), gravity=G, model="N=0.0134 m/s/√h", second_order=True)
@@ -231,6 +233,27 @@ def test_a_gyro_learns_no_scale_from_the_earth():
     assert "It takes a rate table" in str(found)
     assert found.errors("gyro").M[2, 2] == 1.0
     assert "north" in found["gyro_x"]["scale_factor"].describe()
+
+
+@pytest.mark.parametrize("heading", ["", ", x north"])
+def test_two_positions_of_a_gyro_tell_bias_and_scale_as_if_aligned(heading):
+    """(2.36), (2.37): half the sum of the means, and half the difference over the vertical rate less one.
+
+    With the same heading in both, a misalignment would be told from the bias by no means. Of the thesis, up
+    and down are exchanged. The Earth's rate of the tests has seven digits.
+    """
+    rng, vertical = np.random.default_rng(2), EARTH_RATE_DEG_H * np.sin(np.radians(51.0))
+    records = {
+        f"z {way}{heading}": 5.0 + np.array([0.0, 0.0, s * vertical]) + 0.2 * rng.standard_normal((6000, 3))
+        for way, s in (("up", 1.0), ("down", -1.0))
+    }
+    found = aj.calibrate(records, latitude=51.0, model="N=0.001 deg/√h", rate=10.0, gyro_unit="deg/h")
+    up, down = (record[:, 2].mean() for record in records.values())
+    bias, scale = found["gyro_z"]["bias"], found["gyro_z"]["scale_factor"]
+    assert bias.in_unit().value == pytest.approx((up + down) / 2.0, rel=1e-9)
+    assert scale.value == pytest.approx((up - down) / (2.0 * vertical) - 1.0, abs=1e-7)
+    assert scale.in_unit().unit == "%"
+    assert "gyro_z: as if aligned" in str(found)
 
 
 def test_gyros_with_headings_tell_misalignments():

@@ -138,8 +138,8 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
 
 
 def test_gains_that_change_slowly_are_interpolated_closely():
-    """60,000 samples with a memory of 20,000, of which blocks are skipped, beside every sample's gain."""
-    n = 60_000
+    """80,000 samples with a memory of 20,000, of which blocks are skipped, beside every sample's gain."""
+    n = 80_000
     model = WHITE + aj.RateRandomWalk(2.5e-6) + aj.Markov(1e-6, 900.0)
     own = FilterModel.of(model, RATE, n / RATE, "gyro")
     system = padded(own.space, own.drift[None])
@@ -147,12 +147,17 @@ def test_gains_that_change_slowly_are_interpolated_closely():
     assert bool(system.skip.allowed)
     z = np.random.default_rng(5).standard_normal(n) * 1e-2
     record = in_blocks(z, None)
-    (fast, told, _), (slow, expected, _) = run_filter(system, record), run_filter(every, record)
+    (fast, told, states), (slow, expected, all_states) = run_filter(system, record), run_filter(every, record)
     assert not np.array_equal(told.std, expected.std)
     np.testing.assert_allclose(told.std[:n], expected.std[:n], rtol=1e-6)
     spread = np.asarray(expected.std)[:n, :, None]
     assert np.max(np.abs(told.value - expected.value)[:n, :, :1] / spread) < 1e-5
     np.testing.assert_allclose(fast.std[:n], slow.std[:n], rtol=1e-9)
+    told, expected = run_smoother(system, states, record), run_smoother(every, all_states, record)
+    assert not np.array_equal(told.std, expected.std)
+    np.testing.assert_allclose(told.std[:n], expected.std[:n], rtol=1e-6)
+    spread = np.asarray(expected.std)[:n, :, None]
+    assert np.max(np.abs(told.value - expected.value)[:n, :, :1] / spread) < 1e-5
 
 
 def test_where_gains_are_kept_results_are_those_of_every_gain():
@@ -187,23 +192,26 @@ def test_a_smoother_that_keeps_its_gains_is_one_that_does_not():
     assert run_smoother(padded(own.space, own.drift[None]), states, in_blocks(z, None)).std.shape[1] == 1
 
 
-def test_missing_samples_of_a_recording_are_not_seen():
-    z = samples(SUM, N)
-    lost = np.zeros(N, bool)
-    lost[10:25] = True
+@pytest.mark.parametrize(("n", "gap"), [(N, slice(10, 25)), (400, slice(50, 290)), (400, slice(260, 399))])
+def test_missing_samples_of_a_recording_are_not_seen(n, gap):
+    """Gaps shorter and longer than a block of samples, and one almost to the end."""
+    z = samples(SUM, n)
+    lost = np.zeros(n, bool)
+    lost[gap] = True
     spoilt = np.where(lost, 99.0, z)
     drawn = dataclasses.replace(recording(spoilt), missing=lost[:, None])
     found = aj.kalman_filter(drawn, SUM).results[0]
-    D = dense_of_increments(SUM, N)
+    D = dense_of_increments(SUM, n)
     # Differences over the gap are sums of single ones.
-    sums = np.diff(np.eye(N)[~lost], axis=0)[:, :]
-    single = np.linalg.lstsq(np.diff(np.eye(N), axis=0).T, sums.T, rcond=None)[0].T
+    sums = np.diff(np.eye(n)[~lost], axis=0)[:, :]
+    single = np.linalg.lstsq(np.diff(np.eye(n), axis=0).T, sums.T, rcond=None)[0].T
     law = stats.multivariate_normal(np.zeros(len(sums)), single @ D @ single.T)
     assert found.log_likelihood == pytest.approx(law.logpdf(np.diff(z[~lost])), rel=1e-8)
     assert np.isnan(found.innovation[lost]).all()
     # Nothing is learnt within the gap, while the walk goes on.
-    assert np.all(np.diff(found.bias_std[9:25]) > 0.0)
-    assert found.bias_std[25] < found.bias_std[24]
+    first, last = gap.start, gap.stop - 1
+    assert np.all(np.diff(found.bias_std[first - 1 : last + 1]) > 0.0)
+    assert found.bias_std[last + 1] < found.bias_std[last]
 
 
 def test_several_models_at_once_have_the_likelihoods_of_each():
@@ -285,3 +293,18 @@ def test_words_tables_and_figures(tmp_path):
     assert band.min() == pytest.approx(np.min(low), rel=1e-3)
     with pytest.raises(aj.AllanjaxError, match="name at least one axis"):
         found.plot("gyro_q")
+
+
+def test_a_long_record_is_drawn_in_means_that_set_the_scale():
+    """900 samples in 300 means of three, and of two where one is missing, whose range the bias is seen in."""
+    z, lost = samples(SUM, 900), np.zeros(900, bool)
+    lost[1] = True
+    panel = aj.kalman_filter(recording(z), SUM, missing=lost).plot().axes[0]
+    means = z.reshape(300, 3).mean(axis=1)
+    means[0] = (z[0] + z[2]) / 2.0
+    line = next(line for line in panel.lines if "samples" in str(line.get_label()))
+    scale = np.pi / 180.0 if "deg/s" in panel.get_ylabel() else 1.0
+    np.testing.assert_allclose(line.get_ydata() * scale, means, rtol=1e-9)
+    low, high = panel.get_ylim()
+    assert means.min() > low * scale > means.min() - 0.1 * np.ptp(means)
+    assert means.max() < high * scale < means.max() + 0.1 * np.ptp(means)

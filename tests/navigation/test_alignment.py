@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.navigation.alignment import EARTH_RATE
+from allanjax.base.earth import EARTH_RATE
 
 DEG = math.pi / 180.0
 N, K = 6e-7, 2e-9
@@ -106,6 +106,15 @@ def test_the_table_frame_and_document(fit):
         assert words in text
     frame, document = found.to_dataframe(), found.to_dict()
     assert frame[frame.axis == "gyro_x"].error.min() == document["axes"][0]["best"]
+
+
+def test_the_title_names_what_the_sensors_do():
+    gyro, accel = {"gyro_x": aj.AngleRandomWalk(N)}, {"accel_x": aj.AngleRandomWalk(N)}
+    told = [str(aj.align(of, 51.0, rate=1.0)) for of in (gyro, accel, gyro | accel)]
+    assert told[0].startswith("gyro-compassing at 51°")
+    assert told[1].startswith("leveling at 51°")
+    assert told[2].startswith("leveling and gyro-compassing at 51°")
+    assert not any("interval" in text for text in told)
 
 
 def test_a_gyro_that_cannot_find_north_says_so(small_fit):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.navigation.growth import EARTH_RADIUS, ErrorVariances, bias_response
+from allanjax.base.earth import EARTH_RADIUS
+from allanjax.navigation.growth import ErrorVariances, bias_response
 
 DEG = math.pi / 180.0
 RATE = 20.0
@@ -245,6 +246,49 @@ def test_the_table_the_frame_and_the_document_tell_the_same(result):
     assert row.error == result["position"].of("down")[-1]
 
 
+def test_a_table_of_exact_models_has_no_interval_and_tells_the_times_nearest_to_decades():
+    """Neighbouring ones of 30 times between 0.7 s and 2,000 s are 0.12 decades apart."""
+    result = aj.navigate({"gyro_x": QUIET}, np.geomspace(0.7, 2000.0, 30), rate=RATE)
+    text = str(result)
+    assert "interval" not in text
+    rows = [line.split("│") for line in text.splitlines() if line.startswith("│")]
+    told = [float(row[2].replace(",", "").removesuffix(" s ")) for row in rows[:5]]
+    np.testing.assert_allclose(np.log10(told), [0, 1, 2, 3, np.log10(2000.0)], atol=0.07)
+
+
+def test_intervals_of_a_posterior_are_those_of_its_draws():
+    """Angles of white noise: N² (t + t²/C), so that the interval is that of N but for the choice of draws.
+
+    400 of 1,000 or more draws scatter the ends by a tenth of their distance.
+    """
+    recording = aj.simulate_recording({"gyro_x": aj.AngleRandomWalk(1e-3)}, 20_000, RATE, 1)
+    fit = aj.fit(recording, "N", as_is=True)
+    posterior = aj.sample(fit, seed=1)
+    attitude = aj.navigate(posterior, [1.0, 10.0], calibration=50.0)["attitude"]
+    N, grown = posterior["gyro_x"]["angle_random_walk"], np.sqrt([1.0 + 1.0 / 50.0, 10.0 + 100.0 / 50.0])
+    np.testing.assert_allclose(attitude.of("north"), N.value * grown, rtol=0.1 * N.std / N.value)
+    for found, end in zip((attitude.lower, attitude.upper), N.interval, strict=True):
+        np.testing.assert_allclose(found[0], end * grown, rtol=0.4 * N.std / N.value)
+    tilted = aj.align(posterior, 45.0)["gyro_x"]
+    assert tilted.lower[-1] < tilted.error[-1] < tilted.upper[-1]
+
+
+def test_draws_of_a_posterior_have_their_own_correlation_times():
+    model = aj.AngleRandomWalk(1e-3) + aj.Markov(1e-3, 5.0)
+    recording = aj.simulate_recording({"gyro_x": model}, 20_000, RATE, 1)
+    fit = aj.fit(recording, "N + markov", as_is=True)
+    posterior = aj.sample(fit, seed=1)
+    found = aj.navigate(posterior, [10.0], calibration=50.0)["attitude"]
+    of_draws = [
+        aj.navigate({"gyro_x": model}, [10.0], rate=RATE, calibration=50.0)["attitude"].of("north")[0]
+        for model in posterior["gyro_x"].models(100)
+    ]
+    # The central 95 % of 100 draws end between the third and fourth from either side.
+    ordered, slack = np.sort(of_draws), 1.0 + 1e-9
+    assert ordered[2] / slack <= found.lower[0, 0] <= slack * ordered[3]
+    assert ordered[96] / slack <= found.upper[0, 0] <= slack * ordered[97]
+
+
 @pytest.mark.usefixtures("no_windows")
 def test_the_picture_has_a_panel_an_error_with_its_causes(result, tmp_path):
     figure = result.plot(tmp_path / "a.png")
@@ -257,6 +301,22 @@ def test_the_picture_has_a_panel_an_error_with_its_causes(result, tmp_path):
     shown = {line.get_label() for line in panel.lines} - {"model"}
     assert set(result["position"].largest("down")) <= shown <= set(result["position"].causes["down"])
     assert (tmp_path / "a.png").stat().st_size > 1000
+
+
+@pytest.mark.usefixtures("no_windows")
+def test_no_two_causes_look_alike():
+    """Eight causes for six colours and six dashes."""
+    models = {
+        "gyro_y": "N=1 deg/√h + B=10 deg/h + K=20 deg/h/√h + Q=50 arcsec",
+        "accel_x": "N=0.1 m/s/√h + B=100 µg + K=1 m/s/h/√h + Q=0.01 m/s",
+    }
+    figure = aj.navigate(models, np.geomspace(0.05, 1000.0, 20), rate=RATE).plot()
+    styles = {
+        line.get_label(): (line.get_color(), str(line._dash_pattern))
+        for line in figure.legends[0].get_lines()
+    }
+    assert len(styles) >= 7
+    assert len(set(styles.values())) == len(styles)
 
 
 def test_the_loop_holds_errors_back_and_its_absence_is_told():
@@ -279,7 +339,7 @@ def test_the_loop_holds_errors_back_and_its_absence_is_told():
     ("data", "options", "message"),
     [
         ({"gyro_x": QUIET}, {}, "models need the sample rate"),
-        ({}, {"rate": 1.0}, "give a fit, or models by axis"),
+        ({}, {"rate": 1.0}, "give a fit, a posterior, or models by axis"),
         ({"temperature": QUIET}, {"rate": 1.0}, "'temperature' is no axis"),
         ({"gyro_x": QUIET}, {"rate": 1.0, "times": [0.1]}, "times must be finite and at least a sample"),
         ({"gyro_x": QUIET}, {"rate": 1.0, "calibration": 0.0}, "calibration must be finite"),

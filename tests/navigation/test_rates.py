@@ -116,7 +116,9 @@ def test_a_recording_is_told_drawn_and_exported(tmp_path):
     assert axis.needed is None
     assert list(result.to_dataframe().rate) == [200.0, 100.0, 50.0]
     assert result.to_dict()["axes"][0]["rate"] == [200.0, 100.0, 50.0]
-    result.plot(path=tmp_path / "a.png", how="averaged")
+    figure = result.plot(path=tmp_path / "a.png", how="averaged")
+    lowest = f"{result.picked[-1].rate:g}"
+    assert any(f" at {lowest} to 200 Hz" in text.get_text() for text in figure.texts)
     assert (tmp_path / "a.png").stat().st_size > 1000
     with pytest.raises(aj.AllanjaxError, match='how is "picked" or "averaged"'):
         result.plot(how="other")

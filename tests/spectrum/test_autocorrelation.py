@@ -121,3 +121,12 @@ def test_errors_name_the_remedy():
         aj.autocorrelation(x, 1.0, longest_lag=100.0)
     with pytest.raises(aj.AllanjaxError, match="give gyro_unit"):
         aj.autocorrelation(x, 1.0).markov()
+
+
+def test_white_noise_has_no_correlation_time():
+    """Its autocorrelation is that of lag zero: a time between two lags would be that of the interpolation."""
+    white = np.random.default_rng(3).standard_normal((5000, 1))
+    recording = aj.Recording.from_array(white, RATE, gyro_unit="deg/h", names=["gyro_x"])
+    axis = aj.autocorrelation(recording).markov()["gyro_x"]
+    assert list(axis.estimates.values()) == [None, None]
+    assert "within a sample" in axis.reasons["markov correlation time"]

@@ -1,4 +1,4 @@
-"""What a sensor at rest on the Earth feels: gravity at a latitude and height, and the Earth's rotation."""
+"""The Earth of inertial sensors: gravity, rotation and size."""
 
 import math
 
@@ -6,6 +6,12 @@ from allanjax.base.errors import AllanjaxError
 
 EARTH_RATE = 7.292115e-5
 """Rate of the Earth's rotation [rad/s] (WGS 84)."""
+
+EARTH_RADIUS = 6_371_000.0
+"""Mean radius of the Earth [m]."""
+
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s²], by definition the unit g."""
 
 GRAVITY_ANOMALY = 3.5e-4
 """Standard deviation of gravity about normal gravity [m/s²]: 35 mGal, about its rms over the Earth."""

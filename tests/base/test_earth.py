@@ -3,7 +3,7 @@
 import pytest
 
 import allanjax as aj
-from allanjax.calibration.earth import normal_gravity
+from allanjax.base.earth import normal_gravity
 
 
 # NIMA TR8350.2, table 3.4: theoretical gravity at the equator and the poles; at 45 degrees Moritz's series

@@ -1,0 +1,4 @@
+"""Quantiles of the normal law."""
+
+#: Half widths of two-sided 95 % and 68 % intervals, in standard deviations.
+TWO_SIDED_95, TWO_SIDED_68 = 1.959964, 0.994458
