@@ -140,7 +140,7 @@ def denoise(
         values.append(decomposition.approximation(level).values[:, k])
     told = ", ".join(f"{r.axis.name} at level {r.level}" for r in results)
     notes = (*recording.notes, f"de-noised with {wavelet}: {told}")
-    left = dataclasses.replace(recording, values=np.stack(values, axis=1), notes=notes)
+    left = dataclasses.replace(recording, values=np.stack(values, axis=1), others=(), notes=notes)
     return Denoised(left, wavelet, tuple(results))
 
 
