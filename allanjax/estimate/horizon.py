@@ -61,9 +61,9 @@ def horizon(
         fit: what `fit` or `load` returned.
         seconds: time between corrections [s], at least two samples and at most half the record.
         process: what the bias is to the filter: a random walk, or ("markov") a first-order Gauss–Markov
-            process, whose correlation time is then found with the pair, among filters whose true error at the
-            horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as well, but
-            leaves the drift in the error, and so relies on how the model goes on for longer than the horizon.)
+            process, whose correlation time is then found with the pair, among filters whose true error at
+            the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
+            well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
         axes: names of axes; by default all that have a measurement.
         probability: that of the bounds.
         seed: of the draws of the coefficients.
