@@ -250,7 +250,7 @@ def test_the_table_of_a_gauss_markov_process_has_its_time_and_size(small_fit):
 
 
 def test_a_gauss_markov_filter_follows_the_drift():
-    """One that soon forgets its bias would predict a vibration best, with twice the error of a walk's filter."""
+    """One that soon forgets its bias would predict a vibration best, with twice the error of a walk's."""
     model = aj.AngleRandomWalk(1e-4) + aj.RateRandomWalk(1e-4) + aj.Resonance(3e-3, 11.0, 12.0)
     z = np.asarray(aj.simulate(model, 60_000, RATE, 5))
     terms = "N + K + resonance(frequency=11 Hz)"
