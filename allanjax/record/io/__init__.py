@@ -57,7 +57,8 @@ def read(
             the default, says where and what there is; "segments" takes the longest stretch without any,
             and keeps others for Allan deviations and fits of noise terms (`others` of the recording, up
             to 15 of 64 samples or more); "fill" draws them from their distribution given the others, of
-            which the fit's intervals take account (see `completion`). Packets recorded twice are dropped then.
+            which the fit's intervals take account (see `completion`). Packets recorded twice are dropped
+            then.
 
     Raises:
         RecordingError: the file or the arguments are not usable; the message says where and what to do.
