@@ -1,6 +1,6 @@
 """Are coefficients of records with lost samples right, and their intervals, by each way of going on?
 
-    python benchmarks/studies/gaps.py [--first-seed 7000000] [--records 80] [--workers 2]
+    python benchmarks/studies/gaps.py [--pauses] [--first-seed 7000000] [--records 80] [--workers 2]
 
 Records of three gyros, made by NumPy and SciPy alone, of which one sample in twenty is lost, half of them
 singly and half in bursts of 0.2 to 2 s, or all of them in five pauses. `gaps="fill"` and "segments" beside
@@ -128,13 +128,16 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=7_000_000)
     parser.add_argument("--records", type=int, default=80, help="recordings of three gyros, of each sensor")
     parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--pauses", action="store_true", help="only records with pauses, to gaps_pauses.md")
     parser.add_argument("--quick", action="store_true", help="few records, to see that all of it runs")
-    parser.add_argument("--results", type=Path, default=paths.RESULTS / "gaps.md")
+    parser.add_argument("--results", type=Path, default=None)
     options = parser.parse_args()
     if options.quick:
         options.records = 2
     seeds = range(options.first_seed, options.first_seed + options.records)
-    tasks = [(seed, sensor) for sensor in SENSORS for seed in seeds]
+    sensors = SENSORS[2:] if options.pauses else SENSORS
+    results = options.results or paths.RESULTS / ("gaps_pauses.md" if options.pauses else "gaps.md")
+    tasks = [(seed, sensor) for sensor in sensors for seed in seeds]
     found: dict[tuple[str, str, str], list[tuple[float, bool, bool]]] = {}
     for done, (task, result, _) in enumerate(run_tasks(outcomes, tasks, options.workers), 1):
         for way, label, *numbers in result:
@@ -142,7 +145,7 @@ def main() -> None:
         if done % 10 == 0:
             print(f"{done} of {len(tasks)} recordings", flush=True)
     rows = []
-    for sensor in SENSORS:
+    for sensor in sensors:
         for way, words in WAYS.items():
             if (sensor, way, "N") not in found:
                 continue
@@ -167,6 +170,7 @@ def main() -> None:
         "coverage of K",
         "no measurement",
     ]
+    which = ["--pauses"] if options.pauses else []
     text = ABOUT.format(
         count=3 * options.records,
         n=N,
@@ -176,11 +180,11 @@ def main() -> None:
         walk=WALK,
         bandwidth=BANDWIDTH,
         pause=PAUSE,
-        command=f"{COMMAND} --records {options.records} --first-seed {options.first_seed}",
+        command=" ".join([COMMAND, *which, f"--records {options.records} --first-seed {options.first_seed}"]),
         machine=describe(),
         table=table(head, rows),
     )
-    publish(text, options.results, options.quick)
+    publish(text, results, options.quick)
 
 
 if __name__ == "__main__":
