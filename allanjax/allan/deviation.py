@@ -100,6 +100,13 @@ class AllanDeviation(ByValue):
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
 
+    def others_told(self) -> str:
+        """Other stretches in words, after those of the longest; "" if there are none."""
+        if not self.others:
+            return ""
+        stretches = "another stretch" if len(self.others) == 1 else f"{len(self.others)} other stretches"
+        return f" and {sum(self.others):,} in {stretches}"
+
     @property
     def gain(self) -> Float[np.ndarray, " m"]:
         """Factor by which other stretches make the degrees of freedom more, under white noise, [m]."""

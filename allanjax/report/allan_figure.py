@@ -84,7 +84,8 @@ def plot_allan(
     fit, curve = _fit_and_curve(data)
     title = fit.name if fit is not None and fit.name else _kind_of(curve)
     has_fit = fit is not None
-    frame = Frame(title, facts_of(curve.n, curve.rate), CLUSTER_TIME, has_fit, has_fit)
+    facts = facts_of(curve.n, curve.rate) + curve.others_told()
+    frame = Frame(title, facts, CLUSTER_TIME, has_fit, has_fit)
     rows = rows_of(curve.names, curve.axes, axes)
     return frame.draw([[_panel(curve, fit, k) for k in row] for row in rows], path, ax)
 
@@ -207,7 +208,9 @@ def _plot_several(
     if of_curves and len(of_curves) < len(known):
         raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
     names = list(known)
-    facts = "; ".join(dict.fromkeys(facts_of(c.curve.n, c.curve.rate) for c in curves))
+    facts = "; ".join(
+        dict.fromkeys(facts_of(c.curve.n, c.curve.rate) + c.curve.others_told() for c in curves)
+    )
     has_model = any(c.fit is not None for c in curves)
     frame = Frame(_kind_of(curves[0].curve), facts, CLUSTER_TIME, has_model, has_strip=False)
     panels = [

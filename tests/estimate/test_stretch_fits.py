@@ -133,6 +133,13 @@ def test_a_stretch_in_which_the_sensor_was_touched_is_left_out():
     assert aj.fit(made(x), "N", as_is=True)["gyro_x"]["N"].value > 2.0 * N
 
 
+def test_a_fit_that_is_loaded_tells_of_all_stretches(fitted, tmp_path):
+    aj.write_json(fitted, tmp_path / "fit.json")
+    again = aj.load(tmp_path / "fit.json")
+    assert again.curve.others == (2500, 300, 4000)
+    assert "6,000 samples at 100 Hz (60 s) and 6,800 in 3 other stretches" in str(again)
+
+
 def test_axes_are_selected_in_all_stretches(recording):
     one = recording["gyro_y"]
     for mine, whole in zip(one.others, recording.others, strict=True):

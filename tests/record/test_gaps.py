@@ -90,8 +90,9 @@ def test_empty_cells_are_missing_of_their_axis_alone(written):
     table = whole(3000)
     table.iloc[[5, 900, 901], 1] = np.nan
     del table["time [s]"]
-    with pytest.raises(RecordingError, match="3 values are not finite"):
+    with pytest.raises(RecordingError, match=r"3 values are not finite.*segments.*drawn.*fill") as raised:
         aj.read(written(table), rate=RATE)
+    assert raised.value.about == "gaps"
     recording = aj.read(written(table), rate=RATE, gaps="fill")
     assert np.flatnonzero(recording.missing[:, 0]).tolist() == [5, 900, 901]
     assert not recording.missing[:, 1:].any()
