@@ -13,14 +13,27 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.common_mode import NAME, common_mode
+from allanjax.critic.causes.sinusoid import Sinusoid
+from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.noise import WHITE
+from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
-from allanjax.critic.search import Search, basic_model, extended, further_terms, search, view_of
+from allanjax.critic.search import (
+    Draft,
+    Search,
+    basic_model,
+    concluded,
+    extended,
+    further_terms,
+    going_on,
+    search,
+    view_of,
+)
 from allanjax.critic.step import Step
 from allanjax.critic.view import Cause, View
 from allanjax.estimate.fit import fit as fit_recording
@@ -56,14 +69,24 @@ def criticize(
     _check(recording, given, false_alarms)
     per_axis = false_alarms / len(recording.axes)
 
-    def searched(k: int) -> Search:
+    def searched(k: int) -> Draft:
         return _searched(recording, given, causes, per_axis, tell, k)
+
+    def concluding(k: int) -> Search:
+        """Search in an axis, at the places where others have something, too."""
+        others = elsewhere(places[k], [place for i, own in enumerate(places) if i != k for place in own])
+        there = [cause.at(others) for cause in causes if isinstance(cause, Sinusoid | SpectralShape)]
+        draft = going_on(drafts[k], there, per_axis, tell) if others else drafts[k]
+        further = None if given is None or given.chosen else further_terms(given.results[k].model)
+        return dataclasses.replace(concluded(draft, causes), others=further or None)
 
     # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
     # search needs no fit: it is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
         fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
-        searches = list(pool.map(searched, range(len(recording.axes))))
+        drafts = list(pool.map(searched, range(len(recording.axes))))
+        places = [places_in(draft.end, draft.steps) for draft in drafts]
+        searches = list(pool.map(concluding, range(len(recording.axes))))
     # It looks for filters, resonances and lines itself.
     fit = fitting.result().without_extensions()
     tell("comparing measurement and simulation")
@@ -100,8 +123,6 @@ def criticize(
             )
         ]
         findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
-        for record in records:
-            record.forget()
         # An effect may be why there is no fit.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
@@ -126,14 +147,13 @@ def _searched(
     false_alarms: float,
     tell: Callable[[str], None],
     k: int,
-) -> Search:
-    """Search in one axis, with the further terms of the model that was given."""
+) -> Draft:
+    """Search in one axis, from the model that was given."""
     scale, x = float(recording.own_scales[k]), recording.values[:, k]
     baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
     drawn = None if recording.missing is None else recording.missing[:, k]
     view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-    others = None if baseline is None else further_terms(baseline[0])
-    return dataclasses.replace(search(view, causes, false_alarms, tell), others=others if others else None)
+    return search(view, causes, false_alarms, tell)
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:

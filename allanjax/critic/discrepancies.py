@@ -64,6 +64,7 @@ def before_and_after(
         if channels:
             of_record.append(profiles.auxiliary_correlation(record, channels))
         stages.append(of_record)
+        record.forget()
     found = []
     for before, after in itertools.pairwise(stages):
         pairs = []

@@ -14,16 +14,29 @@ from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
+from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.structure.as_model import term_of
+from allanjax.estimate.structure.search import WIDE
+from allanjax.estimate.structure.structure import FIXED as COLUMNS
+from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 
 # Times over which drift is predicted [s].
 _HORIZONS = 4.0 ** np.arange(0.0, 10.0)
+# Name of white noise among the basic terms.
+_N = "angle_random_walk"
 
 
 def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
     """Changes of every basic coefficient that the noise has before or after a finding."""
-    before, after = step.before.noise.power, step.candidate.after.noise.power
+    views = step.before, step.candidate.after
+    # What is in the spectrum is fitted jointly with the terms, what is in time is not.
+    jointly = views[0].structure is not views[1].structure
+    before, after = (
+        dict(v.noise.power) if v.structure is None or not jointly else _of_structure(v.structure, v.rate)
+        for v in views
+    )
     sensor = step.before.axis.sensor
     changes = []
     for name in (*FIXED, MARKOV):
@@ -35,6 +48,27 @@ def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
         old, new = (float(np.sqrt(p[name])) / scale if name in p else float("nan") for p in (before, after))
         changes.append(CoefficientChange(name, old, new, unit))
     return tuple(changes)
+
+
+def _of_structure(structure: Structure, rate: float) -> dict[str, float]:
+    """Squared coefficients of the basic terms that were fitted jointly with filter and resonances.
+
+    A wide resonance is white noise at low frequencies, of N² = σ²/(π·f0·Q): an angle grows by both.
+    """
+    power: dict[str, float] = {}
+    for k in structure.there:
+        if k < len(COLUMNS):
+            power[COLUMNS[k]] = float(structure.power[k])
+        elif k in range(FULL.first_markov, FULL.first_oscillator):
+            term = term_of(structure, k, rate)
+            power[MARKOV] = (
+                power.get(MARKOV, 0.0) + float(getattr(term, term.amplitude_parameter().name)) ** 2
+            )
+    for k in structure.oscillators.tolist():
+        if structure.quality(k) < WIDE:
+            width = np.pi * structure.frequency(k) * rate / (2.0 * np.pi) * structure.quality(k)
+            power[_N] = power.get(_N, 0.0) + float(structure.power[FULL.first_oscillator + k]) / width
+    return power
 
 
 def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:

@@ -22,6 +22,8 @@ from allanjax.noise.estimate import Estimate
 UNEXPLAINED = "unexplained"
 # Standard deviations within which values are the same: of a line, a place in time, a shape.
 _LINE, _TIME, _SHAPE = 4.0, 4.0, 3.0
+# Resolved frequencies [1/duration] within which two lines are one that is not quite steady: a judgement.
+_STEADY = 3.0
 # Quality factor from which on a resonance is a line; highest order of a harmonic, and the largest share of
 # the fundamental within which it is looked for, so that chance makes few: judgements.
 _NARROW, _ORDERS, _BY_CHANCE = 50.0, 20, 0.02
@@ -128,7 +130,7 @@ def _same_bandwidth(one: Finding, other: Finding, duration: float) -> bool:
 
 def _same_resonance(one: Finding, other: Finding, duration: float) -> bool:
     """Whether most of a resonance lies where another one lies, which is about as wide."""
-    widths = sorted(_value(f, "frequency")[0] / _value(f, "quality_factor")[0] for f in (one, other))
+    widths = sorted(_width(f) for f in (one, other))
     return _near(one, other, "frequency", _SHAPE, 0.5 * widths[0], widths[1]) and _similar(
         one, other, "quality_factor", _FACTOR
     )
@@ -202,9 +204,16 @@ def _order(low: Finding, high: Finding, duration: float) -> int:
     (f, std), (other, other_std) = (_value(one, "frequency") for one in (low, high))
     order = int(np.rint(other / f))
     reach = max(_LINE * float(np.hypot(other_std, order * std)), 1.0 / duration)
-    if not 1 <= order <= _ORDERS or abs(other - order * f) > reach:
+    if abs(other - f) <= max(reach, _STEADY / duration, *(0.5 * _width(one) for one in (low, high))):
+        return 1
+    if not 2 <= order <= _ORDERS or abs(other - order * f) > reach:
         return 0
-    return order if order == 1 or reach < _BY_CHANCE * f else 0
+    return order if reach < _BY_CHANCE * f else 0
+
+
+def _width(f: Finding) -> float:
+    """Width of a resonance [Hz], none of a line that keeps its phase."""
+    return _value(f, "frequency")[0] / _value(f, "quality_factor")[0] if f.cause == "resonance" else 0.0
 
 
 def _lines(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:

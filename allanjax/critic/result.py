@@ -185,6 +185,19 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         notes = (f"{axes}: not simulated: {causes.replace('_', ' ')}" for causes, axes in lacking)
         return dataclasses.replace(simulated, notes=(*simulated.notes, *notes))
 
+    def refit(self) -> Fit:
+        """Coefficients with intervals, of the samples less what was found in time: see `fit`.
+
+        Outliers, steps, lines and what is rounded are taken out, filter and resonances fitted jointly with
+        the terms. It takes as long as a `fit` of the recording.
+        """
+        from allanjax.estimate.fit import fit
+
+        values = np.column_stack([a.stages[-1].x for a in self.results])
+        axes = tuple(a.axis for a in self.results)
+        recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead)
+        return fit(recording, as_is=True)
+
     @property
     def gain(self) -> float:
         """Held-out log-likelihood gained by all findings that can be held out [nats]."""

@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.critic.causes.spectral_shape import SpectralShape
+from allanjax.critic.grouping import grouped
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
-from allanjax.critic.parameters import Detail
 from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
 from allanjax.critic.view import EVERYTHING, Candidate, Cause, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
-from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.completion import in_time
@@ -59,9 +58,28 @@ class Search:
     others: Model | None = None
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Draft:
+    """Search in one axis that may go on.
+
+    Attributes:
+        start, end: view of the axis without findings, and with all of them subtracted.
+        tests, notes, preprocessed: as in `Search`.
+        is_anew: whether findings were refitted, so that views before others are those of old ones.
+    """
+
+    start: View
+    steps: tuple[Step, ...]
+    end: View
+    tests: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    preprocessed: bool = False
+    is_anew: bool = False
+
+
 def search(
     view: View, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
-) -> Search:
+) -> Draft:
     """Causes that are found in one axis; `progress` is called with a text that says what is being done."""
     accepted = AcceptanceRule.of(false_alarms, causes)
     start, steps = view, []
@@ -75,15 +93,20 @@ def search(
         ):
             steps.append(Step.of(candidate, gain, (), view))
             view = candidate.after
-    preprocessed = bool(steps)
-    # In a record that is mostly imputed nothing else is looked for.
-    others = [c for c in causes if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
-    tests = {c.name: p for c in others if (p := c.p_value(view)) is not None}
-    notes: tuple[str, ...] = ()
+    tests = {c.name: p for c in _others(view, causes) if (p := c.p_value(view)) is not None}
+    return going_on(Draft(start, tuple(steps), view, tests, (), bool(steps)), causes, false_alarms, progress)
+
+
+def going_on(
+    draft: Draft, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
+) -> Draft:
+    """Search that goes on, with causes that have not been asked yet."""
+    accepted, steps, view = AcceptanceRule.of(false_alarms, causes), list(draft.steps), draft.end
+    others, notes = _others(view, causes), draft.notes
     # Gains that causes offered last, if they may not have to be asked again.
     offered: dict[Cause, float] = {}
     # Findings that are dropped again count too.
-    rounds, anew = 0, False
+    rounds, anew = 0, draft.is_anew
     while len(steps) < _MOST and rounds < 2 * _MOST:
         rounds += 1
         candidates, left = _candidates(view, others, offered, progress)
@@ -94,7 +117,7 @@ def search(
             step = _chosen(candidates, view, accepted)
         if step is None:
             texts = (_undecided(candidate, view) for _, candidate in candidates)
-            notes = tuple(text for text in texts if text)
+            notes += tuple(text for text in texts if text)
             break
         for part in step.candidate.parts or (step.candidate,):
             gain = part.held_out() if step.candidate.parts else step.gain
@@ -113,9 +136,22 @@ def search(
             waveforms = {cause: float(c.gain) for cause, c in candidates if c.domain == "time"}
             offered = {cause: offered[cause] for cause in left} | nothing | waveforms
     else:
-        notes = (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
-    known = steps
-    steps, view = refitted(known, view, others, last=True)
+        notes += (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
+    # It may have to wait for those of other axes.
+    view.forget()
+    notes = tuple(dict.fromkeys(notes))
+    return dataclasses.replace(draft, steps=tuple(steps), end=view, notes=notes, is_anew=anew)
+
+
+def _others(view: View, causes: Sequence[Cause]) -> list[Cause]:
+    """Causes that are not seen in the samples themselves; none in a record that is mostly imputed."""
+    return [c for c in causes if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
+
+
+def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
+    """Search that is over: all is fitted once more, and the filter and the resonances are told."""
+    start, known, anew = draft.start, list(draft.steps), draft.is_anew
+    steps, view = refitted(known, draft.end, _others(draft.end, causes), last=True)
     shape = finished(view, coefficient_folds(view.n))
     if shape is not None:
         steps = _told(steps, shape)
@@ -128,11 +164,11 @@ def search(
         view = steps[-1].candidate.after if steps else start
     return Search(
         start.without_caches(),
-        tuple(_grouped(steps)),
+        tuple(grouped(steps)),
         view.without_caches(),
-        tests,
-        notes,
-        preprocessed,
+        draft.tests,
+        draft.notes,
+        draft.preprocessed,
         shape and shape.model,
     )
 
@@ -208,83 +244,6 @@ def _chosen(
         odds = ((name, float(np.exp(nats))) for name, nats in rivals if nats < np.log(_ODDS))
         return Step(candidate, gain, tuple(odds), view)
     return None
-
-
-def _grouped(steps: Sequence[Step]) -> list[Step]:
-    """Steps in which harmonics of one fundamental are one finding, and so are all outliers."""
-    left, grouped = list(steps), []
-    while left:
-        first, others = left[0], []
-        if first.candidate.cause == "sinusoid":
-            family = [s for s in left if s is first or _harmonic(first, s)]
-            first = min(family, key=lambda s: s.candidate.parameters["frequency"].value)
-            others = [s for s in left if s is not first and _harmonic(first, s)]
-            grouped.append(_with_harmonics(first, others) if others else first)
-        elif first.candidate.cause == "outliers":
-            others = [s for s in left[1:] if s.candidate.cause == "outliers"]
-            grouped.append(_with_outliers(first, others) if others else first)
-        else:
-            grouped.append(first)
-        left = [s for s in left if s is not first and s not in others]
-    return grouped
-
-
-def _harmonic(one: Step, other: Step) -> bool:
-    """Whether two steps are lines, the higher frequency being a small multiple of the lower one."""
-    if one is other or {one.candidate.cause, other.candidate.cause} != {"sinusoid"}:
-        return False
-    both = (s.candidate.parameters["frequency"] for s in (one, other))
-    low, high = sorted(both, key=lambda frequency: frequency.value)
-    order = np.rint(high.value / low.value)
-    error = 4.0 * np.hypot(high.std, order * low.std)
-    return bool(2 <= order <= 20 and abs(high.value - order * low.value) < error)
-
-
-def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
-    """Fundamental and harmonics as one finding."""
-    found = [s.candidate.parameters for s in others]
-    view, fundamental = step.before, step.candidate.parameters["frequency"].value
-    orders = (np.rint(one["frequency"].value / fundamental) for one in found)
-    details: dict[str, Detail] = {
-        "harmonics": tuple(view.estimate("harmonic", order, 0.0, "1") for order in orders),
-        "harmonic_amplitudes": tuple(one["amplitude"] for one in found),
-    }
-    return _together(step, others, step.candidate.estimates, details)
-
-
-def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
-    """Outliers that were found one after the other as one finding."""
-    each = [s.candidate.details for s in (step, *others)]
-    found = [
-        (time, size)
-        for own in each
-        for time, size in zip(own["times"], own["sizes"], strict=True)
-        if isinstance(time, Estimate) and isinstance(size, Estimate)
-    ]
-    times, sizes = zip(*sorted(found, key=lambda pair: pair[0].value), strict=True)
-    count, *rest = step.candidate.estimates
-    count = step.before.estimate("count", len(times), count.std, "1")
-    return _together(step, others, [count, *rest], {"times": times, "sizes": sizes})
-
-
-def _together(
-    step: Step, others: Sequence[Step], estimates: Sequence[Estimate], details: Mapping[str, Detail]
-) -> Step:
-    """Several steps as one, with these parameters and details."""
-
-    def add_to_model(model: Model) -> Model:
-        for s in (step, *others):
-            model = s.candidate.add_to_model(model)
-        return model
-
-    candidate = dataclasses.replace(
-        step.candidate,
-        estimates=estimates,
-        details=details,
-        gain=step.candidate.gain + sum(s.candidate.gain for s in others),
-        add_to_model=add_to_model,
-    )
-    return dataclasses.replace(step, candidate=candidate, gain=step.gain + sum(s.gain for s in others))
 
 
 def view_of(

@@ -13,14 +13,16 @@ from scipy.fft import dct
 from allanjax.critic.factor import stop_band
 from allanjax.critic.noise import MARKOV, POWER_LAW
 from allanjax.critic.parameters import Detail, Limit, limited
+from allanjax.critic.places import Place
 from allanjax.critic.view import View
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, order_of, response_of
-from allanjax.estimate.structure.search import Record, completed, narrow, refitted, searched
+from allanjax.estimate.structure.search import Record, at_all, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
+    FREQUENCIES,
     FURTHER,
     LEAST_QUALITY,
     LINE,
@@ -104,6 +106,35 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     occam = before.loss - found.loss - gain
     gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
     return (_without_ends(after), gain) if gain > 0.0 else None
+
+
+def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | None:
+    """View with narrow resonances at some of these places, and their log odds [nats].
+
+    The frequency of each is known but for its reach, which costs less than any frequency does.
+    """
+    further = _further(view)
+    record = _record(view, further)
+    spectrum, now = refitted(record, _start(view, further))
+    total = 0.0
+    for place in places:
+        angle = 2.0 * np.pi * place.frequency / record.rate
+        level = at_all(spectrum, now)[int(np.clip(angle / np.pi * record.n, 1, record.n - 1)) - 1]
+        power = float(level) * angle / place.quality / np.pi
+        new = now.structure.with_oscillator(angle, place.quality, power, now.structure.kind != NONE)
+        if new is None:
+            break
+        finer = record.binned(new)
+        found, before = finer.fit(new), finer.fit(now.structure)
+        (k,) = set(new.oscillators.tolist()) - set(now.structure.oscillators.tolist())
+        if found.structure.power[FULL.first_oscillator + k] <= 0.0:
+            continue
+        std = float(np.sqrt(found.covariance[FULL.frequencies + k, FULL.frequencies + k]))
+        width = max(2.0 * place.reach / place.frequency * len(places), np.sqrt(2.0 * np.pi) * std)
+        gain = found.evidence - before.evidence + float(np.log(np.log(record.n / FREQUENCIES) / width))
+        if gain > 0.0 and place.holds(found.structure.frequency(k) * record.rate / (2.0 * np.pi)):
+            spectrum, now, total = finer, found, total + gain
+    return (view.with_structure(now.structure), total) if total > 0.0 else None
 
 
 def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:

@@ -36,8 +36,8 @@ _KNOWN, _CLEARER = "allan_deviation", 3.0
 # Statistics whose remainder is given as a ratio.
 _RATIOS = frozenset({"allan_deviation", "drift", "psd", "window_variance"})
 _BETWEEN = frozenset({"cross_correlation", "auxiliary_correlation"})
-# Most unexplained discrepancies that are listed, and characters in a line.
-_TOLD = 3
+# Most unexplained discrepancies that are listed, most notes on a screen, and characters in a line.
+_TOLD, _NOTES = 3, 3
 _WIDTH = 108
 
 
@@ -50,7 +50,7 @@ def story(critique: Critique) -> str:
         lines.append(f"  - {in_one_line(f, axes[f.shown], _WIDTH - 4)}")
     if len(causes) > MOST:
         lines.append(f"  and {len(causes) - MOST} more: see the pictures, the JSON, or `critique.details()`")
-    return "\n".join([*lines, *_end(critique)])
+    return "\n".join([*lines, *_end(critique, brief=True)])
 
 
 def details(critique: Critique) -> str:
@@ -83,12 +83,15 @@ def _beginning(critique: Critique, found: bool) -> list[str]:
     ]
 
 
-def _end(critique: Critique) -> list[str]:
-    """How well each axis is simulated now, which were not compared, and notes."""
+def _end(critique: Critique, brief: bool = False) -> list[str]:
+    """How well each axis is simulated now, which were not compared, and notes; `brief` for a screen."""
     shared = {name for f in critique.shared_findings for name in f.axes}
-    lines = ["", *(_of_axis(axis, shared) for axis in critique.results)]
+    lines = ["", *(_of_axis(axis, shared, brief) for axis in critique.results)]
     lines += [_wrapped(f"{dead.axis.name}: not compared: {dead.reason}") for dead in critique.dead]
-    notes = [_wrapped(f"note: {note}") for note in critique.notes]
+    told = critique.notes[:_NOTES] if brief else critique.notes
+    notes = [_wrapped(f"note: {note}") for note in told]
+    if len(critique.notes) > len(told):
+        notes.append(f"  and {len(critique.notes) - len(told)} more notes: see `critique.details()`")
     return [*lines, *([""] if notes else []), *notes]
 
 
@@ -192,8 +195,8 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     return found
 
 
-def _of_axis(axis: AxisCritique, shared: set[str]) -> str:
-    """How well one axis is simulated, before and after what was found."""
+def _of_axis(axis: AxisCritique, shared: set[str], brief: bool) -> str:
+    """How well one axis is simulated, before and after what was found; in a line if it is to be `brief`."""
     name, count = axis.axis.name, len(axis.before)
     causes = [f for f in axis.findings if f.cause != "unexplained"]
     wrong = _wrong(axis.before)
@@ -207,13 +210,15 @@ def _of_axis(axis: AxisCritique, shared: set[str]) -> str:
             f"(smallest p-value {smallest:.2g} of {count} tests)"
         )
     if not causes:
-        own = _unexplained(remains) if remains else "nothing of its own; see what axes share"
+        own = _unexplained(remains, brief) if remains else "nothing of its own; see what axes share"
         return _wrapped(f"{name}: {own}")
     headline = "no test by itself fails"
     if wrong:
         fail = "tests fail" if len(wrong) > 1 else "tests fails"
-        headline = f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {len(wrong)} of {count} {fail})"
-    left = _unexplained(remains) if remains else f"left: nothing, all {count} tests pass"
+        headline = f"{len(wrong)} of {count} {fail}"
+        if not brief:
+            headline = f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {headline})"
+    left = _unexplained(remains, brief) if remains else f"left: nothing, all {count} tests pass"
     return _wrapped(f"{name}: {headline}; {left}")
 
 
@@ -223,10 +228,10 @@ def _wrong(found: Sequence[Discrepancy]) -> list[Discrepancy]:
     return sorted(wrong, key=lambda d: (d.statistic != _KNOWN, d.p_value))
 
 
-def _unexplained(remains: Sequence[Discrepancy]) -> str:
-    by_p = sorted(remains, key=lambda d: d.p_value)
-    more = f"; and {len(by_p) - _TOLD} more" if len(by_p) > _TOLD else ""
-    return f"unexplained: {'; '.join(describe(d) for d in by_p[:_TOLD])}{more}"
+def _unexplained(remains: Sequence[Discrepancy], brief: bool) -> str:
+    by_p, most = sorted(remains, key=lambda d: d.p_value), 1 if brief else _TOLD
+    more = f"; and {len(by_p) - most} more" if len(by_p) > most else ""
+    return f"unexplained: {'; '.join(describe(d) for d in by_p[:most])}{more}"
 
 
 def _wrapped(text: str, first: str = "", rest: str = "  ") -> str:

@@ -92,13 +92,10 @@ def explained(critique: Any, axis: str, record: np.ndarray) -> tuple[np.ndarray,
     return np.asarray(stages[-1].x), model.without(labels)
 
 
-def stated(critique: Any, axis: str) -> dict[str, Any]:
-    """The coefficients with intervals: those of the critique if it has any, else of the fit it began with."""
-    own = getattr(critique[axis], "coefficients", None)
-    if own is not None:
-        return dict(own)
+def stated(fit: Any, axis: str) -> dict[str, Any]:
+    """The coefficients with intervals of `critique.refit()`; none where an axis has no result."""
     try:
-        return dict(critique.fit[axis].coefficients)
+        return dict(fit[axis].coefficients)
     except aj.AllanjaxError:
         return {}
 
@@ -216,10 +213,10 @@ def judged(seed: int, clean: bool, samples: int | None) -> Outcome:
 
 
 def judge(outcome: Outcome, critique: Any, recording: aj.Recording, made: Composite) -> None:
-    findings = told(critique)
+    findings, fit = told(critique), critique.refit()
     for k, axis in enumerate(recording.names):
         outcome.off[axis] = off_by(critique, axis, recording.values[:, k])
-        outcome.covered += coverage(stated(critique, axis), made.axes[axis])
+        outcome.covered += coverage(stated(fit, axis), made.axes[axis])
     for effect in made.effects:
         if left_out(critique, effect):
             outcome.cut += 1

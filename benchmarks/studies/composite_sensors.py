@@ -76,8 +76,8 @@ somebody who knows all spectra expects a gain of {gain:g} nats or more from it; 
 with a right name lies at its frequency or time, and counts as named if it is on all axes that were asked for.
 Effects in parts of the record that the first look leaves out ({cut}) are not asked for. Allan deviations of
 the models are compared with those of the samples without what the critique found in them in time
-(`stages[-1].x`), at all cluster times with {clusters:,} clusters or more. Intervals are those of the critique
-if it states any, else of the fit it began with: of N where the axis has one level (no stretch of another
+(`stages[-1].x`), at all cluster times with {clusters:,} clusters or more. Intervals are those of
+`critique.refit()`, the joint fit of what is left: of N where the axis has one level (no stretch of another
 variance, no rounding), of K where it is there or detected, of T_c where the sensor has a Gauss–Markov
 process. A recording that failed has no axis right and names nothing. Reproduce with `{command}`.
 

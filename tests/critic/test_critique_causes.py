@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from critic_views import view_of
 from hidden_effects import draw
+from one_axis import searched
 from scipy.fft import dct
 from scipy.linalg import toeplitz
 from scipy.signal import butter, freqz, lfilter
@@ -20,9 +21,9 @@ from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange
 from allanjax.critic.factor import _ends, _grid
 from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.grouping import grouped
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, family_of
 from allanjax.critic.policy import FALSE_ALARMS, AcceptanceRule
-from allanjax.critic.search import _grouped, search
 from allanjax.critic.step import Step
 from allanjax.critic.template_pairs import best_pair
 from allanjax.critic.view import EVERYTHING
@@ -99,7 +100,7 @@ def test_two_steps_that_undo_each_other_are_both_found():
     k = np.arange(n)
     there, back = 0.46, 0.51
     x = rng.standard_normal(n) + 0.35 * ((k >= there * n) & (k < back * n))
-    found = search(view_of(x), [BiasStep()], 2e-3, lambda text: None)
+    found = searched(view_of(x), [BiasStep()])
     assert [step.candidate.cause for step in found.steps] == ["bias_step", "bias_step"]
     steps = sorted(found.steps, key=lambda step: step.candidate.support)
     for step, time, amplitude in zip(steps, (there, back), (0.35, -0.35), strict=True):
@@ -183,7 +184,7 @@ def test_outliers_that_come_to_light_one_after_the_other_are_one_finding():
         steps.append(Step(candidate, candidate.held_out(), (), view))
     between = Step(Outliers().detect(view), 1.0, (), view)
     between = dataclasses.replace(between, candidate=dataclasses.replace(between.candidate, cause="warm_up"))
-    one, other = _grouped([steps[0], between, steps[1]])
+    one, other = grouped([steps[0], between, steps[1]])
     assert other is between
     assert [t.value for t in one.candidate.details["times"]] == pytest.approx([60.0, 200.0, 400.0])
     assert one.candidate.parameters["count"].value == 3
@@ -293,7 +294,7 @@ def test_a_long_gap_is_bridged_as_by_exact_prediction():
 
 def only_finding(x):
     """What a search for filters and resonances alone finds, and the record without it."""
-    found = search(view_of(x), [SpectralShape()], 2e-3, lambda text: None)
+    found = searched(view_of(x), [SpectralShape()])
     (step,) = found.steps
     assert step.candidate.cause == "low_pass"
     return step, found.end

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from critic_views import view_of
+from one_axis import searched
 from scipy.signal import butter, lfilter, sosfilt
 
 from allanjax.critic.causes.additive import shape_parameter
@@ -25,7 +26,6 @@ from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.noise import MARKOV
 from allanjax.critic.parameters import limited, parameter_estimate
 from allanjax.critic.result import Finding
-from allanjax.critic.search import search
 from allanjax.critic.view import EVERYTHING
 from allanjax.record.recording import Axis
 from allanjax.report.critique_json import _parameter
@@ -163,7 +163,7 @@ def test_a_temperature_without_lag_has_one_below_a_limit():
 
 def found_in(x, cause):
     """Parameters of the one filter or resonance that is found."""
-    found = search(view_of(x), [SpectralShape()], 2e-3, lambda text: None)
+    found = searched(view_of(x), [SpectralShape()])
     (parameters,) = (s.candidate.parameters for s in found.steps if s.candidate.cause == cause)
     return parameters
 
@@ -178,7 +178,7 @@ def test_a_filter_steeper_than_all_is_of_at_least_the_steepest_ones_order():
 
 def test_a_bandwidth_below_all_that_are_looked_for_is_that_of_a_markov_process():
     """White noise behind a pole at 0.05 Hz; the least bandwidth is 0.25 Hz."""
-    found = search(view_of(lfilter(*butter(1, 0.002), white(7))), [SpectralShape()], 2e-3, lambda text: None)
+    found = searched(view_of(lfilter(*butter(1, 0.002), white(7))), [SpectralShape()])
     assert found.steps == ()
     assert "markov" in found.end.noise.terms
     assert np.log(2.0 * np.pi * 0.05 * found.end.noise.shape) == pytest.approx(0.0, abs=0.5)
@@ -200,8 +200,8 @@ def test_the_quality_factor_of_a_resonance_is_known():
 def test_a_resonance_narrower_than_a_line_may_be_is_left_to_the_search_for_lines():
     """At 5 Hz in 600 s a quality factor above 1500 is narrower than two lines are apart."""
     view = view_of(white(8) + resonance(5.0, 8000.0, 9))
-    assert search(view, [SpectralShape()], 2e-3, lambda text: None).steps == ()
-    step = search(view, [SpectralShape(), Sinusoid()], 2e-3, lambda text: None).steps[0]
+    assert searched(view, [SpectralShape()]).steps == ()
+    step = searched(view, [SpectralShape(), Sinusoid()]).steps[0]
     assert step.candidate.cause == "sinusoid"
     assert step.candidate.parameters["frequency"].value == pytest.approx(5.0, abs=0.002)
 

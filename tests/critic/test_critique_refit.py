@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import scipy.signal
 from critic_views import view_of
+from one_axis import searched
 
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.outliers import Outliers
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.refit import refitted
-from allanjax.critic.search import search
 from allanjax.critic.step import Step, replay
 
 # One length for all: one compilation.
@@ -18,8 +18,8 @@ N, RATE = 30_000, 50.0
 TIME = np.arange(N) / RATE
 
 
-def searched(x, *causes):
-    return search(view_of(x), causes, 2e-3, lambda text: None)
+def found_by(x, *causes):
+    return searched(view_of(x), causes)
 
 
 def numbers(candidate):
@@ -41,7 +41,7 @@ SHAPES = np.exp(-TIME / T), (TIME >= PLACE).astype(float)
 @pytest.mark.parametrize("seed", range(3))
 def test_what_overlaps_in_time_is_known_as_by_least_squares(seed):
     x = np.random.default_rng(seed).standard_normal(N) + 1.5 * SHAPES[0] - 1.2 * SHAPES[1]
-    found = searched(x, BiasStep(), WarmUp())
+    found = found_by(x, BiasStep(), WarmUp())
     assert sorted(step.candidate.cause for step in found.steps) == ["bias_step", "warm_up"]
     steps = {step.candidate.cause: numbers(step.candidate) for step in found.steps}
     amplitudes, deviations = least_squares(x, *SHAPES)
@@ -74,7 +74,7 @@ def test_of_two_findings_that_are_nothing_beside_each_other_one_is_dropped():
 
 def test_steps_are_strung_together_to_the_end_that_they_have():
     x = np.random.default_rng(4).standard_normal(N) + 1.5 * SHAPES[0] - 1.2 * SHAPES[1]
-    found = searched(x, BiasStep(), WarmUp())
+    found = found_by(x, BiasStep(), WarmUp())
     for before, after in zip(found.steps[:-1], found.steps[1:], strict=True):
         assert after.before.samples == pytest.approx(before.candidate.after.samples, abs=1e-12)
     assert found.steps[0].before.samples == pytest.approx(x, abs=1e-12)
@@ -93,7 +93,7 @@ def test_a_filter_is_not_bent_by_a_bump_behind_it(seed):
     bump = scipy.signal.lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal(N + 1000))
     noise = rng.standard_normal(N + 1000) + 0.3 * bump / bump[1000:].std()
     x = scipy.signal.lfilter(*scipy.signal.butter(2, bandwidth, fs=RATE), noise)[1000:]
-    found = searched(x, SpectralShape())
+    found = found_by(x, SpectralShape())
     assert sorted(step.candidate.cause for step in found.steps) == ["low_pass", "resonance"]
     steps = {step.candidate.cause: numbers(step.candidate) for step in found.steps}
     value, std = steps["low_pass"]["bandwidth"]

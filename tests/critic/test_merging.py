@@ -360,6 +360,8 @@ def test_the_first_screen_has_ten_findings_at_most_in_a_line_each():
     # The largest first.
     assert f"sinusoid {0.5 + 0.711 * 29:.4g} Hz" in told_lines[0]
     assert any(text.startswith("  and 20 more: see ") for text in lines)
+    # A screen has 24 lines.
+    assert len(lines) <= 24
     assert len(found.findings) == len(found.to_dict()["findings"]) == 30
     assert found.details().count("Gain 50 nats") == 30
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from allanjax.critic.bank import folds
 from allanjax.critic.parameters import ONE_SIDED
+from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
@@ -20,33 +23,43 @@ _PERIODS = judged("sinusoid", "periods")
 # Zero padding, with which frequencies are half a Fourier bin apart; between two of them a line's power may be
 # a fifth more, so peaks above this share of the highest one are refined, so many at most.
 _PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
-# Smallest half squared signal-to-noise ratio that is looked at more closely.
-_WORTH = 8.0
+# Smallest half squared signal-to-noise ratio that is looked at more closely, anywhere and at known places.
+_WORTH, _WORTH_THERE = 8.0, 4.0
 # Blocks of the record of which parts are made that are held out.
 _FOLD_BLOCKS = 256
 
 
 class Sinusoid(Cause):
-    """The strongest line; several are found one after the other."""
+    """The strongest line, anywhere or at one of some places; several are found one after the other."""
 
     name = "sinusoid"
 
+    def __init__(self, places: Sequence[Place] = ()) -> None:
+        self._places = tuple(places)
+
+    def at(self, places: Sequence[Place]) -> Sinusoid:
+        """The same cause, looked for at these places only."""
+        return Sinusoid(places)
+
     def p_value(self, view: View) -> float:
-        return _line_p_value(_strongest(view)[-1], view)
+        strongest = _strongest(view, self._places)
+        return 1.0 if strongest is None else _line_p_value(strongest[-1], view, self._places)
 
     def detect(self, view: View) -> Candidate | None:
-        f, f_std, beta, std, z = _strongest(view)
-        if z < _WORTH:
+        strongest = _strongest(view, self._places)
+        if strongest is None or strongest[-1] < (_WORTH_THERE if self._places else _WORTH):
             return None
+        f, f_std, beta, std, z = strongest
         after = view.with_samples(view.samples - wave(f, beta, view.n, view.rate))
         v = after.variance()
         f, f_std, beta, std, z = refined(view.coefficients, v, f, view.rate)
         amplitude, phase = float(np.hypot(*beta)), np.asarray(-np.arctan2(beta[1], beta[0]))
         snr = np.sqrt(2.0 * z)
         gain = after.noise.log_evidence - view.noise.log_evidence
-        # Prior: the amplitude's of `evidence`, any phase, any frequency.
+        # Prior: the amplitude's of `evidence`, any phase, any frequency that is looked at.
         gain -= np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE)
-        gain -= np.log(0.5 * view.rate / (f_std * np.sqrt(2.0 * np.pi)))
+        band = sum(2.0 * place.reach for place in self._places) or 0.5 * view.rate
+        gain -= max(np.log(band / (f_std * np.sqrt(2.0 * np.pi))), 0.0)
         parameters = [
             view.estimate("frequency", f, f_std, "Hz"),
             view.amplitude_estimate("amplitude", amplitude, std),
@@ -64,7 +77,7 @@ class Sinusoid(Cause):
 
         def held_out() -> float:
             root = np.sqrt(v)
-            kept = _held_out(in_time(view.coefficients / root), view.rate, _PERIODS / view.duration)
+            kept = _held_out(in_time(view.coefficients / root), view, self._places)
             return view.held_out_gain(after, z, kept)
 
         width = 40.0 / view.duration
@@ -72,7 +85,7 @@ class Sinusoid(Cause):
             self.name,
             parameters,
             float(gain),
-            _line_p_value(z, view),
+            _line_p_value(z, view, self._places),
             after,
             held_out,
             (f - width, f + width),
@@ -81,11 +94,14 @@ class Sinusoid(Cause):
         )
 
 
-def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
-    """Strongest line of the spectrum, as `refined` gives it."""
+def _strongest(
+    view: View, places: Sequence[Place]
+) -> tuple[float, float, Float[np.ndarray, " 2"], float, float] | None:
+    """Strongest line of the spectrum, as `refined` gives it; None if there is none at the places."""
     spectrum, spacing = _spectrum(view.whitened, view.rate)
-    first = int(np.ceil(_PERIODS / view.duration / spacing))
-    k = np.arange(first, len(spectrum) - 1)
+    k = _looked_at(spectrum, spacing, view, places)
+    if not len(k):
+        return None
     highest = spectrum[k].max()
     peak = (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] >= spectrum[k + 1])
     k = k[peak & (spectrum[k] > _SCALLOP * highest) | (spectrum[k] == highest)]
@@ -95,15 +111,27 @@ def _strongest(view: View) -> tuple[float, float, Float[np.ndarray, " 2"], float
     return max(found, key=lambda line: line[-1])
 
 
-def _line_p_value(z: float, view: View) -> float:
+def _looked_at(
+    spectrum: Float[np.ndarray, " frequencies"], spacing: float, view: View, places: Sequence[Place]
+) -> Int[np.ndarray, " k"]:
+    """Indices of the frequencies that are looked at: all, or those of the places."""
+    first, last = int(np.ceil(_PERIODS / view.duration / spacing)), len(spectrum) - 1
+    if not places:
+        return np.arange(first, last)
+    edges = [((p.frequency - p.reach) / spacing, (p.frequency + p.reach) / spacing) for p in places]
+    each = [np.arange(max(int(np.ceil(low)), first), min(int(high) + 1, last)) for low, high in edges]
+    return np.unique(np.concatenate(each))
+
+
+def _line_p_value(z: float, view: View, places: Sequence[Place]) -> float:
     """Probability that the largest half squared signal-to-noise ratio of noise alone exceeds z.
 
-    Baluev (2008), MNRAS 385:1279, eq. 6: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the band's
-    start.
+    Baluev (2008), MNRAS 385:1279, eq. 6: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the start
+    of each band that is looked at.
     """
-    band = view.rate / 2.0 - _PERIODS / view.duration
+    band = sum(2.0 * p.reach for p in places) or view.rate / 2.0 - _PERIODS / view.duration
     expected = band * view.duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
-    return float(1.0 - (1.0 - np.exp(-z)) * np.exp(-expected)) if expected > 1e-9 else float(expected)
+    return float(-np.expm1(max(len(places), 1) * np.log1p(-np.exp(-z)) - expected))
 
 
 def wave(frequency: float, beta: Float[np.ndarray, " 2"], n: int, rate: float) -> Float[np.ndarray, " n"]:
@@ -151,14 +179,15 @@ def _spectrum(e: Float[np.ndarray, " n"], rate: float) -> tuple[Float[np.ndarray
     return (spectrum.real**2 + spectrum.imag**2) / np.sum(e**2), rate / size
 
 
-def _held_out(e: Float[np.ndarray, " n"], rate: float, lowest: float) -> float:
+def _held_out(e: Float[np.ndarray, " n"], view: View, places: Sequence[Place]) -> float:
     """Gain in log-likelihood [nats] on parts of the record by the line that the others show."""
+    rate = view.rate
     gain, t = 0.0, 2.0 * np.pi * (np.arange(len(e)) + 0.5) / rate
     for part in folds(len(e), max(len(e) // _FOLD_BLOCKS, 1)):
         fold = ~part
         spectrum, spacing = _spectrum(np.where(fold, e, 0.0), rate)
-        first = int(np.ceil(lowest / spacing))
-        k = first + int(np.argmax(spectrum[first:-1]))
+        at = _looked_at(spectrum, spacing, view, places)
+        k = int(at[np.argmax(spectrum[at])])
         # The peak between the frequencies looked at, by a parabola.
         left, mid, right = spectrum[k - 1 : k + 2]
         f = (k + 0.5 * (left - right) / (left - 2.0 * mid + right)) * spacing

@@ -6,29 +6,39 @@ once the search is over, from the model that is handed over.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from allanjax.critic.shape import candidate_structure
+from allanjax.critic.places import Place
+from allanjax.critic.shape import candidate_structure, structure_at
 from allanjax.critic.view import Candidate, Cause, View
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import NONE
 
 
 class SpectralShape(Cause):
-    """A low-pass filter and resonances."""
+    """A low-pass filter and resonances; or, at some places, the narrow resonances there."""
 
     name = "spectral_shape"
+
+    def __init__(self, places: Sequence[Place] = ()) -> None:
+        self._places = tuple(places)
+
+    def at(self, places: Sequence[Place]) -> SpectralShape:
+        """The same cause, looked for at these places only."""
+        return SpectralShape(places)
 
     def p_value(self, view: View) -> float:
         return conspicuous(view.squared_whitened).p_value
 
     def detect(self, view: View) -> Candidate | None:
-        found = candidate_structure(view)
+        found = structure_at(view, self._places) if self._places else candidate_structure(view)
         if found is None:
             return None
         after, gain = found
-        # Of a filter there is no statistic but its odds.
-        has_filter = after.structure is None or after.structure.kind != NONE
+        # Of a filter, and of a place that is known, there is no statistic but the odds.
+        has_filter = bool(self._places) or after.structure is None or after.structure.kind != NONE
         p_value = None if has_filter else self.p_value(view)
         bound = float(np.exp(-gain))
         return Candidate(self.name, (), gain, p_value, after, lambda: gain, domain="frequency", bound=bound)

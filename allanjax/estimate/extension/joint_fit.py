@@ -18,7 +18,7 @@ from allanjax.estimate.spectral.levels import padded
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import response_of, term_of
 from allanjax.estimate.structure.search import WIDE, Record
-from allanjax.estimate.structure.structure import FIXED, OUTSIDE, WHITE, Fitted, Spectrum, Structure
+from allanjax.estimate.structure.structure import FINE, FIXED, OUTSIDE, WHITE, Fitted, Spectrum, Structure
 from allanjax.estimate.whittle import WhittleFit, inferred, spectrum_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
@@ -94,7 +94,7 @@ def fit_jointly(
     for _ in range(_ROUNDS):
         projection = spectrum.project(found.mean[:rows], used)
         base = base.with_data(projection.level, projection.dof).weighing(found, _error(found, base))
-        found = base.fit(found.structure, final=True)
+        found = base.fit(found.structure, FINE)
     template = Template.of(content._replace(structure=found.structure), ramp)
     mean, per_octave = found.mean[:rows], base.bins.per_octave()
     degrees = 2.0 * np.asarray(base.levels.shape)

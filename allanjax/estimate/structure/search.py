@@ -25,9 +25,10 @@ from allanjax.estimate.spectral.components import (
     TWO_POLES,
 )
 from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.structure.excess import at_all, middles, smoothed_scores, windows
 from allanjax.estimate.structure.structure import (
+    FINE,
     LINE,
-    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     WHITE,
@@ -41,12 +42,10 @@ from allanjax.spectrum.cosine import Bins
 # Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
 # the expected ones of its two parameters.
 _GAIN, _PREDICTS = 2.0, 3.0
-# Windows that are tried for a resonance in a round, and the least gain of one [nats].
-_WINDOWS, _WORTH = 3, 8.0
+# Windows that are tried for a resonance in a round.
+_WINDOWS = 3
 # Width of a resonance [coefficients] below which it is a line.
 _LINE = 1.25 * LINE
-# Narrowest window [coefficients].
-_NARROWEST = 8
 # Bandwidths that a response starts from [cycles per sample].
 _BANDWIDTHS = (0.06, 0.25)
 # Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts
@@ -150,7 +149,7 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
         if k != WHITE:
             structure = structure.without(int(k))
-    return spectrum.fit(structure, final=True)
+    return spectrum.fit(structure, FINE)
 
 
 def described(structure: Structure, rate: float) -> str:
@@ -229,7 +228,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
     """Structures with one component more, or with several narrow resonances."""
     structure, n = now.structure, spectrum.n
     if structure.kind == NONE:
-        if _smoothed_scores(spectrum, now) > _CLEAR:
+        if smoothed_scores(spectrum, now) > _CLEAR:
             yield from responses(structure, _floor(spectrum))
     elif not structure.active[OUTSIDE] and (floor := _floor(spectrum)):
         yield structure.using(OUTSIDE, floor)
@@ -243,7 +242,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
     for middle, width, gain in windows(ratio, _WINDOWS):
         w = np.pi * middle / n
         quality = float(np.clip(middle / width, 2.0, max(middle / LINE / 2.0, 2.0)))
-        level = float(np.interp(middle, _middles(spectrum), now.mean[: len(spectrum.bins.size)]))
+        level = float(np.interp(middle, middles(spectrum), now.mean[: len(spectrum.bins.size)]))
         # The excess is about as large as the level, over the window.
         power = level * width / n
         if width > 0.5 * middle and 1.0 / w > 20.0:
@@ -349,51 +348,3 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
             break
         now = best
     return now
-
-
-def _middles(spectrum: Spectrum) -> np.ndarray:
-    edges = spectrum.bins.edges
-    return 0.5 * (edges[:-1] + edges[1:] - 1)
-
-
-def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
-    """Expected squares of all coefficients, interpolated between the bins."""
-    middle = np.log(_middles(spectrum))
-    mean = np.log(fitted.mean[: len(middle)])
-    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, mean))
-
-
-def _smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
-    """Largest deviation of levels, averaged over a fifth of an octave or more, in standard deviations."""
-    k = np.asarray(spectrum.levels.shape)
-    ratio = np.asarray(spectrum.levels.level) / fitted.mean - 1.0
-    best = 0.0
-    for width in (6, 12, 24, 48):
-        window = np.ones(width)
-        total, weight = np.convolve(k * ratio, window, "valid"), np.convolve(k, window, "valid")
-        best = max(best, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
-    return best
-
-
-def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
-    """Windows with most excess: middle and width [coefficients] and gain [nats], no two of which overlap."""
-    total = np.concatenate([[0.0], np.cumsum(ratio)])
-    found: list[tuple[float, float, float]] = []
-    width = _NARROWEST
-    while width <= (len(ratio) - LOWEST) // 4:
-        step = max(width // 4, 1)
-        excess = (total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]) / width
-        for k in np.argsort(-excess)[: 4 * most]:
-            level = float(excess[k])
-            if level <= 1.0:
-                break
-            gain = 0.5 * width * (level - 1.0 - np.log(level)) - np.log(len(ratio) / width)
-            found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
-        width *= 2
-    chosen: list[tuple[float, float, float]] = []
-    for gain, middle, wide in sorted(found, reverse=True):
-        if gain < _WORTH - 4.0 or len(chosen) == most:
-            break
-        if all(abs(middle - other) > 0.5 * (wide + w) for other, w, _ in chosen):
-            chosen.append((middle, wide, gain))
-    return chosen

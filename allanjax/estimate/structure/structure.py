@@ -40,8 +40,10 @@ _UNSTEADY = 0.1
 _CLOSE = 1.5
 # Numbers of levels that arrays have room for, in a search.
 _CAPACITIES = (384, 1024)
-# Tolerances of a fit within a search, and of one whose numbers are told.
-_ROUGH, _FINE = 1e-2, 1e-5
+#: Tolerances of a fit within a search, and of one whose numbers are told.
+ROUGH, FINE = 1e-2, 1e-5
+#: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
+FREQUENCIES = 32.0
 # Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
 _QUALITY = (np.log(10.0), 3.0)
 # Farthest that a frequency moves from its start, in ln.
@@ -307,7 +309,7 @@ class Spectrum:
         k = np.asarray(self.levels.shape)
         return float(np.sum(k * (np.log(fitted.mean) + self.levels.level / fitted.mean)))
 
-    def fit(self, structure: Structure, final: bool = False) -> Fitted:
+    def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
         """Fit all components jointly."""
         lower, upper = self._bounds(structure)
         at = FULL
@@ -317,7 +319,6 @@ class Spectrum:
         slots = Slots.of(at, _free(structure), structure.inside, structure.kind)
         slots = dataclasses.replace(slots, lower=lower, upper=upper, precision=precision, centre=centre)
         data = structure.power, structure.shape, structure.active
-        tolerance = _FINE if final else _ROUGH
         found, power, mean, resonant, slope, by_response, by_power, covariance = jax.device_get(
             _fitted(*data, slots, self.levels, self.rough, np.asarray(tolerance))
         )
@@ -352,7 +353,7 @@ class Spectrum:
         at, n = FULL, self.n
         widths = np.full(at.parameters, 8.0 * _DECADES)
         widths[at.times : at.frequencies] = np.log(n)
-        widths[at.frequencies : at.qualities] = np.log(n / 32.0)
+        widths[at.frequencies : at.qualities] = np.log(n / FREQUENCIES)
         widths[at.qualities : at.response] = 4.0 * _DECADES
         widths[at.response : at.other_shapes] = 2.0 * _DECADES, np.log(20.0)
         free = np.asarray(found.interior)

@@ -7,7 +7,8 @@ from scipy.signal import butter, freqz, lfilter
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE, ONE_POLE, TWO_POLES
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import model_of, order_of
-from allanjax.estimate.structure.search import Record, completed, searched, windows
+from allanjax.estimate.structure.excess import windows
+from allanjax.estimate.structure.search import Record, completed, searched
 from allanjax.estimate.structure.structure import FIXED, WHITE, Spectrum, Structure
 from allanjax.spectrum.cosine import Bins, cosine_transform
 

@@ -1,0 +1,58 @@
+"""Places in the spectrum at which something was found in one axis, where the others are looked at again.
+
+What shakes a sensor, or couples into it, is seen in several of its axes. Where it is known from one of them
+no other frequency is tried, and what is too weak to be found without that is found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from allanjax.critic.step import Step
+from allanjax.critic.view import View
+
+# Quality factor from which on a resonance may be a disturbance from outside: a wider one is the sensor's own.
+_SHARP = 50.0
+# Frequencies that are resolved [1/duration], and deviations of a frequency, within which it may be.
+_RESOLVED, _DEVIATIONS = 2.0, 4.0
+
+
+class Place(NamedTuple):
+    """Frequency of a line or a narrow resonance [Hz], how far off it may be [Hz], and its quality factor."""
+
+    frequency: float
+    reach: float
+    quality: float
+
+    def holds(self, frequency: float) -> bool:
+        """Whether a frequency [Hz] is there."""
+        return abs(frequency - self.frequency) <= self.reach
+
+
+def places_in(view: View, steps: Sequence[Step]) -> list[Place]:
+    """Places of the lines among these steps, and of the view's narrow resonances."""
+    resolved = _RESOLVED / view.duration
+    lines = [s.candidate.parameters["frequency"] for s in steps if s.candidate.cause == "sinusoid"]
+    found = [
+        Place(line.value, max(resolved, _DEVIATIONS * line.std), line.value * view.duration)
+        for line in lines
+        if np.isfinite(line.std)
+    ]
+    if view.structure is not None:
+        for k in view.structure.oscillators.tolist():
+            quality, f = view.structure.quality(k), view.structure.frequency(k) * view.rate / (2.0 * np.pi)
+            if quality > _SHARP:
+                found.append(Place(f, max(resolved, f / quality), quality))
+    return found
+
+
+def elsewhere(own: Sequence[Place], others: Sequence[Place]) -> tuple[Place, ...]:
+    """Places of other axes at which an axis has nothing yet, each once."""
+    found: list[Place] = []
+    for place in sorted(others, key=lambda place: place.reach):
+        if not any(place.holds(known.frequency) or known.holds(place.frequency) for known in (*own, *found)):
+            found.append(place)
+    return tuple(found)
