@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -91,10 +92,10 @@ def _draw(panel: Axes, found: Autocorrelation, k: int) -> None:
         band: dict[str, Any] = {"color": "0.85", "linewidth": 0.0, "label": "95 % under the model"}
         panel.fill_between(found.lag, value - _WIDE * error, value + _WIDE * error, **band)
     panel.plot(found.lag, value, color=POINTS, linewidth=1.0, label="estimate")
-    below = np.flatnonzero(np.e * value < value[0])
+    below = np.flatnonzero(math.e * value < value[0])
     if below.size:
         dotted: dict[str, Any] = {"color": "0.5", "linewidth": 0.8, "linestyle": ":"}
-        panel.axhline(value[0] / np.e, **dotted)
+        panel.axhline(value[0] / math.e, **dotted)
         panel.axvline(found.lag[below[0]], **dotted)
     panel.set_xlim(-0.02 * found.lag[-1], found.lag[-1])
     panel.set_xlabel("lag [s]")

@@ -13,6 +13,7 @@ standard error.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -98,13 +99,13 @@ class Autocorrelation(ByValue):
 
     def _markov(self, k: int, axis: Axis) -> AxisReadings:
         R = self.value[:, k]
-        below = np.flatnonzero(np.e * R < R[0])
+        below = np.flatnonzero(math.e * R < R[0])
         labels = ("markov variance", "markov correlation time")
         if not below.size:
             reason = f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}"
             return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         i = below[0]
-        time = float(np.interp(-R[0] / np.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
+        time = float(np.interp(-R[0] / math.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
         accuracy = markov_accuracy(time, self.n / self.rate)
         remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
         found: dict[str, Estimate | None] = {}
