@@ -30,8 +30,9 @@ _NARROW, _ORDERS, _BY_CHANCE = 50.0, 20, 0.02
 # Relative difference of bandwidths that is none, since nominally equal filters differ by their parts: a
 # judgement.
 _BANDWIDTH = 0.1
-# Factor of a resonance's width and of a warm-up's time constant within which they are the same: a judgement.
-_FACTOR = 2.0
+# Factors of a warm-up's time constant, and of a resonance's quality factor, since a structure is damped
+# differently along each axis, within which they are the same: judgements.
+_FACTOR, _DAMPING = 2.0, 4.0
 # Shares of the record within which steps, and the ends of loud stretches, are simultaneous, and beyond which
 # nothing is, however large its error: judgements.
 _STEP_TIME, _STRETCH_TIME, _APART = 1e-3, 1e-2, 2e-2
@@ -132,7 +133,7 @@ def _same_resonance(one: Finding, other: Finding, duration: float) -> bool:
     """Whether most of a resonance lies where another one lies, which is about as wide."""
     widths = sorted(_width(f) for f in (one, other))
     return _near(one, other, "frequency", _SHAPE, 0.5 * widths[0], widths[1]) and _similar(
-        one, other, "quality_factor", _FACTOR
+        one, other, "quality_factor", _DAMPING
     )
 
 

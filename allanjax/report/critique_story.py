@@ -216,9 +216,10 @@ def _of_axis(axis: AxisCritique, shared: set[str], brief: bool) -> str:
     if wrong:
         fail = "tests fail" if len(wrong) > 1 else "tests fails"
         headline = f"{len(wrong)} of {count} {fail}"
-        if not brief:
+        if not (brief and remains):
             headline = f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {headline})"
-    left = _unexplained(remains, brief) if remains else f"left: nothing, all {count} tests pass"
+    nothing = "left: nothing" if brief else f"left: nothing, all {count} tests pass"
+    left = _unexplained(remains, brief) if remains else nothing
     return _wrapped(f"{name}: {headline}; {left}")
 
 
