@@ -49,9 +49,10 @@ class AllanDeviation(ByValue):
         kind: "allan", "modified" or "hadamard".
         overlapping: whether the clusters overlap.
         estimator: "exact" if every start of a cluster counts, "pyramid" if every m/8-th does; see `Pyramid`.
-        n: rate samples per axis.
+        n: rate samples per axis, of the longest stretch where there are several.
         rate: sample rate [Hz].
         axes: the recording's axes, or None for an array.
+        others: rate samples of each other stretch whose differences were averaged, too.
     """
 
     cluster_time: Float[np.ndarray, " m"]
@@ -65,6 +66,7 @@ class AllanDeviation(ByValue):
     overlapping: bool = True
     axes: tuple[Axis, ...] | None = None
     estimator: Estimator = "exact"
+    others: tuple[int, ...] = ()
 
     @classmethod
     def of_pyramid(
@@ -97,6 +99,33 @@ class AllanDeviation(ByValue):
         if self.estimator == "pyramid":
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
+
+    def others_told(self) -> str:
+        """Other stretches in words, after those of the longest; "" if there are none."""
+        if not self.others:
+            return ""
+        stretches = "another stretch" if len(self.others) == 1 else f"{len(self.others)} other stretches"
+        return f" and {sum(self.others):,} in {stretches}"
+
+    @property
+    def gain(self) -> Float[np.ndarray, " m"]:
+        """Factor by which other stretches make the degrees of freedom more, under white noise, [m]."""
+        if not self.others:
+            return np.ones(len(self.cluster_size))
+        total, scatter = np.zeros((2, len(self.cluster_size)))
+        for n in (*self.others, self.n):
+            count = difference_count(n, self.cluster_size, self.kind, self.overlapping)
+            if self.estimator == "pyramid":
+                count = (n - 2 * self.cluster_size) // self.strides + 1
+            there = count > 0
+            count, sizes, strides = count[there], self.cluster_size[there], self.strides[there]
+            edf = equivalent_degrees_of_freedom(
+                n, self.rate, sizes, self.kind, self.overlapping, strides=strides
+            )
+            total[there] += count
+            scatter[there] += count**2 / edf
+        # The last one has all cluster times.
+        return total**2 / scatter / edf
 
     @property
     def variance(self) -> Float[np.ndarray, "m axes"]:
@@ -211,7 +240,9 @@ def allan_deviation(
     The degrees of freedom are those under white noise, which dominates most curves at short cluster times.
     Of a recording in which missing samples were drawn (`gaps="fill"`) all clusters are used, and the degrees
     of freedom are fewer: ν/(1/(1 − f) + f) for a share f. Means over what is there of a cluster would have
-    more white noise than its length says.
+    more white noise than its length says. Of one in stretches (`gaps="segments"`) the differences whose
+    clusters are complete, all in one stretch, are averaged, M_s of the stretch s, and the degrees of freedom
+    are M²/Σ(M_s²/ν_s) with M = ΣM_s, as for independent stretches; the longest has the cluster times.
 
     Raises:
         AllanjaxError: no rate or not a positive one, samples that are not finite, too few of them, an unknown
@@ -235,7 +266,7 @@ def allan_deviation(
                 'data_type, overlapping and cluster_times, or take estimator="exact"'
             )
         found = AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
-        return replace(found, edf=found.edf / _lost(data))
+        return _of_all_stretches(replace(found, edf=found.edf / _lost(data)), data)
     n = values.shape[0] - (data_type == "phase")
     sizes = cluster_sizes(n, rate, cluster_times, kind)
     variance = np.asarray(
@@ -246,7 +277,7 @@ def allan_deviation(
     if not np.isfinite(variance).all():
         check_finite(values)
     edf = equivalent_degrees_of_freedom(n, rate, sizes, kind, overlapping)
-    return AllanDeviation(
+    found = AllanDeviation(
         cluster_time=sizes / rate,
         cluster_size=sizes,
         deviation=np.sqrt(variance),
@@ -258,6 +289,30 @@ def allan_deviation(
         overlapping=overlapping,
         axes=axes,
     )
+    return _of_all_stretches(found, data)
+
+
+def _of_all_stretches(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
+    """Curve of a recording's longest stretch with the differences of its other stretches."""
+    if not isinstance(data, Recording) or not data.others:
+        return curve
+    squares, total = curve.variance * curve.count[:, None], curve.count.copy()
+    for values in data.others:
+        count = difference_count(len(values), curve.cluster_size, curve.kind, curve.overlapping)
+        times: Spacing = curve.cluster_time[count > 0]
+        found = allan_deviation(
+            Recording(values, data.rate, data.axes),
+            kind=curve.kind,
+            overlapping=curve.overlapping,
+            cluster_times="octave" if curve.estimator == "pyramid" else times,
+            estimator=curve.estimator,
+        )
+        there = len(found.count)
+        squares[:there] += found.variance * found.count[:, None]
+        total[:there] += found.count
+    others = tuple(map(len, data.others))
+    whole = replace(curve, deviation=np.sqrt(squares / total[:, None]), count=total, others=others)
+    return replace(whole, edf=curve.edf * whole.gain[:, None])
 
 
 def _lost(data: RecordingLike) -> Float[np.ndarray, " axes"] | float:

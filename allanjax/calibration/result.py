@@ -231,7 +231,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                 f"{recording.name or 'recording'} has none of the axes calibrated, {', '.join(self.axes)}"
             )
         note = f"calibrated: {', '.join(done)}"
-        return replace(recording, values=values, notes=(*recording.notes, note))
+        return replace(recording, values=values, others=(), notes=(*recording.notes, note))
 
     def to_dict(self) -> dict[str, Any]:
         """The calibration as plain dictionaries for JSON: estimates in usual units, matrices in SI."""

@@ -185,6 +185,7 @@ def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
         "kind": curve.kind,
         "overlapping": curve.overlapping,
         "estimator": curve.estimator,
+        "other_stretches": list(curve.others),
         "cluster_time_s": curve.cluster_time.tolist(),
         "cluster_size": curve.cluster_size.tolist(),
         "count": curve.count.tolist(),

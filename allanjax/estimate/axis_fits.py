@@ -279,7 +279,7 @@ def _with_model_edf(
     edf = np.array(curve.edf)
     for k, result in enumerate(results):
         if result.converged:
-            edf[:, k] = 2.0 * means[k] ** 2 / variances[k]
+            edf[:, k] = 2.0 * means[k] ** 2 / variances[k] * curve.gain
     return dataclasses.replace(curve, edf=edf)
 
 

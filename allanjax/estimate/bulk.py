@@ -200,7 +200,8 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
                 f"{name} has {recording.n} samples at {recording.rate:g} Hz, but {names[0]} {first.n} at "
                 f"{first.rate:g} Hz: cut them to one length with between(), or fit it on its own"
             )
-    curves = [allan_deviation(recording, cluster_times=cluster_times) for recording in data]
+    alone = (dataclasses.replace(recording, others=()) for recording in data)
+    curves = [allan_deviation(recording, cluster_times=cluster_times) for recording in alone]
     axes = (
         dataclasses.replace(axis, name=f"{name}/{axis.name}")
         for name, recording in zip(names, data, strict=True)

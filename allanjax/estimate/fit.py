@@ -20,6 +20,7 @@ from allanjax.estimate.extension.search import Extension, extended
 from allanjax.estimate.ranking import select_terms
 from allanjax.estimate.result import NEXT, AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
+from allanjax.estimate.stretch_fits import fit_stretches, joined, with_quiet_others
 from allanjax.inspection import Inspection, inspect
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
@@ -70,6 +71,10 @@ def fit(
     matter; missing samples are left out, not drawn. Where the model does not follow the data, an axis has
     Whittle's result.
 
+    Of a recording in stretches between gaps (`gaps="segments"`) coefficients are of all of them together, by
+    Whittle's likelihood, each less its own mean; `objective` is "whittle" then. Filters, resonances and lines
+    are searched for in the longest alone, and what needs one record is fitted to it; a note says so.
+
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
         model: the terms, added up with `+`, or written as on the command line, `"N + B + K"`; parameters
@@ -103,7 +108,7 @@ def fit(
         raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     seen = inspected(recording, model, regressors, as_is, vibrating)
-    return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet)
+    return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet, as_is)
 
 
 def fit_inspected(
@@ -114,6 +119,7 @@ def fit_inspected(
     regressors: Sequence[str] = (),
     plain: bool = False,
     wavelet: str = "haar",
+    as_is: bool = False,
 ) -> Fit:
     """Fit of a recording whose inspection is known already; see `fit`."""
     if objective not in get_args(Objective):
@@ -126,6 +132,7 @@ def fit_inspected(
         # As if it were complete, but for the exact likelihood; what that claims too much is made good after.
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
+        whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)
         found = _fitted(whole, model, objective, regressors, plain, wavelet)
         if quiet.missing is not None and not exact:
             found = _with_missing(found, widening(quiet.missing))
@@ -169,7 +176,10 @@ def _fitted(
     octaves = objective == "wavelet" and wavelet == "haar"
     curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)
     check_length(curve, template, recording.name)
-    if objective == "allan" or octaves:
+    if recording.others:
+        results, objective = fit_stretches(recording, template, active), "whittle"
+        results, curve = with_curve(curve, template, results)
+    elif objective == "allan" or octaves:
         # Wavelet variances of Haar are half the Allan variances at octaves.
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
     elif objective == "wavelet":

@@ -30,6 +30,8 @@ from allanjax.record.units import default_coefficient_unit, si_unit
 _DRAWS = 400
 # Memories and correlation times of the Gauss–Markov filters that are compared.
 _MEMORIES, _TIMES = 25, 11
+# Those whose true error is larger than the least by more than this factor are no filters to take.
+_WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
 _LABELS = {
     "white": "white noise of the filter",
@@ -59,7 +61,9 @@ def horizon(
         fit: what `fit` or `load` returned.
         seconds: time between corrections [s], at least two samples and at most half the record.
         process: what the bias is to the filter: a random walk, or ("markov") a first-order Gauss–Markov
-            process, whose correlation time is then found with the pair.
+            process, whose correlation time is then found with the pair, among filters whose true error at
+            the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
+            well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
         axes: names of axes; by default all that have a measurement.
         probability: that of the bounds.
         seed: of the draws of the coefficients.
@@ -103,9 +107,13 @@ def _of_axis(
     _, of_raw, _, _ = _variances(sets, raw, steps, record)
     # The prediction is to be right on average over what the coefficients may be.
     mean = known.mean(axis=0)
-    best, N, ratio = equal_pair(mean, unit)
-    drawn = [equal_pair(V, unit) for V in known]
-    chosen, N_drawn = np.array([k for k, _, _ in drawn]), np.array([n for _, n, _ in drawn])
+    good = np.arange(len(mean))
+    if process == "markov":
+        good = np.flatnonzero(mean[:, -1] <= _WORSE**2 * mean[:, -1].min())
+    best, N, ratio = equal_pair(mean[good], unit[good])
+    best = int(good[best])
+    drawn = [equal_pair(V[good], unit[good]) for V in known]
+    chosen, N_drawn = np.array([good[k] for k, _, _ in drawn]), np.array([n for _, n, _ in drawn])
     bounding, bounding_N = bounding_pair(np.quantile(draws, probability, axis=0), unit)
     time = filters.correlation_time
     return AxisHorizon(

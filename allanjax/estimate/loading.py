@@ -135,6 +135,7 @@ def _curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviatio
         overlapping=curve["overlapping"],
         axes=axes,
         estimator=curve["estimator"],
+        others=tuple(curve.get("other_stretches", ())),
     )
 
 

@@ -20,7 +20,14 @@ from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column, term_column
+from allanjax.spectrum.cosine import (
+    Bins,
+    SpectralStatistics,
+    cosine_transform,
+    joint_statistics,
+    ramp_column,
+    term_column,
+)
 
 # Number of times that the evidence is computed anew with the error of the best set.
 _ROUNDS = 2
@@ -51,7 +58,8 @@ def select_terms(
 
     Two Markov processes are compared, too, if the candidates have two (`"N + B + K + markov + markov"`),
     beside the sets that one of them brings near the best. What all sets say together, coefficients and drift
-    averaged by their probabilities, is the `averaged` of each axis's result.
+    averaged by their probabilities, is the `averaged` of each axis's result. Of a recording in stretches the
+    evidence is that of all together.
 
     Args:
         recording: what `read` returns, or what else `fit` takes.
@@ -72,6 +80,9 @@ def select_terms(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
             "record at least 64"
         )
+    if recording.others:
+        joint = joint_statistics((recording.values, *recording.others), recording.rate)
+        return rank_terms(model, *joint, recording.axes, recording.name)
     bins = Bins.of(recording.n, recording.rate)
     place = recording.n, recording.rate
     ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)

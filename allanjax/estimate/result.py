@@ -349,7 +349,8 @@ class Fit(ByValue, PerAxis[AxisFit]):
     def _title(self) -> str:
         length = duration(self.curve.n / self.curve.rate)
         name = f"{self.name}: " if self.name else ""
-        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length})"
+        others = self.curve.others_told()
+        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length}){others}"
 
     def __str__(self) -> str:
         # Broken here, for they stand outside of the table.

@@ -17,6 +17,7 @@ from allanjax.estimate.whittle import fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis
+from allanjax.spectrum.cosine import Bins, SpectralStatistics
 from allanjax.spectrum.segments import SegmentSpectra
 
 
@@ -69,7 +70,17 @@ def fit_stream(
     """
     _check_axes(spectra, axes)
     check_terms(template)
-    bins, statistics = spectra.statistics()
+    return fit_statistics(*spectra.statistics(), template, axes, active)
+
+
+def fit_statistics(
+    bins: Bins,
+    statistics: SpectralStatistics,
+    template: Model,
+    axes: Sequence[Axis],
+    active: Bool[np.ndarray, "axes terms"],
+) -> tuple[AxisFit, ...]:
+    """Fit every axis to the statistics [axes, m] of a spectrum, as `fit_stream` does."""
     ramps = [k for k, term in enumerate(template.terms) if term.deterministic]
     results = []
     for k, axis in enumerate(axes):

@@ -40,7 +40,8 @@ class FitOptions:
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
         """Fit of a recording with these options; `seen` is how it looks (`inspect`), if that is known."""
         seen = self.inspect(recording) if seen is None else seen
-        return fit_inspected(recording, seen, self.model, self.objective, self.regressors, self.plain)
+        options = self.model, self.objective, self.regressors, self.plain
+        return fit_inspected(recording, seen, *options, as_is=self.as_is)
 
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.

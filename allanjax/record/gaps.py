@@ -1,6 +1,7 @@
 """Stretches without gaps, and samples on the even grid of times that gaps leave places in."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,36 +17,59 @@ def without_repeats(
     return np.concatenate([[True], ~(same.all(axis=1) & (np.diff(times) == 0.0))])
 
 
-def longest_stretch(
+# Tolerance, in samples, within which a time is that of a sample: room for rounding.
+_TIME_SLACK = 1e-6
+# Samples of a stretch that has a spectrum of its own, and stretches that are fitted together.
+_LEAST, _MOST = 64, 16
+
+
+class Stretches(NamedTuple):
+    """Stretches of a record in which no sample is missing.
+
+    Attributes:
+        longest: rows of the longest.
+        others: rows of others of 64 samples and more, the longest fifteen of them, in the order of time.
+        total: how many stretches there are.
+    """
+
+    longest: slice
+    others: tuple[slice, ...]
+    total: int
+
+    def told(self, n: int) -> tuple[str, ...]:
+        """Which samples of n were taken, in notes; none if all of them."""
+        if self.total < 2:
+            return ()
+        others = f"; {len(self.others)} others are kept for Allan deviations and fits" if self.others else ""
+        return (
+            f"samples {self.longest.start} to {self.longest.stop - 1} of {n} taken, the longest of "
+            f"{self.total} stretches without gaps{others}; gaps='fill' (--gaps fill) uses all",
+        )
+
+
+def stretches_of(
     values: Float[np.ndarray, "samples axes"], after_gap: Bool[np.ndarray, " samples"]
-) -> tuple[slice, int]:
-    """Rows of the longest stretch in which no sample is missing, and how many stretches there are.
+) -> Stretches:
+    """Stretches in which no sample is missing.
 
     An axis that has no value at all is not counted. `after_gap` are samples before which others are missing.
-
-    Others are left out: a difference of clusters of length T needs a stretch of 2T, so that slow terms are
-    those of the longest one in any case, and between stretches they are not independent, as a sum of
-    likelihoods would take them to be. All samples are used where the missing ones are drawn.
     """
     lost = np.isnan(values)
     whole = ~lost[:, ~lost.all(axis=0)].any(axis=1)
     begins = whole & (after_gap | ~np.concatenate([[False], whole[:-1]]))
     first = np.flatnonzero(begins)
     if not first.size:
-        return slice(0, 0), 0
+        return Stretches(slice(0, 0), (), 0)
     # A stretch ends where the next begins, or at the first sample after it that is not whole.
     ends = np.append(first[1:], len(values))
     lengths = np.add.reduceat(whole.astype(int), first)
-    k = int(np.argmax(lengths))
-    return slice(int(first[k]), int(min(first[k] + lengths[k], ends[k]))), len(first)
-
-
-def stretch_told(rows: slice, n: int, count: int) -> str:
-    """Which samples were taken, in a note."""
-    return (
-        f"samples {rows.start} to {rows.stop - 1} of {n} taken, the longest of {count} stretches without "
-        "gaps; gaps='fill' (--gaps fill) uses all"
-    )
+    rows = [
+        slice(begin, min(begin + length, end))
+        for begin, length, end in zip(first.tolist(), lengths.tolist(), ends.tolist(), strict=True)
+    ]
+    order = sorted(range(len(rows)), key=lambda k: rows[k].start - rows[k].stop)
+    kept = [k for k in order[1:_MOST] if rows[k].stop - rows[k].start >= _LEAST]
+    return Stretches(rows[order[0]], tuple(rows[k] for k in sorted(kept)), len(rows))
 
 
 def on_grid(
@@ -73,3 +97,11 @@ def check_choice(gaps: str, source: Source) -> None:
     """Raise RecordingError if `gaps` is no choice of what to do about missing samples."""
     if gaps not in ("error", "segments", "fill"):
         raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")
+
+
+def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
+    """Rows of the samples at times in [start, stop), in s from the first sample."""
+    first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
+    last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
+    first = min(max(first, 0), samples)
+    return slice(first, max(first, min(last, samples)))

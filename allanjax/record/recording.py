@@ -19,7 +19,7 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import check_choice, longest_stretch, runs_of, stretch_told
+from allanjax.record.gaps import check_choice, rows_between, runs_of, stretches_of
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Key in a data frame's `attrs` of what its columns do not say of a recording.
 ATTRIBUTE = "allanjax"
-# Tolerance, in samples, within which a time is that of a sample: room for rounding.
-_TIME_SLACK = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +45,8 @@ class Recording(ByValue):
         jitter: rms jitter of the time stamps [s]; None without any.
         missing: samples that are not the sensor's but have been drawn given the others, see `completion`;
             None if there are none.
+        others: other stretches of the same record, between which samples are missing (`gaps="segments"`), in
+            SI: Allan deviations and the coefficients of noise terms are of all, everything else of `values`.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -60,6 +60,7 @@ class Recording(ByValue):
     dead: tuple[DeadAxis, ...] = ()
     jitter: float | None = None
     missing: Bool[np.ndarray, "samples axes"] | None = None
+    others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
 
     @classmethod
     def from_array(
@@ -132,13 +133,13 @@ class Recording(ByValue):
                     f"({len(table)},)"
                 )
         check_choice(gaps, source)
-        if gaps == "segments":
-            rows, count = longest_stretch(table, np.zeros(len(table), bool))
-            if count > 1:
-                notes += (stretch_told(rows, len(table), count),)
-            table, source = table[rows], source.after(rows.start)
-            extra = {key: column[rows] for key, column in extra.items()}
-        return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
+        if gaps != "segments":
+            return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
+        found = stretches_of(table, np.zeros(len(table), bool))
+        rows, notes = found.longest, (*notes, *found.told(len(table)))
+        extra = {key: column[rows] for key, column in extra.items()}
+        source, others = source.after(rows.start), [table[other] for other in found.others]
+        return build(table[rows], rate, columns, units, extra, name, notes, source, others=others)
 
     @property
     def n(self) -> int:
@@ -275,6 +276,7 @@ class Recording(ByValue):
             self,
             values=self.values[:, chosen],
             missing=None if self.missing is None else self.missing[:, chosen],
+            others=tuple(other[:, chosen] for other in self.others),
             axes=tuple(self.axes[i] for i in chosen),
             dead=tuple(dead for dead in self.dead if dead.axis.sensor in keys),
         )
@@ -283,7 +285,7 @@ class Recording(ByValue):
         return self.select(key) if isinstance(key, str) else self.select(*key)
 
     def between(self, start: float | None = None, stop: float | None = None) -> "Recording":
-        """Recording from `start` up to but not including `stop`, in s from the first sample.
+        """Recording from `start` up to but not including `stop`, in s from the first sample, without others.
 
         Raises:
             RecordingError: fewer than 16 samples are left, or every axis is constant there.
@@ -304,6 +306,7 @@ class Recording(ByValue):
             values=values,
             axes=axes,
             missing=missing if missing is not None and missing.any() else None,
+            others=(),
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
             notes=(*self.notes, note, *left_out),
             dead=(*self.dead, *dead),
@@ -341,10 +344,11 @@ def build(
     source: Source,
     jitter: float | None = None,
     fill: bool = False,
+    others: Sequence[Float[np.ndarray, "_ axes"]] = (),
 ) -> Recording:
     """Check samples in their own units and make a recording of the axes that are not dead.
 
-    With `fill` samples that are nan are drawn given the others.
+    With `fill` samples that are nan are drawn given the others; `others` are other stretches.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -357,12 +361,13 @@ def build(
     values = np.column_stack([bridged(*column) for column in zip(values.T, lost.T, strict=True)])
     every = axes
     values, axes, dead, left_out = _living(values, axes, values[:1].ravel(), labels, source)
-    lost = lost[:, [axis in axes for axis in every]]
+    kept, scales = [axis in axes for axis in every], scales_of(axes, rate)
+    lost = lost[:, kept]
     if lost.any():
         values = completed(values, lost)
         left_out = (*told(lost, rate, [axis.name for axis in axes]), *left_out)
     return Recording(
-        values * scales_of(axes, rate),
+        values * scales,
         rate,
         axes,
         MappingProxyType(dict(auxiliary)),
@@ -371,6 +376,7 @@ def build(
         dead,
         jitter,
         lost if lost.any() else None,
+        tuple(other[:, kept] * scales for other in others if (np.ptp(other[:, kept], axis=0) > 0.0).all()),
     )
 
 
@@ -390,11 +396,3 @@ def _living(
     dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
     notes = tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
     return values[:, living] if dead else values, tuple(itertools.compress(axes, living)), dead, notes
-
-
-def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
-    """Rows of the samples at times in [start, stop), in s from the first sample."""
-    first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
-    last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
-    first = min(max(first, 0), samples)
-    return slice(first, max(first, min(last, samples)))

@@ -105,7 +105,15 @@ def bad_cells(label: str, count: int, first: int, source: Source, text: str | No
     cells = f"1 value is not a {limit}"
     if count > 1:
         cells = f"{count} values are not {limit}, the first"
+    told = f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; "
+    if text is not None:
+        return source.error(
+            f"{told}repair the file, or take a stretch without bad values by start= and stop= "
+            "(--start, --stop)"
+        )
     return source.error(
-        f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; repair the file, or "
-        "take a stretch without bad values by start= and stop= (--start, --stop)"
+        f"{told}repair the file, take a stretch without bad values by start= and stop= (--start, --stop) or "
+        "the longest by gaps='segments' (--gaps segments), or let missing values be drawn given the others "
+        "by gaps='fill' (--gaps fill)",
+        "gaps",
     )

@@ -85,7 +85,8 @@ def plot_allan(
     fit, curve = _fit_and_curve(data)
     title = fit.name if fit is not None and fit.name else _kind_of(curve)
     has_fit = fit is not None
-    frame = Frame(title, facts_of(curve.n, curve.rate), CLUSTER_TIME, has_fit, has_fit)
+    facts = facts_of(curve.n, curve.rate) + curve.others_told()
+    frame = Frame(title, facts, CLUSTER_TIME, has_fit, has_fit)
     rows = rows_of(curve.names, curve.axes, axes)
     return frame.draw([[_panel(curve, fit, k) for k in row] for row in rows], path, ax)
 
@@ -220,7 +221,7 @@ def _plot_several(
 
 def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
     """Lengths and rates of the records; of more than two kinds, from the least to the largest."""
-    facts = list(dict.fromkeys(facts_of(curve.n, curve.rate) for curve in curves))
+    facts = list(dict.fromkeys(facts_of(curve.n, curve.rate) + curve.others_told() for curve in curves))
     if len(facts) <= 2:
         return "; ".join(facts)
     lengths, rates = sorted(c.n / c.rate for c in curves), sorted(c.rate for c in curves)

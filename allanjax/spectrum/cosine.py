@@ -225,6 +225,24 @@ def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1
     return cosine_transform(column)
 
 
+def joint_statistics(
+    stretches: Sequence[Float[np.ndarray, "_ axes"]], rate: float
+) -> tuple[Bins, SpectralStatistics]:
+    """Bins and statistics [axes, m] of stretches of a record, one after the other, each less its own mean.
+
+    Between stretches the coefficients of white noise and random walks are independent, those of flicker and
+    Markov noise nearly. The bins are those of the first stretch, the longest, as far as they say how long.
+    """
+    parts: list[Part] = []
+    sums = []
+    for x in stretches:
+        bins = Bins.of(len(x), rate)
+        parts += bins.parts
+        sums.append(bins.statistics(cosine_transform(x - x.mean(axis=0)), ramp_column(len(x), rate)))
+    joint = SpectralStatistics(*(np.concatenate(some, axis=1) for some in zip(*sums, strict=True)))
+    return Bins(len(stretches[0]), rate, tuple(parts)), joint
+
+
 def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
     """Cosine coefficients of a ramp of 1 per second in n samples."""
     return term_column(DriftRamp(), n, rate)

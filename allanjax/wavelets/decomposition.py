@@ -120,7 +120,7 @@ class WaveletDecomposition(ByValue):
         """The recording of what these coefficients alone make, with a note on it."""
         only = [c if k in kept else np.zeros_like(c) for k, c in enumerate(self._coefficients)]
         values = pywavelets().waverec(only, self.wavelet, "symmetric", axis=0)[: self.recording.n]
-        return replace(self.recording, values=values, notes=(*self.recording.notes, told))
+        return replace(self.recording, values=values, others=(), notes=(*self.recording.notes, told))
 
     def __repr__(self) -> str:
         low, high = (plain(float(f), 3) for f in (self.band[-1, 0], self.band[0, 1]))

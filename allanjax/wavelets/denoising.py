@@ -146,7 +146,7 @@ def denoise(
     notes = (*recording.notes, f"de-noised with {wavelet}: {told}")
     at = {r.level: decomposition.approximation(r.level).values for r in results}
     values = np.stack([at[r.level][:, k] for k, r in enumerate(results)], axis=1)
-    left = dataclasses.replace(recording, values=values, notes=notes)
+    left = dataclasses.replace(recording, values=values, others=(), notes=notes)
     return Denoised(left, wavelet, tuple(results))
 
 

@@ -249,6 +249,16 @@ def test_the_table_of_a_gauss_markov_process_has_its_time_and_size(small_fit):
     assert result.mismatch < 1.05 * aj.horizon(small_fit, 10.0, axes="gyro_z")["gyro_z"].mismatch
 
 
+def test_a_gauss_markov_filter_follows_the_drift():
+    """One that soon forgets its bias would predict a vibration best, with twice the error of a walk's."""
+    model = aj.AngleRandomWalk(1e-4) + aj.RateRandomWalk(1e-4) + aj.Resonance(3e-3, 11.0, 12.0)
+    z = np.asarray(aj.simulate(model, 60_000, RATE, 5))
+    terms = "N + K + resonance(frequency=11 Hz)"
+    fit = aj.fit(z, terms, "whittle", rate=RATE, gyro_unit="rad/s", as_is=True)
+    walk, markov = (aj.horizon(fit, 1.0, process=p)["gyro"].error[-1] for p in ("walk", "markov"))
+    assert markov < 1.1 * walk
+
+
 def test_a_fit_that_was_saved_gives_the_same(found, small_fit, tmp_path):
     aj.write_json(small_fit, tmp_path / "small.json")
     again = aj.horizon(aj.load(tmp_path / "small.json"), 10.0)

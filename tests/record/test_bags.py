@@ -93,6 +93,13 @@ def test_stamps_of_zero(tmp_path, samples):
     assert any("the bag's time is used" in note for note in recording.notes)
 
 
+def test_a_single_message_is_too_short(tmp_path, samples):
+    """Without a warning of NumPy about the jitter of none."""
+    path = written(tmp_path, "ros1", {"/imu": Topic([5], samples[:1], [6])})
+    with pytest.raises(RecordingError, match="too short: 1 samples"):
+        read(path)
+
+
 def test_several_topics_are_listed(tmp_path, samples):
     topics = {
         "/front/imu": Topic(regular(), samples),

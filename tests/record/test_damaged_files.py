@@ -49,6 +49,14 @@ def test_damaged_at_random(samples, name):
         sample.part.write_bytes(content)
 
 
+def test_a_log_in_which_pyulog_would_go_back_for_ever(samples, tmp_path):
+    """The last of its definitions claims more bytes than there are."""
+    path = tmp_path / "log.ulg"
+    path.write_bytes(damaged(samples["ULog"].part.read_bytes(), np.random.default_rng(5_001_447)))
+    with pytest.raises(RecordingError, match="reading it does not end"):
+        read(path)
+
+
 @pytest.mark.parametrize("value", [1e307, -1.7e308, 1e101])
 @pytest.mark.parametrize("reader", [read, read_chunks])
 def test_numbers_that_overflow_when_they_are_scaled_or_squared(tmp_path, noise, value, reader):

@@ -90,8 +90,9 @@ def test_empty_cells_are_missing_of_their_axis_alone(written):
     table = whole(3000)
     table.iloc[[5, 900, 901], 1] = np.nan
     del table["time [s]"]
-    with pytest.raises(RecordingError, match="3 values are not finite"):
+    with pytest.raises(RecordingError, match=r"3 values are not finite.*segments.*drawn.*fill") as raised:
         aj.read(written(table), rate=RATE)
+    assert raised.value.about == "gaps"
     recording = aj.read(written(table), rate=RATE, gaps="fill")
     assert np.flatnonzero(recording.missing[:, 0]).tolist() == [5, 900, 901]
     assert not recording.missing[:, 1:].any()
@@ -291,3 +292,73 @@ def test_allan_deviations_of_a_filled_record_have_fewer_degrees_of_freedom():
         np.testing.assert_array_equal(filled.deviation, whole.deviation)
         np.testing.assert_array_equal(filled.edf[:, 0], whole.edf[:, 0])
         np.testing.assert_allclose(filled.edf[:, 1] * (1.0 / 0.75 + 0.25), whole.edf[:, 1], rtol=1e-12)
+
+
+def in_stretches(x, lengths):
+    """Array with these stretches of samples, one sample missing between them."""
+    parts = np.split(x[: sum(lengths)], np.cumsum(lengths)[:-1])
+    gap = np.full((1, x.shape[1]), np.nan)
+    return np.concatenate([y for part in parts for y in (part, gap)][:-1])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"overlapping": False},
+        {"kind": "hadamard"},
+        {"kind": "modified"},
+        {"kind": "hadamard", "overlapping": False},
+        {"estimator": "pyramid"},
+        {"cluster_times": [0.03, 0.5, 2.0]},
+    ],
+)
+def test_differences_whose_clusters_are_complete_are_averaged(options):
+    """By brute force: every difference of the phase within a stretch, of all stretches together."""
+    lengths = (150, 500, 64, 63, 411)
+    x = np.random.default_rng(31).standard_normal((1188, 2))
+    recording = aj.Recording.from_array(
+        in_stretches(x, lengths), RATE, gyro_unit="rad/s", names=["gyro_x", "gyro_y"], gaps="segments"
+    )
+    # That of 63 samples is too short for a spectrum.
+    assert sorted(map(len, recording.others)) == [64, 150, 411]
+    found = aj.allan_deviation(recording, **options)
+    weights = [1, -2, 1] if options.get("kind", "allan") != "hadamard" else [-1, 3, -3, 1]
+    modified = options.get("kind") == "modified"
+    for k, m in enumerate(found.cluster_size):
+        squares = []
+        for z in (recording.values, *recording.others):
+            phase = np.vstack([np.zeros(2), np.cumsum(z, axis=0)]) / RATE
+            count = len(z) + 1 - (len(weights) - 1) * m
+            d = sum(w * phase[p * m : p * m + max(count, 0)] for p, w in enumerate(weights))
+            step = 1 if options.get("overlapping", True) else m
+            step = max(m // 8, 1) if "estimator" in options else step
+            if modified:
+                starts = range(count + 1 - m)
+                d = np.array([d[i : i + m].mean(axis=0) for i in starts]).reshape(-1, 2)
+            squares.append(d[::step] ** 2)
+        squares = np.concatenate(squares)
+        scale = (6.0 if len(weights) == 4 else 2.0) * (m / RATE) ** 2
+        assert found.count[k] == len(squares)
+        np.testing.assert_allclose(found.variance[k], squares.mean(axis=0) / scale, rtol=1e-9)
+
+
+def test_degrees_of_freedom_of_stretches_are_those_of_simulated_ones():
+    """The relative variance of the pooled estimates is 2/ν: over 2000 sets of stretches to some 6 % (2 σ)."""
+    lengths, rng = (100, 180, 70), np.random.default_rng(32)
+    gaps = in_stretches(np.ones((350, 1)), lengths)
+    estimates = []
+    for _ in range(500):
+        x = gaps * rng.standard_normal((len(gaps), 4))
+        recording = aj.Recording.from_array(
+            x, RATE, gyro_unit="rad/s", names=[f"gyro_{k}" for k in range(4)], gaps="segments"
+        )
+        curve = aj.allan_deviation(recording)
+        estimates.append(curve.variance.T)
+    estimates = np.concatenate(estimates)
+    measured = 2.0 * estimates.mean(axis=0) ** 2 / estimates.var(axis=0)
+    # The scatter of a variance of values with two degrees of freedom or more: √(8/2000).
+    assert measured == pytest.approx(curve.edf[:, 0], rel=3.0 * np.sqrt(8.0 / 2000.0))
+    assert curve.others == (100, 70)
+    whole = aj.allan_deviation(x[101:281, :1], RATE)
+    assert (curve.edf[:3, 0] > 1.5 * whole.edf[:3, 0]).all()

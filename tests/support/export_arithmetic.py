@@ -216,6 +216,14 @@ def gins(root):
     return read
 
 
+def hybvio(text, sensor, axis, rate):
+    v, dt = read_assignments(text, r"-(?P<name>\w+)=(?P<value>\S+)"), 1.0 / rate
+    white, bias = {"gyro": ("Gyro", "BGA"), "accel": ("Acc", "BAA")}[sensor]
+    theta = v[f"noiseProcess{bias}Rev"]
+    drive = v[f"noiseProcess{bias}"] ** 2 * -math.expm1(-2.0 * dt * theta) / (2.0 * theta)
+    return Step(dt, (dt * v[f"noiseProcess{white}"]) ** 2, drive, math.exp(-dt * theta))
+
+
 def robot_localization(text, sensor, axis, rate):
     name = {"gyro": "angular_velocity", "accel": "linear_acceleration"}[sensor]
     matrix = np.array(read_yaml(text)[f"{name}_covariance"]).reshape(3, 3)
@@ -311,6 +319,7 @@ STEPS = {
     "fast-lio2": fast_lio("mapping"),
     "fast-livo2": fast_lio("imu"),
     "glim": glim,
+    "hybvio": hybvio,
     "kf-gins": gins("imunoise"),
     "ob-gins": gins("imumodel"),
     "robot_localization": robot_localization,

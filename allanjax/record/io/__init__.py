@@ -54,9 +54,11 @@ def read(
             `sensor_gyro`; two with a comma between for gyros and accelerometers apart.
         instance: number of the sensor in a flight log that has several; by default the first.
         gaps: what to do about samples that are missing, be it in the time stamps or as empty cells: "error",
-            the default, says where and what there is; "segments" takes the longest stretch without any;
-            "fill" draws them from their distribution given the others, of which the fit's intervals take
-            account (see `completion`). Packets recorded twice are dropped then.
+            the default, says where and what there is; "segments" takes the longest stretch without any,
+            and keeps others for Allan deviations and fits of noise terms (`others` of the recording, up
+            to 15 of 64 samples or more); "fill" draws them from their distribution given the others, of
+            which the fit's intervals take account (see `completion`). Packets recorded twice are dropped
+            then.
 
     Raises:
         RecordingError: the file or the arguments are not usable; the message says where and what to do.

@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.columns import Column
-from allanjax.record.gaps import longest_stretch, on_grid, stretch_told, without_repeats
+from allanjax.record.gaps import on_grid, rows_between, stretches_of, without_repeats
 from allanjax.record.io.layout import find_layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Table, as_float, is_numeric
 from allanjax.record.io.timestamps import MAX_RATE_DIFFERENCE, after_gaps, rate_from_times, seconds_from_first
-from allanjax.record.recording import Recording, build, rows_between
+from allanjax.record.recording import Recording, build
 from allanjax.record.validation import Source, check_length, check_rate
 
 
@@ -51,8 +51,9 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         if numbers is not None:
             auxiliary[column.name] = numbers
     stretch = _Stretch(values, auxiliary, None if times is None else times[rows])
+    others: tuple[_Stretch, ...] = ()
     if gaps:
-        stretch, source, more = _with_gaps(stretch, options, source)
+        stretch, others, source, more = _with_gaps(stretch, options, source)
         notes += more
     if stretch.times is not None:
         found = rate_from_times(stretch.times, layout.time_label, rate, source, gaps=gaps)
@@ -64,9 +65,8 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         raise no_rate_error(source)
     units = table.units_with(options)
     fill = options.gaps == "fill"
-    return build(
-        stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter, fill
-    )
+    of_stretch = (stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter)
+    return build(*of_stretch, fill, [other.values for other in others])
 
 
 class _Stretch(NamedTuple):
@@ -76,6 +76,11 @@ class _Stretch(NamedTuple):
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
     times: Float[np.ndarray, " samples"] | None
 
+    @property
+    def interval(self) -> float:
+        """Mean interval of its stamps; 1 without any."""
+        return 1.0 if self.times is None else float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+
     def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
         """These rows of it."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
@@ -84,8 +89,8 @@ class _Stretch(NamedTuple):
 
 def _with_gaps(
     stretch: _Stretch, options: ReadOptions, source: Source
-) -> tuple[_Stretch, Source, tuple[str, ...]]:
-    """Stretch without packets recorded twice, of "segments" the longest one without gaps, and notes."""
+) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[str, ...]]:
+    """Stretch without packets recorded twice, of "segments" the longest without gaps, others, and notes."""
     notes: tuple[str, ...] = ()
     if stretch.times is not None:
         kept = without_repeats(stretch.values, stretch.times)
@@ -93,14 +98,18 @@ def _with_gaps(
             notes += (f"{np.count_nonzero(~kept)} packets recorded twice left out",)
             stretch = stretch.taken(kept)
     if options.gaps == "fill":
-        return stretch, source, notes
+        return stretch, (), source, notes
     n, times = len(stretch.values), stretch.times
-    rows, count = longest_stretch(stretch.values, np.zeros(n, bool) if times is None else after_gaps(times))
-    if count > 1:
-        notes += (stretch_told(rows, n, count),)
-    source = source.after(rows.start)
-    check_length(rows.stop - rows.start, source)
-    return stretch.taken(rows), source, notes
+    found = stretches_of(stretch.values, np.zeros(n, bool) if times is None else after_gaps(times))
+    source = source.after(found.longest.start)
+    check_length(found.longest.stop - found.longest.start, source)
+    longest = stretch.taken(found.longest)
+
+    def is_alike(rows: slice) -> bool:
+        return abs(stretch.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE
+
+    found = found._replace(others=tuple(filter(is_alike, found.others)))
+    return longest, tuple(map(stretch.taken, found.others)), source, (*notes, *found.told(n))
 
 
 def no_rate_error(source: Source) -> RecordingError:

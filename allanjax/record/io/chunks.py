@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.record.axes import Axis, axes_of, scales_of
+from allanjax.record.gaps import rows_between
 from allanjax.record.io.assembly import check_stretch, no_rate_error, rows_of_times, stated_rate
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.layout import Layout, find_layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float
 from allanjax.record.io.timestamps import rate_from_times, seconds_from_first
-from allanjax.record.recording import rows_between
 from allanjax.record.validation import (
     Source,
     bad_cells,

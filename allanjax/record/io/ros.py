@@ -227,10 +227,9 @@ def _notes(series: Series, messages: _Messages) -> list[str]:
     late = int(np.count_nonzero(np.diff(times) < 0))
     if late:
         notes.append(f"{series.name}: {late} messages out of order, sorted by {clock}")
-    jitters = [
-        told_jitter(float(np.std(seconds_between(stamps)))) for stamps in (messages.stamps, messages.arrivals)
-    ]
-    if not note and len(times) > 1:
+    between = [seconds_between(stamps) for stamps in (messages.stamps, messages.arrivals)]
+    if not note and all(len(intervals) for intervals in between):
+        jitters = [told_jitter(float(np.std(intervals))) for intervals in between]
         notes.append(f"{series.name}: jitter of header.stamp {jitters[0]}, of the bag's time {jitters[1]}")
     for what, half in (("angular velocities", series.gyro), ("accelerations", series.accel)):
         if half is None:

@@ -148,9 +148,10 @@ def _layout(path: Path, source: Source) -> _Layout:
     first = _first_row(head)
     notes = ("numbers with decimal commas",) if decimal == "," else ()
     if first is None:
+        looked = head[-1][0] + 1
         raise source.error(
-            f"no row of numbers in the first {head[-1][0] + 1} lines; give a file with one row of "
-            "numbers per sample"
+            f"no row of numbers in its first {f'{looked} lines' if looked > 1 else 'line'}; give a file with "
+            "one row of numbers per sample"
         )
     number, line = head[first]
     delimiter = _delimiter(line)

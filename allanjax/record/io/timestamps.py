@@ -110,12 +110,15 @@ def rate_from_times(
     if backwards.size:
         first = int(backwards[0]) + 1
         what, by, why = "repeats", "", "packets recorded twice, or stamps coarser than the samples"
+        remedy = "sort or repair the file"
+        if not gaps:
+            remedy += ", leave out packets recorded twice by gaps='fill' (--gaps fill)"
         if intervals[first - 1] < 0:
             what, by = "is earlier than", f", by {-intervals[first - 1]:.6g} s,"
-            why = "a clock that was set, or packets out of order"
+            why, remedy = "a clock that was set, or packets out of order", "sort or repair the file"
         raise source.error(
             f"column {label!r} {what} the time before it{by} at {source.locate(first)} ({backwards.size} "
-            f"such in all: {why}); sort or repair the file, or {_IGNORE}",
+            f"such in all: {why}); {remedy}, or {_IGNORE}",
             "jitter",
         )
     typical = float(np.median(intervals))

@@ -38,8 +38,9 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
         raise source.error('a PX4 log, for which pyulog is needed: pip install "allanjax[px4]"') from error
     # It prints what it finds damaged; damaged numbers are found later.
     quiet = contextlib.redirect_stdout(io.StringIO())
-    with damage_told(source, "a ULog file", _REMEDY), quiet, np.errstate(all="ignore"):
-        log = ULog(str(path), list(_READERS))
+    damaged = damage_told(source, "a ULog file", _REMEDY)
+    with damaged, quiet, np.errstate(all="ignore"), _BoundedFile(path) as stream:
+        log = ULog(stream, list(_READERS))
         found = {(data.name, data.multi_id): _series(data.name, data.data, source) for data in log.data_list}
     found = {key: series for key, series in found.items() if len(series.times)}
     if not found:
@@ -57,6 +58,24 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
     if log.file_corruption:
         notes.append("damaged parts of the log are left out")
     return recording_of(chosen, source).table("timestamp", source, notes)
+
+
+class _BoundedFile(io.BufferedReader):
+    """File that is read so often and no more: in a damaged one pyulog may go back for ever.
+
+    It goes on by a byte at a time at the least, with two calls each.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._calls = 4 * path.stat().st_size + 1000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._calls -= 1
+        if self._calls < 0:
+            # Of a kind that pyulog does not catch.
+            raise RuntimeError("its parts are damaged so that reading it does not end")
+        return super().read(size)
 
 
 def _series(name: str, fields: Fields, source: Source) -> Series:

@@ -253,6 +253,23 @@ ESTIMATORS = (
         comment_at="sensors",
     ),
     Target(
+        "hybvio",
+        "HybVIO",
+        "lines",
+        "HybVIO src/odometry/ekf.cpp: variance per step (dt*x)^2; a step lets the bias decay by exp(-dt*Rev) "
+        "and drives it with x^2*(1-exp(-2*dt*Rev))/(2*Rev)",
+        (
+            *both("-noiseProcessGyro={}", "-noiseProcessAcc={}", "N*sqrt(r)", SAMPLE),
+            *both("-noiseProcessBGA={}", "-noiseProcessBAA={}", "q", WALK),
+            *both("-noiseProcessBGARev={}", "-noiseProcessBAARev={}", "1/T", ("1/s", "1/s")),
+        ),
+        (
+            "options of its command line, names of its parameters without the dash",
+            "its authors call the first two continuous (HybVIO issue 44), but its code takes them per sample",
+        ),
+        also=("spectacularai",),
+    ),
+    Target(
         "kf-gins",
         "KF-GINS",
         "yaml",
