@@ -69,26 +69,7 @@ def criticize(
     _check(recording, given, false_alarms)
     per_axis = false_alarms / len(recording.axes)
 
-    def searched(k: int) -> Draft:
-        return _searched(recording, given, causes, per_axis, tell, k)
-
-    def concluding(k: int) -> Search:
-        """Search in an axis, at the places where others have something, too."""
-        others = elsewhere(places[k], [place for i, own in enumerate(places) if i != k for place in own])
-        there = [cause.at(others) for cause in causes if isinstance(cause, Sinusoid | SpectralShape)]
-        draft = going_on(drafts[k], there, per_axis, tell) if others else drafts[k]
-        further = None if given is None or given.chosen else further_terms(given.results[k].model)
-        return dataclasses.replace(concluded(draft, causes), others=further or None)
-
-    # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
-    # search needs no fit: it is for the report.
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
-        drafts = list(pool.map(searched, range(len(recording.axes))))
-        places = [places_in(draft.end, draft.steps) for draft in drafts]
-        searches = list(pool.map(concluding, range(len(recording.axes))))
-    # It looks for filters, resonances and lines itself.
-    fit = fitting.result().without_extensions()
+    searches, fit = _searches(recording, given, causes, per_axis, tell)
     tell("comparing measurement and simulation")
     stages = [_stages(s) for s in searches]
 
@@ -138,6 +119,37 @@ def criticize(
     return Critique(
         recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead, fit.warnings
     )
+
+
+def _searches(
+    recording: Recording,
+    given: Fit | None,
+    causes: Sequence[Cause],
+    false_alarms: float,
+    tell: Callable[[str], None],
+) -> tuple[list[Search], Fit]:
+    """Searches in all axes, and the fit that the critique begins with."""
+
+    def searched(k: int) -> Draft:
+        return _searched(recording, given, causes, false_alarms, tell, k)
+
+    def concluding(k: int) -> Search:
+        """Search in an axis, at the places where others have something, too."""
+        others = elsewhere(places[k], [place for i, own in enumerate(places) if i != k for place in own])
+        there = [cause.at(others) for cause in causes if isinstance(cause, Sinusoid | SpectralShape)]
+        draft = going_on(drafts[k], there, false_alarms, tell) if others else drafts[k]
+        further = None if given is None or given.chosen else further_terms(given.results[k].model)
+        return dataclasses.replace(concluded(draft, causes), others=further or None)
+
+    # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
+    # search needs no fit: it is for the report.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
+        drafts = list(pool.map(searched, range(len(recording.axes))))
+        places = [places_in(draft.end, draft.steps) for draft in drafts]
+        searches = list(pool.map(concluding, range(len(recording.axes))))
+    # It looks for filters, resonances and lines itself.
+    return searches, fitting.result().without_extensions()
 
 
 def _searched(
