@@ -11,7 +11,8 @@ from allanjax.estimate.structure.structure import LOWEST, Fitted, Spectrum
 _NARROWEST, _WORTH = 8, 4.0
 
 
-def middles(spectrum: Spectrum) -> np.ndarray:
+def middles(spectrum: Spectrum) -> Float[np.ndarray, " m"]:
+    """Index of the coefficient in the middle of each bin."""
     edges = spectrum.bins.edges
     return 0.5 * (edges[:-1] + edges[1:] - 1)
 
