@@ -135,12 +135,20 @@ def test_a_worker_of_a_fleet(monkeypatch):
     recording = object()
     monkeypatch.setattr(fleet, "read_recording", lambda *args: seen.append(args) or recording)
     monkeypatch.setattr(options, "inspected", lambda *args: seen.append(args) or "what was seen")
-    monkeypatch.setattr(options, "fit_inspected", lambda *args: seen.append(args))
+    monkeypatch.setattr(options, "fit_inspected", lambda *args, as_is: seen.append((*args, as_is)))
     fleet.characterize_recording("a.csv", FITTING)
     assert seen == [
         ("a.csv", READING),
         (recording, FITTING.model, FITTING.regressors, *LOOKING.values()),
-        (recording, "what was seen", FITTING.model, FITTING.objective, FITTING.regressors, FITTING.plain),
+        (
+            recording,
+            "what was seen",
+            FITTING.model,
+            FITTING.objective,
+            FITTING.regressors,
+            FITTING.plain,
+            FITTING.as_is,
+        ),
     ]
 
 
