@@ -37,7 +37,7 @@ _KNOWN, _CLEARER = "allan_deviation", 3.0
 _RATIOS = frozenset({"allan_deviation", "drift", "psd", "window_variance"})
 _BETWEEN = frozenset({"cross_correlation", "auxiliary_correlation"})
 # Most unexplained discrepancies that are listed, most notes on a screen, and characters in a line.
-_TOLD, _NOTES = 3, 3
+_TOLD, _NOTES = 3, 1
 _WIDTH = 108
 
 
@@ -90,8 +90,8 @@ def _end(critique: Critique, brief: bool = False) -> list[str]:
     lines += [_wrapped(f"{dead.axis.name}: not compared: {dead.reason}") for dead in critique.dead]
     told = critique.notes[:_NOTES] if brief else critique.notes
     notes = [_wrapped(f"note: {note}") for note in told]
-    if len(critique.notes) > len(told):
-        notes.append(f"  and {len(critique.notes) - len(told)} more notes: see `critique.details()`")
+    if more := len(critique.notes) - len(told):
+        notes.append(f"  and {more} more note{'s' if more > 1 else ''}: see `critique.details()`")
     return [*lines, *([""] if notes else []), *notes]
 
 
@@ -218,7 +218,7 @@ def _of_axis(axis: AxisCritique, shared: set[str], brief: bool) -> str:
         headline = f"{len(wrong)} of {count} {fail}"
         if not (brief and remains):
             headline = f"{what(wrong[0])} ({p_value(wrong[0].p_value)}; {headline})"
-    nothing = "left: nothing" if brief else f"left: nothing, all {count} tests pass"
+    nothing = "none left" if brief else f"left: nothing, all {count} tests pass"
     left = _unexplained(remains, brief) if remains else nothing
     return _wrapped(f"{name}: {headline}; {left}")
 
