@@ -36,35 +36,15 @@ _TOO_MANY = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Search:
-    """Result of the search in one axis.
-
-    Attributes:
-        start, end: view of the axis without findings, and with all of them subtracted.
-        tests: `Cause.p_value` at the start, of those causes that have one.
-        notes: notes for the user: causes as probable as noise, or that the search ended early.
-        preprocessed: whether a finding says that the samples are not what the sensor gave.
-        noise_model: random terms of the extended model, if there is a filter or a resonance among them.
-        others: terms of the baseline that are no basic ones, if it has any.
-    """
-
-    start: View
-    steps: tuple[Step, ...]
-    end: View
-    tests: Mapping[str, float]
-    notes: tuple[str, ...] = ()
-    preprocessed: bool = False
-    noise_model: Model | None = None
-    others: Model | None = None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Draft:
     """Search in one axis that may go on.
 
     Attributes:
         start, end: view of the axis without findings, and with all of them subtracted.
-        tests, notes, preprocessed: as in `Search`.
+        steps: the findings as they were made.
+        tests: `Cause.p_value` at the start, of those causes that have one.
+        notes: notes for the user: causes as probable as noise, or that the search ended early.
+        preprocessed: whether a finding says that the samples are not what the sensor gave.
         is_anew: whether findings were refitted, so that views before others are those of old ones.
     """
 
@@ -75,6 +55,19 @@ class Draft:
     notes: tuple[str, ...] = ()
     preprocessed: bool = False
     is_anew: bool = False
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Search(Draft):
+    """Result of the search in one axis.
+
+    Attributes:
+        noise_model: random terms of the extended model, if there is a filter or a resonance among them.
+        others: terms of the baseline that are no basic ones, if it has any.
+    """
+
+    noise_model: Model | None = None
+    others: Model | None = None
 
 
 def search(
@@ -169,6 +162,7 @@ def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
         draft.tests,
         draft.notes,
         draft.preprocessed,
+        anew,
         shape and shape.model,
     )
 
