@@ -195,8 +195,10 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
         values = np.column_stack([a.stages[-1].x for a in self.results])
         axes = tuple(a.axis for a in self.results)
-        recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead)
-        return fit(recording, as_is=True)
+        found = fit(Recording(values, self.rate, axes, name=self.name, dead=self.dead), as_is=True)
+        # Samples that were drawn are no further knowledge.
+        pairs = zip(found.results, self.fit.results, strict=True)
+        return dataclasses.replace(found, results=tuple(new.widened(old.widening) for new, old in pairs))
 
     @property
     def gain(self) -> float:

@@ -130,3 +130,18 @@ def test_a_critique_of_a_filled_record_finds_what_there_is_and_no_more():
     assert [f.cause for f in found.findings] == ["outliers"]
     (time,) = found.findings[0].details["times"]
     assert time.value == pytest.approx(40.0)
+
+
+def test_coefficients_of_what_is_left_are_as_uncertain_as_those_of_a_record_with_lost_samples():
+    _, recording = filled(white(), lost())
+    critique = aj.critique(recording)
+    wider = critique.fit["gyro_x"].widening
+    # √(1/(1 − f) + f) for a tenth that is lost.
+    f = lost().mean()
+    assert wider == pytest.approx(np.sqrt(1.0 / (1.0 - f) + f))
+    assert critique.refit()["gyro_x"].widening == wider
+    complete = aj.fit(
+        np.asarray(recording.values), rate=50.0, gyro_unit="rad/s", names=["gyro_x"], as_is=True
+    )
+    std = [fit["gyro_x"].coefficients["angle_random_walk"].std for fit in (critique.refit(), complete)]
+    assert std[0] == pytest.approx(wider * std[1])

@@ -38,7 +38,7 @@ class SpectralShape(Cause):
             return None
         after, gain = found
         # Of a filter, and of a place that is known, there is no statistic but the odds.
-        has_filter = bool(self._places) or after.structure is None or after.structure.kind != NONE
-        p_value = None if has_filter else self.p_value(view)
+        has_odds_only = bool(self._places) or after.structure is None or after.structure.kind != NONE
+        p_value = None if has_odds_only else self.p_value(view)
         bound = float(np.exp(-gain))
         return Candidate(self.name, (), gain, p_value, after, lambda: gain, domain="frequency", bound=bound)
