@@ -1,8 +1,8 @@
 """Noise models that a fit leaves likely: its own within its intervals, and rival sets of terms.
 
 What the fit chose is drawn from the normal law of the logarithms of its powers. Sets of terms that the data
-do not tell from it are fitted to the Allan variances anew, with powers that are not negative, and drawn by
-scattering the variances within their degrees of freedom.
+do not tell from it are fitted to the Allan variances anew, with powers that are not negative, and drawn in
+the same way.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import TermSet
@@ -24,6 +24,8 @@ _WIDEST = 1.5
 _LIMIT = 1.96
 # Correlation times that are tried for a Markov process of a rival set.
 _TIMES = 15
+# Rounds in which the weights of a rival set's fit approach those of its own variances.
+_STEPS = 8
 
 
 class Likely(NamedTuple):
@@ -96,33 +98,68 @@ def _unit(term: type[NoiseTerm]) -> NoiseTerm:
 
 
 def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.Generator) -> Likely:
-    """A rival set, fitted to the Allan variances of an axis."""
+    """A rival set, fitted to the Allan variances of an axis at octaves, which are nearly independent."""
     curve, classes = fit.curve, term_classes()
-    time, variance = curve.cluster_time, curve.deviation[:, column] ** 2
-    degrees = np.maximum(curve.edf[:, column], 1.0)
-    weight = np.sqrt(degrees / 2.0) / variance
+    octaves = np.unique(np.searchsorted(curve.cluster_size, 2 ** np.arange(np.log2(curve.cluster_size[-1]))))
+    time, variance = curve.cluster_time[octaves], curve.deviation[octaves, column] ** 2
+    degrees = np.maximum(curve.edf[octaves, column], 1.0)
     # A Markov process of any time between ten samples and the longest cluster.
     times = np.geomspace(10.0 / curve.rate, time[-1], _TIMES)
     named = [name if name in classes else name.rpartition("_")[0] for name in terms.terms]
-    best: tuple[float, list[NoiseTerm], np.ndarray] = (np.inf, [], np.zeros(0))
+    best: tuple[float, list[NoiseTerm], _Powers | None] = (np.inf, [], None)
     for T_c in times if "markov" in named else times[:1]:
         units = [Markov(1.0, float(T_c)) if name == "markov" else _unit(classes[name]) for name in named]
         curves = [np.asarray(u.sampled(curve.rate).allan_variance(time)) for u in units]
-        columns = np.stack(curves, axis=1) * weight[:, None]
-        _, misfit = _powers(columns, variance * weight)
-        if misfit < best[0]:
-            best = (misfit, units, columns)
-    scattered = variance * weight * rng.chisquare(degrees, (draws, len(degrees))) / degrees
-    power = [_powers(best[2], drawn)[0] for drawn in scattered]
-    return Likely(Model(tuple(best[1])), terms.terms, np.stack(power), 0)
+        found = _powers(np.stack(curves, axis=1), variance, degrees)
+        if found.misfit < best[0]:
+            best = (found.misfit, units, found)
+    assert best[2] is not None
+    there, power = best[2].there, best[2].drawn(draws, rng)
+    order = np.argsort(~there, kind="stable")
+    model = Model(tuple(best[1][k] for k in order))
+    labels = tuple(terms.terms[k] for k in order)
+    return Likely(model, labels, power[:, order], int((~there).sum()))
+
+
+class _Powers(NamedTuple):
+    """Squared amplitudes ≥ 0 of terms, their information, and minus twice the logarithm of the likelihood."""
+
+    value: Float[np.ndarray, " terms"]
+    information: Float[np.ndarray, "terms terms"]
+    misfit: float
+
+    @property
+    def there(self) -> Bool[np.ndarray, " terms"]:
+        """Which terms have a power."""
+        return self.value > 0.0
+
+    def drawn(self, draws: int, rng: np.random.Generator) -> Float[np.ndarray, "draws terms"]:
+        """Draws: of the normal law of the logarithms of what is there, and of what the rest may be."""
+        there, value = self.there, self.value
+        precision = (self.information * np.outer(value, value))[np.ix_(there, there)]
+        # No logarithm is known worse than so.
+        covariance = np.linalg.inv(precision + np.eye(len(precision)) / _WIDEST**2)
+        log = rng.multivariate_normal(np.zeros(len(precision)), covariance, draws)
+        found = np.abs(rng.standard_normal((draws, len(value)))) / np.sqrt(np.diag(self.information))
+        found[:, there] = value[there] * np.exp(log)
+        return found
 
 
 def _powers(
-    columns: Float[np.ndarray, "m terms"], variance: Float[np.ndarray, " m"]
-) -> tuple[Float[np.ndarray, " terms"], float]:
-    """Squared amplitudes ≥ 0 by least squares, of weighted variances, and the misfit."""
+    columns: Float[np.ndarray, "m terms"],
+    variance: Float[np.ndarray, " m"],
+    degrees: Float[np.ndarray, " m"],
+) -> _Powers:
+    """Most likely squared amplitudes ≥ 0 of independent variances with these degrees of freedom."""
     from scipy.optimize import nnls
 
-    size = np.linalg.norm(columns, axis=0)
-    found, misfit = nnls(columns / size, variance)
-    return found / size, float(misfit)
+    mean, size = variance, np.linalg.norm(columns / variance[:, None], axis=0)
+    for _ in range(_STEPS):
+        weight = np.sqrt(degrees / 2.0) / mean
+        power = nnls(columns / size * weight[:, None], variance * weight)[0] / size
+        # Half the way in logarithms, for the weights of a mean far below its estimate are large.
+        mean = np.sqrt(mean * np.maximum(columns @ power, 1e-3 * mean))
+    mean = np.maximum(columns @ power, 1e-3 * mean)
+    scaled = columns / mean[:, None]
+    information = scaled.T @ (scaled * degrees[:, None] / 2.0)
+    return _Powers(power, information, float(np.sum(degrees * (variance / mean + np.log(mean)))))
