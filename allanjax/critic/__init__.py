@@ -11,9 +11,10 @@ candidate's parameters are `Estimate`s, made by `View.estimate`, `time_estimate`
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.finding import Discrepancy, Finding, Rival
 from allanjax.critic.result import AxisCritique, Critique
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 
 if TYPE_CHECKING:
     from allanjax.critic.bank import Bank

@@ -11,10 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.common_mode import NAME, common_mode
-from allanjax.critic.causes.sinusoid import Sinusoid
-from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.discrepancies import before_and_after, discrepancies
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
@@ -35,7 +34,7 @@ from allanjax.critic.search import (
     view_of,
 )
 from allanjax.critic.step import Step
-from allanjax.critic.view import Cause, View
+from allanjax.critic.view import View
 from allanjax.estimate.fit import fit as fit_recording
 from allanjax.estimate.result import Fit
 from allanjax.record.recording import Recording
@@ -136,7 +135,7 @@ def _searches(
     def concluding(k: int) -> Search:
         """Search in an axis, at the places where others have something, too."""
         others = elsewhere(places[k], [place for i, own in enumerate(places) if i != k for place in own])
-        there = [cause.at(others) for cause in causes if isinstance(cause, Sinusoid | SpectralShape)]
+        there = [again for cause in causes if (again := cause.at(others)) is not None]
         draft = going_on(drafts[k], there, false_alarms, tell) if others else drafts[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
         return dataclasses.replace(concluded(draft, causes), others=further or None)

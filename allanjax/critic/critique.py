@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from allanjax.base.cache import release_programs
+from allanjax.critic.cause import Cause
 from allanjax.critic.policy import FALSE_ALARMS
 from allanjax.critic.result import Critique
-from allanjax.critic.view import Cause
 from allanjax.estimate.result import Fit
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice

@@ -29,7 +29,8 @@ import numpy as np
 from allanjax.critic.noise import FIXED, MARKOV, RAMP
 
 if TYPE_CHECKING:
-    from allanjax.critic.view import Candidate, Cause
+    from allanjax.critic.cause import Cause
+    from allanjax.critic.view import Candidate
 
 #: Probability of a false finding in a record of one axis that the prior odds are made for.
 FALSE_ALARMS = 0.01

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import FINEST, SLOW
+from allanjax.critic.cause import Cause
 from allanjax.critic.noise import centred
 from allanjax.critic.step import Step
-from allanjax.critic.view import Cause, View
+from allanjax.critic.view import View
 
 # Most rounds, for findings that depend on each other.
 _ROUNDS = 3

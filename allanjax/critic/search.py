@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.grouping import grouped
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
@@ -15,7 +16,7 @@ from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.refit import refitted
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
-from allanjax.critic.view import EVERYTHING, Candidate, Cause, View
+from allanjax.critic.view import EVERYTHING, Candidate, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp

@@ -1,13 +1,11 @@
-"""Interface of the causes: the view of one axis that they get, and the candidates that they return."""
+"""What causes are looked for in, a view of one axis, and what they return, candidates."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
 import functools
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -366,32 +364,3 @@ class Candidate:
     def parameters(self) -> dict[str, Estimate]:
         """The estimates by their labels."""
         return {estimate.label: estimate for estimate in self.estimates}
-
-
-class Cause(ABC):
-    """An effect that a sensor's model may lack; what is asked of a candidate is in `critic.policy`."""
-
-    name: str
-    #: Whether it is seen in the samples themselves and must be undone before anything else is looked for.
-    is_preprocessing: ClassVar[bool] = False
-    #: Whether it is refitted when later findings change what it was conditional on: at once, since its misfit
-    #: would be taken for other effects, or at last.
-    refit: ClassVar[Literal["", "at once", "at last"]] = ""
-
-    def __repr__(self) -> str:
-        return f"<Cause {self.name}>"
-
-    @abstractmethod
-    def detect(self, view: View) -> Candidate | None:
-        """Best candidate of this cause in a view, or None."""
-
-    def again(self, view: View, found: Candidate) -> Candidate | None:
-        """Finding refitted in a view with other findings than before; None if nothing is left of it."""
-        return self.detect(view)
-
-    def p_value(self, view: View) -> float | None:
-        """p-value of this cause's statistic if the view has noise only, corrected for the search over places.
-
-        None where the cause has no such statistic.
-        """
-        return None

@@ -11,6 +11,8 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, Resonance, Sinusoid, basic_terms
 
+# Ratio of a limit of the bandwidth to its value within which the limit is told.
+_NEAR = 3.0
 # Places that are named; of more the strongest.
 _NAMED = 3
 
@@ -53,7 +55,8 @@ def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
     if np.isfinite(estimate.std) or estimate.held:
         return [f"a {plain(found.response.half_power, 3)} Hz bandwidth"]
     for side, limit in (("above", estimate.lower_limit), ("below", estimate.upper_limit)):
-        if limit is not None:
+        # A limit far from the value says nothing.
+        if limit is not None and 1.0 / _NEAR < limit / found.response.half_power < _NEAR:
             return [f"a bandwidth {side} {plain(limit, 3)} Hz"]
     return ["a filter of undetermined bandwidth"]
 

@@ -45,6 +45,8 @@ BUTTERWORTH = aj.Butterworth(28.04) * aj.AngleRandomWalk(1e-3)
         (estimate("bandwidth", 28.04, 0.2), "a 28 Hz bandwidth"),
         (estimate("bandwidth", 28.04, math.nan, lower_limit=27.66), "a bandwidth above 27.7 Hz"),
         (estimate("bandwidth", 28.04, math.nan, upper_limit=31.2), "a bandwidth below 31.2 Hz"),
+        # Any filter of this record has a bandwidth above so little.
+        (estimate("bandwidth", 28.04, math.nan, lower_limit=0.09), "a filter of undetermined bandwidth"),
         (estimate("bandwidth", 28.04, math.nan), "a filter of undetermined bandwidth"),
         # A value that the user gave is told as it was given.
         (estimate("bandwidth", 28.04, math.nan, held=True), "a 28 Hz bandwidth"),

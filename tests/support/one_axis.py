@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.search import Search, concluded, search
-from allanjax.critic.view import Cause, View
+from allanjax.critic.view import View
 
 #: Probability of a false finding in the axis.
 FALSE_ALARMS = 2e-3

@@ -1,5 +1,6 @@
 """The causes that the critic knows, one class a file."""
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.basic_term import BasicTerm
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.causes.disturbance import Disturbance
@@ -14,7 +15,7 @@ from allanjax.critic.causes.telegraph import Telegraph
 from allanjax.critic.causes.temperature import Temperature
 from allanjax.critic.causes.variance_change import VarianceChange
 from allanjax.critic.causes.warm_up import WarmUp
-from allanjax.critic.view import EVERYTHING, Cause
+from allanjax.critic.view import EVERYTHING
 
 #: What a critique looks for, unless told otherwise.
 CAUSES: tuple[Cause, ...] = (

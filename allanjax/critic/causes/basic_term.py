@@ -9,11 +9,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from allanjax.critic.bank import SLOW, Bank
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critic.parameters import ONE_SIDED, limited
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale

@@ -8,10 +8,11 @@ from functools import cache, partial
 import numpy as np
 
 from allanjax.critic.bank import FINEST, Bank, log_occam_factor, step_bank, step_coefficients
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.additive import adding, additive, marginal, mean_and_std, shape_parameter
 from allanjax.critic.policy import PRIORS
 from allanjax.critic.template_pairs import best_pair
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

@@ -8,9 +8,10 @@ from scipy.fft import dct
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import folds
+from allanjax.critic.cause import Cause
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time
 
 # Shortest disturbance [s], and longest one as a share of the record: judgements.

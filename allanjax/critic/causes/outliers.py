@@ -11,11 +11,12 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from allanjax.critic.bank import any_of, folds
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time
 
 # Scales of outliers, in deviations of the noise, and shares of the samples that are compared.

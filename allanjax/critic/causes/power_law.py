@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral import FineLevels, relative_errors
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
 from allanjax.critic.parameters import limited
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
 # Distance from the best exponent of the grid within which the maximum is looked for.

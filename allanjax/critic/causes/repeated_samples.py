@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import norm
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.inspection.levels import lattice
 
 _LEAST, _DOUBTLESS, _PREDICTED = (

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.inspection.levels import TOLERANCE, lattice
 
 #: Resolution over the deviation of the noise below which rounding does no harm.

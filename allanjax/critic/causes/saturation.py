@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.inspection.levels import is_piled_up, lattice
 from allanjax.noise.estimate import Estimate
 

@@ -10,10 +10,11 @@ from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from allanjax.critic.bank import folds
+from allanjax.critic.cause import Cause
 from allanjax.critic.parameters import ONE_SIDED
 from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
@@ -38,7 +39,6 @@ class Sinusoid(Cause):
         self._places = tuple(places)
 
     def at(self, places: Sequence[Place]) -> Sinusoid:
-        """The same cause, looked for at these places only."""
         return Sinusoid(places)
 
     def p_value(self, view: View) -> float:

@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from allanjax.critic.cause import Cause
 from allanjax.critic.places import Place
 from allanjax.critic.shape import candidate_structure, structure_at
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import NONE
 
@@ -26,7 +27,6 @@ class SpectralShape(Cause):
         self._places = tuple(places)
 
     def at(self, places: Sequence[Place]) -> SpectralShape:
-        """The same cause, looked for at these places only."""
         return SpectralShape(places)
 
     def p_value(self, view: View) -> float:

@@ -9,11 +9,12 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from allanjax.critic.bank import Bank, folds
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
 from allanjax.critic.parameters import Limit
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.critic.bank import SLOW, Bank
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 
 

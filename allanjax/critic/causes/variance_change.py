@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float
 from scipy.stats import multivariate_normal, norm
 
 from allanjax.critic.bank import any_of, extrapolated, folds
+from allanjax.critic.cause import Cause
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.parameters import ONE_SIDED
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
 

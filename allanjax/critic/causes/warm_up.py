@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import SLOW, Bank
+from allanjax.critic.cause import Cause
 from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.parameters import ONE_SIDED, Limit
-from allanjax.critic.view import Candidate, Cause, View
+from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
