@@ -3,7 +3,9 @@
 import contextlib
 import ctypes
 import dataclasses
+import functools
 import gc
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,22 +16,37 @@ import pytest
 from gamma_levels import with_likelihood
 
 import allanjax as aj
+from allanjax.base.cache import release_programs
 from allanjax.noise.notation import parse_model
 
-# Memory [bytes] at which a process forgets its compiled programs, and what it may then grow by.
-_MUCH, _MORE = 800_000_000, 150_000_000
+# Least and most memory [bytes] at which a process forgets its compiled programs: to trace them again takes
+# seconds each, so that of a large machine half is used.
+_LEAST, _MOST = 800_000_000, 3_000_000_000
 _kept = [0]
 
 
 @pytest.fixture(autouse=True)
 def bounded_memory() -> Iterator[None]:
-    """Keep a process that runs tests below 1.5 GB: JAX holds every program that it has compiled."""
+    """Keep the processes that run tests within the machine's memory: JAX holds every program it compiles."""
     yield
-    if _memory() > max(_MUCH, _kept[0] + _MORE):
+    release_programs(0.75)
+    allowed = _allowed()
+    if _memory() > max(allowed, _kept[0] + allowed // 4):
         jax.clear_caches()
         gc.collect()
         _give_back()
         _kept[0] = _memory()
+
+
+@functools.cache
+def _allowed() -> int:
+    """Memory at which this process forgets its programs: half of the machine's is shared out to all."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 0
+    limit = Path("/sys/fs/cgroup/memory.max")
+    if limit.exists() and (text := limit.read_text().strip()).isdigit():
+        total = min(total, int(text))
+    return min(max(total // 2 // workers, _LEAST), _MOST)
 
 
 def _give_back() -> None:
