@@ -8,13 +8,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 
-#: Standard deviations to a one-sided 95 % limit of the normal law.
-ONE_SIDED = 1.645
-# Standard deviations to the ends of a 95 % interval of the normal law.
-_TWO_SIDED = 1.959963984540054
 # Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
 _AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
 #: Side of its 95 % limit that a parameter is on; "" if more than a limit is known of it.
@@ -50,7 +47,7 @@ def parameter_estimate(
         label=label,
         value=value,
         std=std,
-        interval=interval(_TWO_SIDED),
+        interval=interval(TWO_SIDED_95),
         interval_68=interval(1.0),
         unit=unit,
         usual_unit=unit,
@@ -65,9 +62,9 @@ def limited(
 ) -> tuple[float, float, Limit]:
     """Estimate and its standard deviation, or a 95 % limit where it is at a bound."""
     if u > bounds[1] - max(_AT_BOUND, _NEAR_BOUND * std):
-        return min(u, bounds[1]) - ONE_SIDED * std, float("nan"), "above"
+        return min(u, bounds[1]) - ONE_SIDED_95 * std, float("nan"), "above"
     if u < bounds[0] + max(_AT_BOUND, _NEAR_BOUND * std):
-        return max(u, bounds[0]) + ONE_SIDED * std, float("nan"), "below"
+        return max(u, bounds[0]) + ONE_SIDED_95 * std, float("nan"), "below"
     return u, std, ""
 
 

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
+from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.factor import spectrum_factor
 from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred, coefficient_folds
-from allanjax.critic.parameters import ONE_SIDED, Detail, Limit, parameter_estimate
+from allanjax.critic.parameters import Detail, Limit, parameter_estimate
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -307,9 +308,9 @@ class View:
         """Time of a sample; within its deviation of an end of the record, a limit."""
         limit: Limit = ""
         if sample <= std:
-            sample, limit = sample and sample + ONE_SIDED * std, "below"
+            sample, limit = sample and sample + ONE_SIDED_95 * std, "below"
         elif sample >= self.n - std:
-            sample, limit = self.n if sample >= self.n else sample - ONE_SIDED * std, "above"
+            sample, limit = self.n if sample >= self.n else sample - ONE_SIDED_95 * std, "above"
         return self.estimate(label, sample / self.rate, std / self.rate, "s", limit)
 
     def amplitude_estimate(

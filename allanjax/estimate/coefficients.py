@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.estimate.design import of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantile
 from allanjax.estimate.gls import Solution
@@ -17,10 +18,6 @@ from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
 
-# Normal quantiles of two-sided 68 and 95 % intervals, and of one-sided 95 % limits.
-TWO_SIDED_68 = 0.9945
-TWO_SIDED_95 = 1.960
-ONE_SIDED_95 = 1.645
 # Nearer to a bound than this share of what is between two of them a shape is at it.
 _INSIDE = 0.0125
 # A limit so many times as far from a bound as the estimate is none.

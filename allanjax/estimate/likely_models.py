@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import TermSet
 from allanjax.noise.model import Model, NoiseTerm
@@ -20,8 +21,6 @@ from allanjax.noise.terms import Markov
 
 # Widest standard deviation of the logarithm of a power that is drawn.
 _WIDEST = 1.5
-# Normal quantile of the one-sided 95 % limit of an amplitude of either sign.
-_LIMIT = 1.96
 # Correlation times that are tried for a Markov process of a rival set.
 _TIMES = 15
 # Rounds in which the weights of a rival set's fit approach those of its own variances.
@@ -78,7 +77,7 @@ def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: b
     classes = term_classes()
     below = [c for c in below if c.upper_limit and np.isfinite(c.upper_limit) and c.term in classes]
     below = [c for c in below if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"]
-    limits = np.array([c.upper_limit for c in below]) / _LIMIT
+    limits = np.array([c.upper_limit for c in below]) / TWO_SIDED_95
     extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
     unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
     for c in below:

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from allanjax.estimate.coefficients import TWO_SIDED_95
+from allanjax.base.normal import TWO_SIDED_95
 
 FALSE_ALARMS = 0.01
 """Probability that anything at all is marked in a fleet whose units are alike."""

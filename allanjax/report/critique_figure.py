@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.events import EVENT, OUTLIERS
 from allanjax.critic.finding import Finding
@@ -265,7 +266,7 @@ def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, f
     edges, length = _blocks(record.n, _BLOCKS)
     time = (edges + 0.5 * length) / record.rate
     rms = np.sqrt(np.add.reduceat(record.whitened**2, edges) / length)
-    spread = 1.96 * np.sqrt(0.5 / length)
+    spread = TWO_SIDED_95 * np.sqrt(0.5 / length)
     band = {"color": _AFTER, "label": "95 % of simulations", **_BAND}
     panel.fill_between(time, 1.0 - spread, 1.0 + spread, **band)
     panel.plot(time, rms, label="measured", **DOTS)
@@ -336,7 +337,7 @@ def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
     first, count = edges[:-1] - 1, np.diff(edges)
     enough = count >= _LEAST
     frequency = ((edges[:-1] + edges[1:] - 1) * rate / (4.0 * n))[enough]
-    spread = 1.96 / np.sqrt(count[enough])
+    spread = TWO_SIDED_95 / np.sqrt(count[enough])
     panel.fill_between(
         frequency, -spread, spread, color=_AFTER, alpha=0.2, linewidth=0.0, label="95 % of simulations"
     )

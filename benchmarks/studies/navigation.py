@@ -20,7 +20,7 @@ from common.report import publish, share, table
 import allanjax as aj
 
 RATE, CALIBRATION, TIMES = 50.0, 100.0, (1.0, 10.0, 100.0)
-SEED = 311_126_047
+SEED = 434_955_521
 GRAVITY = 9.80665
 SENSORS = {
     "navigation": ("N=0.002 deg/√h + B=0.003 deg/h", "N=0.005 m/s/√h + B=5 µg + Q=0.0001 m/s"),

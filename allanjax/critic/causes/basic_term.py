@@ -8,12 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2
 
+from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
-from allanjax.critic.parameters import ONE_SIDED, limited
+from allanjax.critic.parameters import limited
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
@@ -81,7 +82,7 @@ class BasicTerm(Cause):
         time = _correlation_time(view, noise)
         if time.upper_limit is not None:
             # Of a shorter one it is larger: white noise is all that is seen of it.
-            least = max(value - ONE_SIDED * std, 0.0) / scale
+            least = max(value - ONE_SIDED_95 * std, 0.0) / scale
             amplitude = view.estimate(parameter.name, least, np.nan, unit, "above")
         return [amplitude, time]
 

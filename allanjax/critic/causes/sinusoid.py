@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
+from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import folds
 from allanjax.critic.cause import Cause
-from allanjax.critic.parameters import ONE_SIDED
 from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -69,7 +69,7 @@ class Sinusoid(Cause):
             f < _PERIODS / view.duration
             and refined(view.coefficients, v, f - 1.0 / view.duration, view.rate)[-1] > z
         ):
-            least = amplitude - ONE_SIDED * std
+            least = amplitude - ONE_SIDED_95 * std
             parameters = [
                 view.estimate("frequency", f, np.nan, "Hz", "below"),
                 view.amplitude_estimate("amplitude", least, np.nan, limit="above"),

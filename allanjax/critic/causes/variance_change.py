@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import multivariate_normal, norm
 
+from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import any_of, extrapolated, folds
 from allanjax.critic.cause import Cause
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
-from allanjax.critic.parameters import ONE_SIDED
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
@@ -158,7 +158,7 @@ def _ratio(view: View, excess: float, scatter: float) -> Estimate:
     Of a noise that has all but vanished only an upper limit is known.
     """
     if excess < max(_LEAST, 2.0 * scatter - 1.0):
-        largest = np.sqrt(1.0 + max(excess + ONE_SIDED * scatter, _LEAST))
+        largest = np.sqrt(1.0 + max(excess + ONE_SIDED_95 * scatter, _LEAST))
         return view.estimate("ratio", largest, np.nan, "1", "below")
     ratio = np.sqrt(1.0 + excess)
     # d ratio = d excess / (2 ratio).

@@ -7,10 +7,11 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.additive import additive, shape_parameter
-from allanjax.critic.parameters import ONE_SIDED, Limit
+from allanjax.critic.parameters import Limit
 from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
@@ -38,7 +39,7 @@ class WarmUp(Cause):
             amplitude = view.amplitude_estimate("amplitude", a, std)
             if limit:
                 # More of a slower or a faster one is outside the record or between its samples.
-                least = a - np.sign(a) * ONE_SIDED * std
+                least = a - np.sign(a) * ONE_SIDED_95 * std
                 side: Limit = "above" if a > 0.0 else "below"
                 amplitude = view.amplitude_estimate("amplitude", least, np.nan, limit=side)
             return [amplitude, view.log_estimate("time_constant", log_time, spread, limit, "s")]
