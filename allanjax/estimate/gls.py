@@ -47,7 +47,7 @@ _CLOSE = 0.05
 # Phases of the iteration: first with large errors of the model, nearly a log-log fit, which converges from
 # anywhere; then without; then, if χ² is too large, with the error that makes it equal its degrees of freedom.
 _WARM_UP, _PLAIN, _WITH_ERROR, _DONE = range(4)
-_FIRST_ERROR = 0.1
+_FIRST_ERROR, _LEAST_ERROR, _LESS_ERROR = 0.1, 1e-4, 0.5
 _WARM_UP_ERROR = np.array([0.5, 0.2, 0.05, 0.0])
 
 
@@ -236,13 +236,16 @@ def _next(problem: _Problem, state: _State) -> _State:
     cost = with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(new.mean))
     # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
     excess = with_error / problem.dof
-    settled = at_rest & (jnp.abs(excess - 1.0) < 0.02)
+    settled = at_rest & ((jnp.abs(excess - 1.0) < 0.02) | _needless(problem, state.power_error, chi2))
+    # Where the first steps led far off, but the model suffices, its error is to go in the end.
+    late = state.step >= _DAMPING_AFTER_STEP
+    change = jnp.where(late & _suffices(problem, chi2), _LESS_ERROR, jnp.sqrt(excess))
     phase, warmed, incomplete = _phase_after(problem, state, at_rest, settled, chi2)
     power_error = jnp.select(
         [phase == _WARM_UP, phase == _WITH_ERROR, phase == _DONE],
         [
             jnp.asarray(_WARM_UP_ERROR)[k % 4],
-            jnp.where(incomplete, _FIRST_ERROR, jnp.clip(state.power_error * jnp.sqrt(excess), 1e-4, 10.0)),
+            jnp.where(incomplete, _FIRST_ERROR, jnp.clip(state.power_error * change, _LEAST_ERROR, 10.0)),
             state.power_error,
         ],
         0.0,
@@ -281,6 +284,16 @@ def _phase_after(
     return phase, warmed, incomplete
 
 
+def _suffices(problem: _Problem, chi2: Array) -> Array:
+    """Whether the model follows the curve. The tail is heavier than that of χ² where few clusters remain."""
+    return chi2 < beyond_doubt(problem.dof)
+
+
+def _needless(problem: _Problem, power_error: Array, chi2: Array) -> Array:
+    """Whether the model's error has shrunk to nothing, and the model suffices without it."""
+    return (power_error <= _LEAST_ERROR) & _suffices(problem, chi2)
+
+
 def _solve(problem: _Problem) -> Solution:
     """Estimate of one axis from one start."""
     first = problem.place(problem.power, problem.shape)
@@ -298,7 +311,8 @@ def _solve(problem: _Problem) -> Solution:
     )
     end = jax.lax.while_loop(lambda state: state.phase != _DONE, lambda s: _next(problem, s), start)
     converged = end.at_rest & jnp.isfinite(end.cost)
-    return Solution(*end.here[:2], end.chi2, end.power_error, converged, end.cost)
+    power_error = jnp.where(_needless(problem, end.power_error, end.chi2), 0.0, end.power_error)
+    return Solution(*end.here[:2], end.chi2, power_error, converged, end.cost)
 
 
 @eqx.filter_jit

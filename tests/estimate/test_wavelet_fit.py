@@ -91,3 +91,17 @@ def test_what_has_no_wavelet_variances_says_so(by_db2):
         likelihood_of(by_db2, "gyro_x")
     with pytest.raises(aj.AllanjaxError, match="needs the samples themselves"):
         AllanAccumulator(RATE, ["gyro_x"]).fit("N", "wavelet")
+
+
+def test_a_fit_that_was_led_far_off_at_first_needs_no_error_of_the_model_at_last():
+    """One of 130 records on which the first steps called the right model incomplete, and never came back."""
+    model = aj.Quantization(0.5) + aj.AngleRandomWalk(1.0) + aj.Markov(2.0, 20.0)
+    recording = aj.simulate_recording({f"gyro_{k}": model for k in range(10)}, 32_768, 100.0, 3)
+    one = aj.Recording(recording.values[:, [7]], 100.0, recording.axes[7:8])
+    terms = aj.Quantization() + aj.AngleRandomWalk() + aj.Markov()
+    (found,) = aj.fit(one, terms, "wavelet", as_is=True, vibrating=True).results
+    assert found.converged, found.reason
+    assert found.discrepancy == 0.0
+    for label, truth in (("quantization", 0.5), ("angle_random_walk", 1.0), ("markov_amplitude", 2.0)):
+        # Four deviations.
+        assert abs(found[label].value - truth) < 4.0 * found[label].std
