@@ -8,6 +8,7 @@ import pytest
 from critic_views import view_of
 from one_axis import searched
 from scipy.signal import butter, lfilter, sosfilt
+from scipy.stats import norm
 
 from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.causes.basic_term import BasicTerm
@@ -129,7 +130,7 @@ def test_noise_that_all_but_vanishes_has_a_ratio_below_a_limit():
     ratio = _ratio(view, -0.5, 0.01)
     assert (ratio.value, ratio.std) == pytest.approx((np.sqrt(0.5), 0.01 / (2.0 * np.sqrt(0.5))))
     assert ratio.interval == pytest.approx((ratio.value - 1.96 * ratio.std, ratio.value + 1.96 * ratio.std))
-    assert _ratio(view, -0.97, 0.03).upper_limit == pytest.approx(np.sqrt(0.03 + 1.645 * 0.03))
+    assert _ratio(view, -0.97, 0.03).upper_limit == pytest.approx(np.sqrt(0.03 + norm.ppf(0.95) * 0.03))
 
 
 def test_noise_that_is_louder_to_the_end_ends_at_or_after_it():

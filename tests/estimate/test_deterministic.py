@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.fft import dct
-from scipy.stats import chi2, ncx2, norm
+from scipy.stats import chi2, ncx2
 
 from allanjax.estimate.coefficients import deterministic_coefficients
 from allanjax.estimate.deterministic import AxisSpectrum, amplitude_quantile, line_columns, take_out_lines
@@ -270,6 +270,6 @@ def test_upper_limits_never_shrink_below_that_of_median_noise(limits):
 @pytest.mark.parametrize("degrees", [1, 2])
 @pytest.mark.parametrize("square", [399.0, 401.0, 1000.0, 1e4])
 def test_far_from_zero_too_it_inverts_the_noncentral_law(degrees, square):
-    for p in (0.025, norm.cdf(-0.9945), 0.5, norm.cdf(0.9945), 0.975):
+    for p in (0.025, 0.16, 0.5, 0.84, 0.975):
         found = amplitude_quantile(square, degrees, float(p))
         assert ncx2.cdf(square, degrees, found**2) == pytest.approx(p, abs=2e-4)

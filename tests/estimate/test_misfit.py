@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 import allanjax as aj
 from allanjax.estimate.as_json import to_dict
@@ -405,7 +405,7 @@ def test_shapes_whose_intervals_leave_what_a_record_can_show_have_limits(paramet
         assert found is c
         return
     assert np.isnan(found.std)
-    one_sided = np.exp(1.645 * std / distance)
+    one_sided = np.exp(norm.ppf(0.95) * std / distance)
     if limit == "above":
         assert found.lower_limit == pytest.approx(parameter.lower + distance / one_sided)
     if limit == "below":
