@@ -270,13 +270,11 @@ def _phase_after(
 ) -> tuple[Array, Array, Array]:
     """Phase after a step, and whether it ended the warming up, or showed that the model is incomplete."""
     k = state.step + 1
-    # The tail is heavier than that of χ² where few clusters remain.
-    limit = beyond_doubt(problem.dof)
     warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_ERROR))
     # A model that is far off is not iterated further without an error.
-    hopeless = (chi2 > 4.0 * limit) & (k >= 5)
+    hopeless = (chi2 > 4.0 * beyond_doubt(problem.dof)) & (k >= 5)
     plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
-    incomplete = plain_ends & ~(at_rest & (chi2 < limit))
+    incomplete = plain_ends & ~(at_rest & _suffices(problem, chi2))
     last_ends = (state.phase == _WITH_ERROR) & (settled | (k == _OUTER_STEPS))
     phase = jnp.select(
         [warmed, incomplete, plain_ends | last_ends], [_PLAIN, _WITH_ERROR, _DONE], state.phase

@@ -105,17 +105,15 @@ def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.
     # A Markov process of any time between ten samples and the longest cluster.
     times = np.geomspace(10.0 / curve.rate, time[-1], _TIMES)
     named = [name if name in classes else name.rpartition("_")[0] for name in terms.terms]
-    best: tuple[float, list[NoiseTerm], _Powers | None] = (np.inf, [], None)
+    fits: list[tuple[list[NoiseTerm], _Powers]] = []
     for T_c in times if "markov" in named else times[:1]:
         units = [Markov(1.0, float(T_c)) if name == "markov" else _unit(classes[name]) for name in named]
         curves = [np.asarray(u.sampled(curve.rate).allan_variance(time)) for u in units]
-        found = _powers(np.stack(curves, axis=1), variance, degrees)
-        if found.misfit < best[0]:
-            best = (found.misfit, units, found)
-    assert best[2] is not None
-    there, power = best[2].there, best[2].drawn(draws, rng)
+        fits.append((units, _powers(np.stack(curves, axis=1), variance, degrees)))
+    units, found = min(fits, key=lambda fit: fit[1].misfit)
+    there, power = found.there, found.drawn(draws, rng)
     order = np.argsort(~there, kind="stable")
-    model = Model(tuple(best[1][k] for k in order))
+    model = Model(tuple(units[k] for k in order))
     labels = tuple(terms.terms[k] for k in order)
     return Likely(model, labels, power[:, order], int((~there).sum()))
 
