@@ -1,38 +1,93 @@
-"""One cache of compiled programs for a run of the tests, and the fixtures that all share."""
+"""A run of the tests: one cache of compiled programs, one folder of shared results, a budget of programs."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# Generators of test data that benchmarks use, too, are theirs. Last, so that the installed package is tested.
+sys.path.append(str(ROOT))
+
+#: Most programs that a run of the default tests may compile: each costs its process about a second.
+PROGRAMS = 80
+
+# Set before JAX is imported. Workers, and the processes that tests start, inherit all of it.
+_RUN, _CACHE = "ALLANJAX_TEST_RUN", "JAX_COMPILATION_CACHE_DIR"
+_FIRST = _RUN not in os.environ
+if _FIRST:
+    os.environ[_RUN] = tempfile.mkdtemp(prefix="allanjax-tests-")
+    os.environ.setdefault(_CACHE, str(ROOT / ".pytest_cache" / "programs"))
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    os.environ["MPLBACKEND"] = "agg"
+    # Fusion emitters make programs no faster here and their compilation half as long again. A jaxlib that
+    # does not know the option aborts, hence a process of its own tries it.
+    faster = "--xla_cpu_use_fusion_emitters=false"
+    if "XLA_FLAGS" not in os.environ:
+        trial = subprocess.run(
+            [sys.executable, "-c", "import jax; jax.devices()"],
+            env=os.environ | {"XLA_FLAGS": faster},
+            capture_output=True,
+            check=False,
+        )
+        os.environ["XLA_FLAGS"] = faster if trial.returncode == 0 else ""
 
 pytest_plugins = ["shared_fixtures"]
 
-# Before JAX is imported. The processes that pytest, the notebooks and the commands start inherit it: half of
-# the tests' time would go into compiling the same programs again.
-_CACHE = "JAX_COMPILATION_CACHE_DIR"
-_OWN = _CACHE not in os.environ
-if _OWN:
-    os.environ[_CACHE] = tempfile.mkdtemp(prefix="allanjax-tests-")
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
-# Fusion emitters make programs no faster here and their compilation half as long again. A jaxlib that does
-# not know the option aborts, hence a process of its own tries it.
-_FASTER = "--xla_cpu_use_fusion_emitters=false"
-if "XLA_FLAGS" not in os.environ:
-    _trial = subprocess.run(
-        [sys.executable, "-c", "import jax; jax.devices()"],
-        env=os.environ | {"XLA_FLAGS": _FASTER},
-        capture_output=True,
-        check=False,
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a file on one worker, where they share their fixtures, unless they name a group."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT))))
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Each process that ran tests leaves its numbers; the first one judges them."""
+    # `sys.modules`: what merely collects tests has not imported JAX.
+    if counted := sys.modules.get("compilations"):
+        worker = os.environ.get("PYTEST_XDIST_WORKER", "main")
+        (Path(os.environ[_RUN]) / f"programs-{worker}.json").write_text(json.dumps(counted.totals))
+    limited = "not study" in session.config.getoption("markexpr", "")
+    if _FIRST and limited and exitstatus == 0 and _programs()["new"] > PROGRAMS:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Tell how many programs the run compiled."""
+    if not _FIRST:
+        return
+    total = _programs()
+    over = f"; AT MOST {PROGRAMS} ARE ALLOWED" if total["new"] > PROGRAMS else f" of at most {PROGRAMS}"
+    terminalreporter.write_line(
+        f"compiled {total['new']:.0f} programs{over}; loaded {total['requests'] - total['new']:.0f} more; "
+        f"{total['seconds']:.0f} s for both in all processes"
     )
-    os.environ["XLA_FLAGS"] = _FASTER if _trial.returncode == 0 else ""
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are cores: compiling, which takes half of the time, leaves them idle at times."""
-    return (os.cpu_count() or 1) + 1
+def _programs() -> dict[str, float]:
+    """Numbers of all processes of the run, added up."""
+    found = [json.loads(path.read_text()) for path in Path(os.environ[_RUN]).glob("programs-*.json")]
+    return {key: sum(each[key] for each in found) for key in ("new", "requests", "seconds")}
 
 
 def pytest_unconfigure() -> None:
-    if _OWN:
-        shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
+    """Remove the shared results; compiled programs stay in pytest's cache for the next run."""
+    if _FIRST:
+        shutil.rmtree(os.environ[_RUN], ignore_errors=True)
+        os.environ.pop(_RUN)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _counting() -> Iterator[None]:
+    """Count from the first test on."""
+    import compilations  # noqa: F401 - counts since it is imported
+
+    yield
