@@ -56,17 +56,6 @@ def test_weights_are_bayes_rule():
     np.testing.assert_allclose(high - low, 2.0 * 1.959964 * found.bias_std, rtol=1e-6)
 
 
-def test_one_model_twice_is_that_model():
-    """A bank of the same model has its likelihood and even weights; switching changes nothing."""
-    record = recording(QUIETLY)
-    found = aj.adaptive_filter(record, [QUIET, QUIET, QUIET]).results[0]
-    one = aj.kalman_filter(record, QUIET).results[0]
-    assert found.labels == ("model 1", "model 2", "model 3")
-    np.testing.assert_allclose(found.weights, 1.0 / 3.0, rtol=1e-9)
-    np.testing.assert_allclose(found.bias, one.bias, rtol=1e-9)
-    assert found.log_likelihood == pytest.approx(one.log_likelihood, rel=1e-9)
-
-
 @pytest.mark.parametrize(
     ("second", "label", "within"), [(LOUDLY, "noisy", 2.0), (DRIFTINGLY, "drifting", 2.0)]
 )
