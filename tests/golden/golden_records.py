@@ -1,9 +1,9 @@
 """Some forty records whose truth is known, made by NumPy recursions; nothing here comes from allanjax.
 
 Noise follows the field's definitions: N, B, K, Q and R as in IEEE 952, a Gauss–Markov process
-dx/dt = −x/T_c + q_c·w, all as means over the sample interval, so that spectra and Allan variances are those of
-the continuous noise. Flicker noise and power laws are sums of Gauss–Markov processes whose correlation times are
-an octave apart: the ripple of such a sum is below 1e-5. Everything is in rad/s and m/s² here, and in the
+dx/dt = −x/T_c + q_c·w, all as means over the sample interval, so that spectra and Allan variances are those
+of the continuous noise. Flicker noise and power laws are sums of Gauss–Markov processes whose correlation times
+are an octave apart: the ripple of such a sum is below 1e-5. Everything is in rad/s and m/s² here, and in the
 recording's own units for the package.
 """
 
@@ -181,6 +181,8 @@ def crossing(N: float, **times: float) -> dict[str, float]:
     return {"N": N} | {letter: float(at[letter](time)) for letter, time in times.items()}
 
 
+# The power of a mean over T is halved at SINC/T.
+SINC = 0.442946
 # N of a tactical gyro, and of an accelerometer of consumer grade.
 GYRO, ACCEL = 0.15 * DEG / 60.0, 0.12 / 60.0
 
@@ -233,14 +235,15 @@ def with_markov(seed: int, n: int, *processes: tuple[float, float]) -> Record:
     for k, (ratio, time) in enumerate(processes):
         x = x + gauss_markov(rng, n, ratio * GYRO, time)
         label = "markov" if len(processes) == 1 else f"markov_{k + 1}"
-        truth |= {label: ratio * GYRO * np.sqrt(2.0 / time), f"{label}_correlation_time": time}
+        amplitude = ratio * GYRO * np.sqrt(2.0 / time)
+        truth |= {f"{label}_amplitude": amplitude, f"{label}_correlation_time": time}
     model = " + ".join(["N", *["markov"] * len(processes)])
     return Record(x[:, None], ("gyro_x",), {"gyro_x": truth}, model=model)
 
 
 PLAIN |= {
     "markov_fast": lambda: with_markov(7, MIDDLE, (4.0, 0.3)),
-    "markov_slow": lambda: with_markov(8, LONG, (1.0, 30.0)),
+    "markov_slow": lambda: with_markov(8, LONG, (3.0, 10.0)),
     "two_markovs": lambda: with_markov(9, LONG, (4.0, 0.2), (1.0, 20.0)),
 }
 
@@ -268,7 +271,7 @@ def one_pole() -> Record:
     """Exponential smoothing, y = w·y + (1 − w)·x with w = exp(−2πf_c/rate)."""
     w = np.exp(-2.0 * np.pi * 18.0 / RATE)
     axes = {"gyro_x": crossing(GYRO, K=5.0)}
-    return filtered(13, [1.0 - w], [1.0, -w], "low_pass_1 * (N + K)", axes, {"low_pass_1_bandwidth": 18.0})
+    return filtered(13, [1.0 - w], [1.0, -w], "low_pass1 * (N + K)", axes, {"low_pass1_bandwidth": 18.0})
 
 
 def butterworth() -> Record:
@@ -285,7 +288,7 @@ def averaged() -> Record:
     c = crossing(GYRO, K=5.0)
     x = sensor(rng, (MIDDLE + 8) * fine, RATE * fine, **c)
     means = signal.lfilter(np.full(width, 1.0 / width), [1.0], x)[8 * fine :: fine]
-    truth = labelled(**c) | {"moving_average_duration": width / (fine * RATE)}
+    truth = labelled(**c) | {"moving_average_bandwidth": SINC * fine * RATE / width}
     return Record(means[:, None], ("gyro_z",), {"gyro_z": truth}, model="moving_average * (N + K)")
 
 
@@ -308,7 +311,7 @@ def resonance() -> Record:
     rng = np.random.default_rng(17)
     std = 1.2 * GYRO * np.sqrt(RATE)
     x = white(rng, MIDDLE, GYRO) + oscillator(rng, MIDDLE, std, 23.0, 12.0)
-    truth = {"resonance": std, "resonance_frequency": 23.0, "resonance_quality_factor": 12.0}
+    truth = {"resonance_amplitude": std, "resonance_frequency": 23.0, "resonance_quality_factor": 12.0}
     truth |= {"angle_random_walk": GYRO}
     return Record(x[:, None], ("gyro_x",), {"gyro_x": truth}, model="N + resonance")
 
@@ -323,9 +326,9 @@ def behind_a_filter() -> Record:
         level = std * size * np.sqrt(RATE)
         x = sensor(rng, MIDDLE + lead, **c) + oscillator(rng, MIDDLE + lead, level, 31.0, 20.0)
         columns.append(signal.lfilter([1.0 - w], [1.0, -w], x)[lead:])
-        own = {"resonance": level, "resonance_frequency": 31.0, "resonance_quality_factor": 20.0}
-        truth[name] = labelled(**c) | own | {"low_pass_1_bandwidth": 14.0}
-    model = "low_pass_1 * (N + K + resonance)"
+        own = {"resonance_amplitude": level, "resonance_frequency": 31.0, "resonance_quality_factor": 20.0}
+        truth[name] = labelled(**c) | own | {"low_pass1_bandwidth": 14.0}
+    model = "low_pass1 * (N + K + resonance)"
     return Record(np.column_stack(columns), ("gyro_x", "accel_y"), truth, model=model)
 
 
@@ -335,7 +338,7 @@ def one_line() -> Record:
     c = crossing(GYRO, K=5.0)
     amplitude = 0.35 * GYRO * np.sqrt(RATE)
     x = sensor(rng, MIDDLE, **c) + line(MIDDLE, amplitude, 3.21, 0.7)
-    truth = labelled(**c) | {"sinusoid": amplitude, "sinusoid_frequency": 3.21}
+    truth = labelled(**c) | {"sinusoid_amplitude": amplitude, "sinusoid_frequency": 3.21}
     return Record(x[:, None], ("gyro_x",), {"gyro_x": truth}, model="N + K + sinusoid")
 
 
@@ -344,7 +347,7 @@ def long_memory() -> Record:
     rng = np.random.default_rng(20)
     density = (2.0 * GYRO) ** 2
     x = white(rng, MIDDLE, GYRO) + power_law(rng, MIDDLE, density, 1.5)
-    truth = {"angle_random_walk": GYRO, "power_law": np.sqrt(density), "power_law_exponent": 1.5}
+    truth = {"angle_random_walk": GYRO, "power_law_amplitude": np.sqrt(density), "power_law_exponent": 1.5}
     return Record(x[:, None], ("gyro_x",), {"gyro_x": truth}, model="N + power_law")
 
 
