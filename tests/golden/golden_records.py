@@ -3,8 +3,8 @@
 Noise follows the field's definitions: N, B, K, Q and R as in IEEE 952, a Gauss–Markov process
 dx/dt = −x/T_c + q_c·w, all as means over the sample interval, so that spectra and Allan variances are those
 of the continuous noise. Flicker noise and power laws are sums of Gauss–Markov processes whose correlation
-times are an octave apart: the ripple of such a sum is below 1e-5. Everything is in rad/s and m/s² here, and in
-the recording's own units for the package.
+times are an octave apart: the ripple of such a sum is below 1e-5. Everything is in rad/s and m/s² here, and
+in the recording's own units for the package.
 """
 
 import dataclasses
