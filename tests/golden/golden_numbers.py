@@ -77,9 +77,11 @@ def _curves(name: str) -> Iterator[tuple[str, Number]]:
         yield f"curve/{axis}/psd", Number("exact", spectrum.density[places, k])
     if name in (*PLAIN, *SHAPED):
         axis = recording.names[0]
-        labels = bench.fit(name, record.model, "whittle").template.values
-        truth = {label: record.truth[axis].get(label, 0.0) for label in labels}
-        model = bench.fit(name, record.model, "whittle").template.with_values(**truth).sampled(record.rate)
+        template = bench.fit(name, record.model, "whittle").template
+        model = template.with_values(**record.truth[axis])
+        amplitudes = [p for p in model.parameters if p.parameter.is_amplitude]
+        lacking = [p.term_label for p in amplitudes if model.values[p.label] is None]
+        model = model.without(lacking).sampled(record.rate)
         frequency = record.rate * np.array([0.003, 0.05, 0.23, 0.41])
         yield "model/variance", Number("exact", model.allan_variance(np.array([2, 16, 256]) / record.rate))
         yield "model/psd", Number("exact", model.sampled_psd(frequency, record.rate))

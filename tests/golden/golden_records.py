@@ -191,8 +191,10 @@ def basic(seed: int, n: int, *axes: tuple[str, dict[str, float]], rate: float = 
     """A record of basic terms: name and coefficients of each axis; a bias of its own on each."""
     rng = np.random.default_rng(seed)
     names = tuple(name for name, _ in axes)
+    # The z axis of an accelerometer carries gravity.
     biases = [
-        0.01 * DEG * (k + 1) if x.startswith("gyro") else (-1.0) ** k * 3.3 for k, x in enumerate(names)
+        0.01 * DEG * (k + 1) if x.startswith("gyro") else G * x.endswith("z") - 0.1
+        for k, x in enumerate(names)
     ]
     columns = [sensor(rng, n, rate, **c) + bias for (_, c), bias in zip(axes, biases, strict=True)]
     letters = sorted({letter for _, c in axes for letter in c}, key="QNBKR".index)
