@@ -1,9 +1,10 @@
 """Deviations, counts and intervals that others have published for the two data sets of NIST SP 1065.
 
-W. J. Riley, "Handbook of Frequency Stability Analysis", NIST Special Publication 1065 (2008): nine frequencies of
-NBS Monograph 140, Annex 8.E, with their deviations in tables 29 and 30, page 107; a thousand numbers of a
-generator, section 12.4, with those in table 31, page 108. The phases that Stable32 1.60 ships as PHASE.DAT are the
-integral of the thousand less their mean; its printouts, with intervals, are in allantools' tests/phasedat.
+W. J. Riley, "Handbook of Frequency Stability Analysis", NIST Special Publication 1065 (2008): nine
+frequencies of NBS Monograph 140, Annex 8.E, with their deviations in tables 29 and 30, page 107; a thousand
+numbers of a generator, section 12.4, with those in table 31, page 108. The phases that Stable32 1.60 ships as
+PHASE.DAT are the integral of the thousand less their mean; its printouts, with intervals, are in allantools'
+tests/phasedat.
 """
 
 import numpy as np
@@ -53,7 +54,7 @@ def assert_printed(found: np.ndarray, expected: list[float], digits: int) -> Non
     np.testing.assert_array_less(abs(found - expected), 1.01 * last)
 
 
-# Table 30. "Hadamard" is of overlapping clusters there; the other one, at m = 2, is of Riley's table II in "The
+# Table 30. "Hadamard" is of overlapping clusters there; the other one, at m = 2, is of table II of Riley's "The
 # Calculation of Time Domain Frequency Stability".
 TABLE_30 = {
     "adev": [91.22945, 115.8082],
@@ -128,10 +129,10 @@ STABLE32 = {
 
 @each_kind
 def test_counts_deviations_and_intervals_are_those_of_stable32(name):
-    """Its degrees of freedom are those of phases averaged over a sample, by Greenhall & Riley's approximation.
+    """Its degrees of freedom are of phases averaged over a sample, by Greenhall & Riley's approximation.
 
-    So the half widths of its intervals differ at few samples a cluster, by 9 % at m = 1 and less as 1/m; between
-    m = 4 and 32 the approximation for overlapping clusters costs up to 6 %, and nothing beyond.
+    So the half widths of its intervals differ at few samples a cluster, by 9 % at m = 1 and less as 1/m;
+    between m = 4 and 32 the approximation for overlapping clusters costs up to 6 %, and nothing beyond.
     """
     count, lower, deviation, upper = np.array(
         [row.split() for row in STABLE32[name].replace(";", "\n").strip().splitlines()], float

@@ -1,4 +1,4 @@
-"""Numbers printed in H. Hou, "Modeling Inertial Sensors Errors Using Allan Variance" (University of Calgary, 2004).
+"""Numbers printed in H. Hou, "Modeling Inertial Sensors Errors Using Allan Variance", Calgary 2004.
 
 What needs the thesis's recordings cannot be had; these rows follow from what is printed beside them.
 """
@@ -54,7 +54,7 @@ def test_relative_errors(n, rate, m, percent):
     ],
 )
 def test_errors_of_coefficients_in_tables_5_2_and_5_4(m, rows):
-    """7.586 % and 33.36 % of the coefficients, to half a unit of the last digit printed, and rounding of 7.58."""
+    """7.586 % and 33.36 % of the coefficients, to the last digit printed."""
     error = curve(1_440_000, 200.0, m).thesis_relative_error[0]
     for coefficient, printed in rows:
         assert float(coefficient) * error == pytest.approx(float(printed), abs=1.1e-4)
@@ -137,8 +137,8 @@ def test_table_3_4():
 def test_table_3_5_and_the_allan_deviation_agree(rate, walk):
     """White noise of the coefficients [deg/√h] that the thesis finds identical by both methods.
 
-    Four standard errors: n/1.94 degrees of freedom of a density under a Hann window, at least half of them in the
-    band; 1.45 n/m of overlapping Allan variances.
+    Four standard errors: n/1.94 degrees of freedom of a density under a Hann window, at least half of them
+    in the band; 1.45 n/m of overlapping Allan variances.
     """
     n = 2**14
     x = walk * DEG / HOUR**0.5 * rate**0.5 * np.random.default_rng(3).normal(size=n)
