@@ -1,4 +1,4 @@
-"""Do the intervals of a six-position calibration hold the truth? Full records, the noise fitted to others.
+"""Do the intervals of a six-position calibration hold the truth, the noise being fitted to other records?
 
 Each simulated unit has three accelerometers with errors of their own (2.23). It lies still for four hours,
 and then for ten minutes in each of six positions, 20 s apart. The noise model is that fitted to the four

@@ -25,50 +25,24 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from benchmarks.common.study import ROOT, commit_of, table
 
 QUICK: dict[str, Any] = {"count": 0}
-SWAPPED: dict[type, type] = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.Pow: ast.Mult,
-    ast.FloorDiv: ast.Mult,
-    ast.BitAnd: ast.BitOr,
-    ast.BitOr: ast.BitAnd,
-}
-COMPARED: dict[type, tuple[type, ...]] = {
-    ast.Lt: (ast.LtE, ast.Gt),
-    ast.LtE: (ast.Lt, ast.GtE),
-    ast.Gt: (ast.GtE, ast.Lt),
-    ast.GtE: (ast.Gt, ast.LtE),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
-}
-RENAMED = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
-RENAMED |= {"argmin": "argmax", "argmax": "argmin", "nanmin": "nanmax", "nanmax": "nanmin", "floor": "ceil"}
-RENAMED |= {"ceil": "floor", "log": "log1p", "sin": "cos", "cos": "sin", "mean": "sum", "std": "var"}
+SWAPPED = {"Add": "Sub", "Sub": "Add", "Mult": "Div", "Div": "Mult", "Pow": "Mult", "FloorDiv": "Mult"}
+SWAPPED |= {"BitAnd": "BitOr", "BitOr": "BitAnd"}
+COMPARED = {"Lt": "LtE Gt", "LtE": "Lt GtE", "Gt": "GtE Lt", "GtE": "Gt LtE", "Eq": "NotEq", "NotEq": "Eq"}
+COMPARED |= {"Is": "IsNot", "IsNot": "Is", "In": "NotIn", "NotIn": "In"}
+RENAMED = {"min": "max", "minimum": "maximum", "any": "all", "argmin": "argmax", "nanmin": "nanmax"}
+RENAMED |= {"floor": "ceil", "sin": "cos", "log": "log1p"}
+RENAMED |= {new: old for old, new in RENAMED.items()} | {"mean": "sum", "std": "var"}
 #: Functions whose body is words for people, and calls whose arguments are.
 WORDS = {"__repr__", "__str__", "describe", "summary", "story", "lines", "title", "explain", "print"}
 
 
-class Mutant(NamedTuple):
-    """A bug: where, what stood there and what stands there now; the whole file with it."""
-
-    room: str
-    path: str
-    line: int
-    before: str
-    after: str
-    kind: str
-    text: str
+#: A bug: its room, place, kind, the line before and after, and the whole file with it.
+Mutant = dict[str, Any]
 
 
 def run(
@@ -80,41 +54,26 @@ def run(
     state: str = tempfile.gettempdir(),
 ) -> Iterator[str]:
     """Limit: seconds after which tests hang, which is seen; state: folder of what is done, to go on from."""
-    mutants = drawn(seed, count)
     log = Path(state) / f"mutants-{commit_of(ROOT).split()[0]}-{seed}-{count}.jsonl"
-    done = {}
-    for text in log.read_text(encoding="utf-8").splitlines() if log.exists() else []:
-        row = json.loads(text)
-        done[row["path"], row["line"], row["after"]] = row
+    rows = map(json.loads, log.read_text(encoding="utf-8").splitlines() if log.exists() else [])
+    done = {(row["place"], row["after"]): row for row in rows}
 
     def judged(mutant: Mutant) -> dict[str, Any]:
-        if found := done.get((mutant.path, mutant.line, mutant.after)):
+        if found := done.get((mutant["place"], mutant["after"])):
             return found
-        row = {**mutant._asdict(), **caught(mutant, Path(state), limit)}
-        del row["text"]
+        row = {key: value for key, value in mutant.items() if key != "text"}
+        row |= caught(mutant, Path(state), limit)
         with log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
-        print(row["path"], row["line"], row["by"], f"{row['seconds']:.0f} s", file=sys.stderr, flush=True)
+        print(row["place"], row["by"], f"{row['s']} s", file=sys.stderr, flush=True)
         return row
 
     with ThreadPoolExecutor(jobs) as pool:
-        rows = list(pool.map(judged, mutants))
-    seen = sum(row["by"] != "survived" for row in rows)
-    room_only = sum(row["stage"] == "room" for row in rows)
-    yield f"{seen} of {len(rows)} caught, {room_only} by the room's tests and the golden run. Seed {seed}."
-    shown = [
-        [
-            f"{r['path']}:{r['line']}",
-            r["kind"],
-            f"`{r['before']}`",
-            f"`{r['after']}`",
-            r["by"],
-            f"{r['seconds']:.0f}",
-        ]
-        for r in rows
-    ]
-    head = ["place", "kind", "before", "after", "caught by", "s"]
-    yield table(head, [[str(cell).replace("|", "\\|") for cell in row] for row in shown])
+        rows = list(pool.map(judged, drawn(seed, count)))
+    seen, own = (sum(bool(row["stage"]) for row in rows), sum(row["stage"] == "room" for row in rows))
+    yield f"{seen} of {len(rows)} caught, {own} by the room's tests and the golden run. Seed {seed}."
+    head = ["place", "kind", "before", "after", "by", "s"]
+    yield table(head, [[str(row[key]).replace("|", "\\|") for key in head] for row in rows])
 
 
 # --- Bugs --------------------------------------------------------------------------------------------------
@@ -135,16 +94,17 @@ def drawn(seed: int, count: int) -> list[Mutant]:
     for room in sorted(shares, key=lambda room: int(shares[room]) - shares[room]):
         if sum(counts.values()) < count:
             counts[room] += 1
+    while sum(counts.values()) > max(count, len(counts)):
+        counts[max(counts, key=counts.__getitem__)] -= 1
     found = []
     for room, paths in files.items():
         weights = [path.stat().st_size for path in paths]
-        places: set[tuple[str, int]] = set()
-        while len(places) < counts[room]:
+        own: dict[str, Mutant] = {}
+        while len(own) < counts[room]:
             (path,) = rng.choices(paths, weights)
-            mutant = mutated(rng, room, path)
-            if mutant and (mutant.path, mutant.line) not in places:
-                places.add((mutant.path, mutant.line))
-                found.append(mutant)
+            if mutant := mutated(rng, room, path):
+                own.setdefault(mutant["place"], mutant)
+        found += own.values()
     return found
 
 
@@ -160,23 +120,24 @@ def mutated(rng: random.Random, room: str, path: Path) -> Mutant | None:
         return None
     kind = rng.choice(sorted(kinds))
     node, other = rng.choice(kinds[kind])
-    lines = text.splitlines()
     if node.end_lineno != node.lineno:
         return None
+    lines, new = text.splitlines(), ast.unparse(other)
     line = lines[node.lineno - 1]
+    if not isinstance(other, (ast.Constant, ast.Name, ast.Call, ast.Return)):
+        new = f"({new})"
     # Columns count bytes.
     raw = line.encode()
-    new = ast.unparse(other)
-    bracketed = new if isinstance(other, (ast.Constant, ast.Name, ast.Call, ast.Return)) else f"({new})"
-    after = (raw[: node.col_offset] + bracketed.encode() + raw[node.end_col_offset :]).decode()
+    after = (raw[: node.col_offset] + new.encode() + raw[node.end_col_offset :]).decode()
     changed = "\n".join([*lines[: node.lineno - 1], after, *lines[node.lineno :]]) + "\n"
     try:
         if ast.dump(ast.parse(changed)) == ast.dump(tree):
             return None
     except SyntaxError:
         return None
-    place = str(path.relative_to(ROOT))
-    return Mutant(room, place, node.lineno, line.strip(), after.strip(), kind, changed)
+    place = f"{path.relative_to(ROOT)}:{node.lineno}"
+    told = {"before": f"`{line.strip()}`", "after": f"`{after.strip()}`"}
+    return {"room": room, "place": place, "kind": kind, "text": changed, **told}
 
 
 def places(tree: ast.Module) -> Iterator[Any]:
@@ -198,6 +159,8 @@ def places(tree: ast.Module) -> Iterator[Any]:
             return
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             return
+        if isinstance(node, (ast.If, ast.While)):
+            node.test.decides = True  # type: ignore[attr-defined]
         if inside and hasattr(node, "lineno"):
             yield node
         for field, value in ast.iter_fields(node):
@@ -220,11 +183,12 @@ def variants(node: Any) -> Iterator[tuple[str, ast.AST]]:
         return other
 
     if isinstance(node, ast.Compare) and len(node.ops) == 1:
-        yield from (("comparison", like(ops=[op()])) for op in COMPARED.get(type(node.ops[0]), ()))
-    if isinstance(node, ast.BinOp) and type(node.op) in SWAPPED:
+        others = COMPARED[type(node.ops[0]).__name__].split()
+        yield from (("comparison", like(ops=[getattr(ast, other)()])) for other in others)
+    if isinstance(node, ast.BinOp) and (swapped := SWAPPED.get(type(node.op).__name__)):
         texts = (isinstance(x, (ast.JoinedStr, ast.List)) or _word(x) for x in (node.left, node.right))
         if not any(texts):
-            yield "arithmetic", like(op=SWAPPED[type(node.op)]())
+            yield "arithmetic", like(op=getattr(ast, swapped)())
     if isinstance(node, ast.Constant) and type(node.value) is float and node.value:
         yield from (("constant", like(value=node.value * factor)) for factor in (0.9, 1.1, 0.5, 2.0))
     if isinstance(node, ast.Constant) and type(node.value) is int:
@@ -237,9 +201,8 @@ def variants(node: Any) -> Iterator[tuple[str, ast.AST]]:
         yield "sign, not", node.operand
     if isinstance(node, ast.IfExp):
         yield "condition", like(test=ast.UnaryOp(ast.Not(), node.test))
-    if isinstance(node, (ast.If, ast.While)):
-        # Of a statement only the condition, which is an expression of its own.
-        return
+    if isinstance(node, ast.expr) and getattr(node, "decides", False):
+        yield "condition", ast.UnaryOp(ast.Not(), copy.deepcopy(node))
     if isinstance(node, ast.Return) and node.value is not None:
         yield "returned", like(value=ast.Constant(None))
     if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice) and node.slice.lower is not None:
@@ -277,16 +240,18 @@ def caught(mutant: Mutant, state: Path, limit: float) -> dict[str, Any]:
         root = Path(folder) / "copy"
         ignored = shutil.ignore_patterns(".git", "__pycache__", ".*_cache", "*.egg-info", "shared")
         shutil.copytree(ROOT, root, ignore=ignored)
-        (root / mutant.path).write_text(mutant.text, encoding="utf-8")
+        (root / mutant["place"].split(":")[0]).write_text(mutant["text"], encoding="utf-8")
         own = [
-            path for path in (f"tests/{mutant.room}", "tests/golden") if list((root / path).glob("test_*.py"))
+            path
+            for path in (f"tests/{mutant['room']}", "tests/golden")
+            if list((root / path).glob("test_*.py"))
         ]
         for stage, paths in {"room": own, "others": ["tests", *(f"--ignore={path}" for path in own)]}.items():
             while by := failure(root, [*paths, *failing], cache, limit):
                 if "::" not in by or not failure(ROOT, [by], cache, limit):
-                    return {"by": by, "stage": stage, "seconds": time.perf_counter() - begun}
+                    return {"by": by, "stage": stage, "s": round(time.perf_counter() - begun)}
                 failing.append(f"--deselect={by}")
-    return {"by": "survived", "stage": "", "seconds": time.perf_counter() - begun}
+    return {"by": "survived", "stage": "", "s": round(time.perf_counter() - begun)}
 
 
 def failure(root: Path, paths: list[str], cache: Path, limit: float) -> str:
