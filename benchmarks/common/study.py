@@ -78,7 +78,7 @@ def perform(name: str, quick: bool = False, results: Path | None = None, **given
     options = (getattr(module, "QUICK", {}) if quick else {}) | given
     commit, begun = commit_of(ROOT), time.perf_counter()
     try:
-        for part in module.run(**options):
+        for part in filter(None, module.run(**options)):
             parts.append(part)
             print(part, end="\n\n", flush=True)
     except WrongError as error:

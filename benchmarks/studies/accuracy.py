@@ -8,8 +8,8 @@ arXiv:1804.06788). Errors are in units of the bound of the whole record (exact G
 unknown), at the truth of each record.
 
 The peers have records of one truth. **allan-variance**: `compute_avar` and `estimate_parameters` as they come
-(its users fit flicker in the place of Markov noise). **avar**: its interactive `fit`, started at the true
-values, magnitudes only. **log-log**: unweighted least squares of ln σ(T), started at the true values.
+(its users fit flicker in the place of Markov noise). **log-log**: unweighted least squares of ln σ(T), four
+cluster times an octave, started at the true values.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from benchmarks.common.peers import PEERS
 from benchmarks.common.study import run_tasks, table
 from benchmarks.common.truth import SHOWN, T0, Case, bound, exact_bound, simulate
 
-PACKAGES = ("allantools", "allan-variance", "avar")
+PACKAGES = ("allan-variance",)
 QUICK: dict[str, Any] = {
     "records": 4,
     "samples": (1024,),

@@ -98,13 +98,7 @@ def six(seed: int) -> Drawn:
     values = with_extra(np.stack(columns, 1), label, np.array(white), rate, rng)
     keep = np.ptp(values, axis=0) > 0.0
     names = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"]
-    return Drawn(
-        values[:, keep],
-        rate,
-        [m for m, k in zip(names, keep, strict=True) if k],
-        np.array(white)[keep],
-        label,
-    )
+    return Drawn(values[:, keep], rate, list(np.array(names)[keep]), np.array(white)[keep], label)
 
 
 def with_extra(x: np.ndarray, label: str, white: np.ndarray, rate: float, rng: Generator) -> Array:
@@ -273,17 +267,7 @@ def run(
         yield f"{len(found)} records of the presets: {'; '.join(said) or 'no alarm'}."
     names = list(TOUCHES)[:kinds]
     rows = [row for row in run_tasks(after_touching, [(name, seed, touched) for name in names]) if row]
-    head = [
-        "touched",
-        "records",
-        "cut",
-        "refused",
-        "before: median",
-        "90 %",
-        "after: median",
-        "90 %",
-        "worst",
-    ]
+    head = "touched|records|cut|refused|before: median|90 %|after: median|90 %|worst".split("|")
     yield "## Touched records\n\n" + table(head, rows)
     head = ["touched"]
     for which in ("before", "after"):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import resource
 import struct
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -17,13 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from flight_logs import structured, write_dataflash, write_ulog
 
 import allanjax as aj
-from benchmarks.common.study import ROOT, UnavailableError, data, table
-
-sys.path.append(str(ROOT / "tests" / "support"))
-from flight_logs import structured, write_dataflash, write_ulog
-from mutated_files import SIX, sample_files
+from benchmarks.common.damaged_files import SIX, sample_files
+from benchmarks.common.study import UnavailableError, data, table
 
 PACKAGES = ("pandas", "pyarrow", "h5py", "rosbags", "pyulog", "nptdms")
 QUICK: dict[str, Any] = {"samples": 1000}

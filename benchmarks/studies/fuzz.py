@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import multiprocessing
 import resource
-import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
@@ -27,10 +26,8 @@ from typing import Any
 import numpy as np
 
 import allanjax as aj
-from benchmarks.common.study import ROOT, WrongError, settings, table
-
-sys.path.append(str(ROOT / "tests" / "support"))
-from mutated_files import damaged, outcome, sample_files
+from benchmarks.common.damaged_files import damaged, outcome, sample_files
+from benchmarks.common.study import WrongError, settings, table
 
 PACKAGES = ("pandas", "pyarrow", "h5py", "rosbags", "pyulog", "nptdms")
 QUICK: dict[str, Any] = {"count": 200}
