@@ -51,8 +51,6 @@ class Outcome:
     """
 
     seed: int
-    samples: int
-    axes: int
     effects: int
     told: int = 0
     seconds: float = 0.0
@@ -76,14 +74,6 @@ def explained(critique: aj.Critique, axis: str, record: np.ndarray) -> tuple[np.
         return record, model
     labels = [name for name, term in zip(model.term_labels, model, strict=True) if term.deterministic]
     return np.asarray(stages[-1].x), model.without(labels)
-
-
-def stated(fit: Any, axis: str) -> dict[str, Any]:
-    """The coefficients with intervals of `critique.refit()`; none where an axis has no result."""
-    try:
-        return dict(fit[axis].coefficients)
-    except aj.AllanjaxError:
-        return {}
 
 
 # --- Judgement ---------------------------------------------------------------------------------------------
@@ -160,8 +150,7 @@ def named_axes(findings: list[Any], effect: Effect) -> set[str]:
 
 def left_out(critique: Any, effect: Effect) -> bool:
     """Whether it lies in a part of the record that the first look did not give to the fit."""
-    stretch = critique.fit.stretch
-    if stretch is None or effect.span is None:
+    if (stretch := critique.fit.stretch) is None or effect.span is None:
         return False
     return effect.span[1] <= stretch[0] or effect.span[0] >= stretch[1]
 
@@ -170,15 +159,10 @@ def judged(seed: int, clean: bool, samples: int) -> Outcome:
     """One recording, made, criticized and judged."""
     aj.enable_compilation_cache()
     made = composite(seed, clean, samples or None)
-    outcome = Outcome(seed, len(made.values), len(made.names), len(made.effects))
+    outcome = Outcome(seed, len(made.effects))
+    units = {"gyro_unit": made.gyro_unit, "accel_unit": made.accel_unit}
     recording = aj.Recording.from_array(
-        made.values,
-        made.rate,
-        names=list(made.names),
-        gyro_unit=made.gyro_unit,
-        accel_unit=made.accel_unit,
-        auxiliary=made.auxiliary,
-        name=f"composite {seed}",
+        made.values, made.rate, names=list(made.names), auxiliary=made.auxiliary, **units
     )
     begun = time.perf_counter()
     try:
@@ -200,7 +184,8 @@ def judge(outcome: Outcome, critique: Any, recording: aj.Recording, made: Compos
     findings, fit = list(critique.findings), critique.refit()
     for k, axis in enumerate(recording.names):
         outcome.off[axis] = off_by(critique, axis, recording.values[:, k])
-        outcome.covered += coverage(stated(fit, axis), made.axes[axis])
+        if axis in fit.axes and fit[axis].converged:
+            outcome.covered += coverage(fit[axis].coefficients, made.axes[axis])
     for effect in made.effects:
         if left_out(critique, effect):
             outcome.cut += 1

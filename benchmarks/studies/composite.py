@@ -9,9 +9,6 @@ models are compared with those of the samples without what the critique found in
 with 1,000 clusters or more. Intervals are those of `critique.refit()`: of N where the axis has one level (no
 stretch of another variance, no rounding), of K where it is there or detected, of T_c where the sensor has a
 Gauss–Markov process. A recording that failed has no axis right and names nothing.
-
-The fixed cases: one gyro at 100 Hz, white noise of 1e-3 rad/s/√Hz and a random walk of 2e-5 rad/s/√s through
-one pole at 15 Hz, and resonances of 2e-3 rad/s; the Allan deviation up to 30 s against the expected one.
 """
 
 from __future__ import annotations
@@ -21,33 +18,19 @@ from typing import Any
 
 import numpy as np
 
-import allanjax as aj
-from benchmarks.common import composite_noise as physical
 from benchmarks.common.composite_judge import (
     LABELS,
     NAMED,
     Outcome,
-    cluster_sizes,
-    deviation,
-    explained,
     judged,
 )
 from benchmarks.common.composite_sensors import KINDS
 from benchmarks.common.study import run_tasks, share, table
 
-QUICK: dict[str, Any] = {"records": 1, "clean": 0, "samples": 16_384, "cases": 0}
-RATE, LONGEST, N_TRUE, K_TRUE, SIGMA = 100.0, 30.0, 1e-3, 2e-5, 2e-3
-POLE = physical.Filter("one pole", 15.0, 1, RATE)
-CASES: dict[str, tuple[physical.Resonance, ...]] = {
-    "resonance behind the filter": (physical.Resonance(20.0, 15.0, RATE),),
-    "resonance inside the filter": (physical.Resonance(20.0, 15.0, RATE, POLE),),
-    "two behind the filter": (physical.Resonance(20.0, 15.0, RATE), physical.Resonance(35.0, 6.0, RATE)),
-}
+QUICK: dict[str, Any] = {"records": 1, "clean": 0, "samples": 16_384}
 
 
-def run(
-    *, records: int = 60, clean: int = 100, cases: int = 3, samples: int = 0, seed: int = 1000
-) -> Iterator[str]:
+def run(*, records: int = 60, clean: int = 100, samples: int = 0, seed: int = 1000) -> Iterator[str]:
     """Samples: of every recording; 0 for 200,000 to 1,000,000."""
     tasks = [(seed + k, False, samples) for k in range(records)] + [
         (seed + k, True, samples) for k in range(clean)
@@ -57,29 +40,6 @@ def run(
     yield target_table(done[:records], done[records:])
     yield kinds_table(done[:records])
     yield "\n".join(f"- {o.seed} failed: {o.error}" for o in done if o.error)
-    rows = run_tasks(case, [(name, seed, samples or 200_000) for name in list(CASES)[:cases]])
-    yield "## Fixed cases"
-    yield table(["case", "Allan deviation off by", "N off by", "findings of planted", "causes"], rows)
-
-
-def case(name: str, seed: int, n: int) -> list[str]:
-    rng = np.random.default_rng([seed, list(CASES).index(name)])
-    x = N_TRUE * POLE.white(rng, n) + K_TRUE * POLE.slow(physical.walk(rng, n, RATE))
-    x = x + SIGMA * np.sum([r.draw(rng, n) for r in CASES[name]], axis=0)
-    f = (np.arange(2**19) + 0.5) * RATE / 2.0**20
-    power = N_TRUE**2 * POLE.white_spectrum(f) + K_TRUE**2 * POLE.power(f) * physical.walk_spectrum(f, RATE)
-    power += SIGMA**2 * np.sum([r.spectrum(f) for r in CASES[name]], axis=0)
-    w, sizes = np.pi * f / RATE, cluster_sizes(int(LONGEST * RATE))
-    expected = np.sqrt([2.0 * np.mean(power * np.sin(m * w) ** 4 / (m * np.sin(w)) ** 2) for m in sizes])
-    found = aj.critique(aj.Recording.from_array(x[:, None], RATE, names=["gyro_z"], gyro_unit="rad/s"))
-    _, model = explained(found, "gyro_z", x)
-    error = np.abs(deviation(model, sizes / RATE) / expected - 1.0)
-    worst = int(np.argmax(error))
-    seen = N_TRUE * np.sqrt(POLE.white_spectrum(np.zeros(1))[0] / RATE)
-    N = float(model.values.get("angle_random_walk") or np.nan)
-    told, planted = [f.cause for f in found.findings], 1 + len(CASES[name])
-    off = f"{100.0 * error[worst]:.1f} % at {sizes[worst] / RATE:.2g} s", f"{100.0 * (N / seen - 1.0):+.1f} %"
-    return [name, *off, f"{len(told)} of {planted}", ", ".join(told)]
 
 
 def target_table(found: list[Outcome], clean: list[Outcome]) -> str:

@@ -1,4 +1,4 @@
-"""What does `inspect` see before a fit: false alarms in clean records, coefficients of touched ones?
+"""What does `inspect` see before a fit: false alarms in clean records, what is left of touched ones?
 
 Thresholds were set on clean seeds below 800 and touched seeds below 100; results are of seeds from a million
 on. Clean records are of the critic's generator, one axis or three with an effect that is noise, or six axes
@@ -8,14 +8,10 @@ Touched records: the largest factor, over octaves of cluster time and six axes, 
 the touched record and that of the same record untouched; before: of all of it, after: of the stretch that
 coefficients are of. σ: of the white noise, from sample to sample. An estimate's own scatter at the longest
 cluster times makes factors of 1.1 to 1.3.
-
-Coefficients: N and K of a gyro and an accelerometer, 32,768 samples at 100 Hz: estimate over truth, and the
-share of 95 % intervals (or limits) that hold it; before: `as_is=True`.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -28,7 +24,7 @@ from benchmarks.common.hidden_effects import SETTLING, Scene, draw, low_pass, re
 from benchmarks.common.hidden_sensors import GRADES, coloured_noise, draw_sensor, log_uniform, white_std
 from benchmarks.common.study import run_tasks, table
 
-QUICK: dict[str, Any] = {"clean": 4, "touched": 1, "fits": 1, "kinds": 1, "presets": False}
+QUICK: dict[str, Any] = {"clean": 4, "touched": 1, "kinds": 1, "presets": False}
 FRESH = 1_000_000
 Array, Generator = np.ndarray, np.random.Generator
 NOISY = (
@@ -245,12 +241,11 @@ def run(
     *,
     clean: int = 1000,
     touched: int = 20,
-    fits: int = 4,
     kinds: int = len(TOUCHES),
     presets: bool = True,
     seed: int = FRESH,
 ) -> Iterator[str]:
-    """Touched: records of each kind that are only inspected; fits: that are fitted twice."""
+    """Touched: records of each of so many kinds."""
     alarms: dict[str, list[str]] = defaultdict(list)
     for label, alarm in run_tasks(alarm_of, [(k,) for k in range(seed, seed + clean)]):
         alarms[label].append(alarm)
@@ -267,12 +262,9 @@ def run(
         yield f"{len(found)} records of the presets: {'; '.join(said) or 'no alarm'}."
     names = list(TOUCHES)[:kinds]
     rows = [row for row in run_tasks(after_touching, [(name, seed, touched) for name in names]) if row]
-    head = "touched|records|cut|refused|before: median|90 %|after: median|90 %|worst".split("|")
+    head = ["touched", "records", "cut", "refused", "before: median", "90 %"]
+    head += ["after: median", "90 %", "worst"]
     yield "## Touched records\n\n" + table(head, rows)
-    head = ["touched"]
-    for which in ("before", "after"):
-        head += [f"{which}: N/true, median, worst", "covers", "K/true", "covers"]
-    yield "## Coefficients\n\n" + table(head, run_tasks(coefficients, [(name, seed, fits) for name in names]))
 
 
 def alarm_of(seed: int) -> tuple[str, str]:
@@ -302,42 +294,3 @@ def after_touching(name: str, first: int, each: int) -> list[str]:
         after.append(off_by(seen.quiet(drawn.recording(x)).values, reference))
     quantiles = [*np.quantile(before, [0.5, 0.9]), *np.nanquantile(after, [0.5, 0.9, 1.0])]
     return [name, str(each), str(cut), str(refused), *(f"{q:.3g}" for q in quantiles)]
-
-
-def coefficients(name: str, first: int, each: int, n: int = 1 << 15, rate: float = 100.0) -> list[str]:
-    """N and K of two axes, of all of a touched record and of the stretch that is chosen."""
-    k, axes = list(TOUCHES).index(name), ["gyro_x", "accel_x"]
-    ratios: dict[tuple[str, str], list[float]] = defaultdict(list)
-    covered: dict[tuple[str, str], list[bool]] = defaultdict(list)
-    for seed in range(first, first + each):
-        rng = np.random.default_rng([seed, k, 3])
-        N = 1e-4 * log_uniform(rng, 0.3, 3.0) * np.array([1.0, 20.0])
-        truth = {"angle_random_walk": N, "rate_random_walk": N / log_uniform(rng, 10.0, 60.0)}
-        white, walk = N * np.sqrt(rate), np.cumsum(rng.standard_normal((n, 2)), axis=0) / np.sqrt(rate)
-        x = white * rng.standard_normal((n, 2)) + truth["rate_random_walk"] * walk
-        touched = aj.Recording.from_array(TOUCHES[name](x, white, rate, rng), rate, names=axes, **UNITS)
-        records, seen = {"before": touched}, aj.inspect(touched)
-        if not seen.refusal:
-            # Of few lengths: each costs a compilation.
-            kept = seen.quiet(touched)
-            records["after"] = dataclasses.replace(kept, values=kept.values[-(kept.n // 4096 * 4096) :])
-        for which, record in records.items():
-            for result, j in zip(aj.fit(record, "N + K", as_is=True).results, (0, 1), strict=True):
-                for label, values in truth.items():
-                    if not result.converged:
-                        continue
-                    c = result[label]
-                    ratios[which, label].append(c.value / values[j])
-                    limit = np.inf if c.upper_limit is None else c.upper_limit
-                    inside = c.interval[0] <= values[j] <= c.interval[1]
-                    covered[which, label].append(inside if c.detected else values[j] <= limit)
-    row = [name]
-    for key in [
-        (w, label) for w in ("before", "after") for label in ("angle_random_walk", "rate_random_walk")
-    ]:
-        if not ratios[key]:
-            row += ["–", "–"]
-            continue
-        worst = max(ratios[key], key=lambda r: abs(np.log(max(r, 1e-3))))
-        row += [f"{np.median(ratios[key]):.2f}, {worst:.3g}", f"{np.mean(covered[key]):.2f}"]
-    return row

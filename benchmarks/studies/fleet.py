@@ -205,35 +205,18 @@ def graded(
 def workers(folder: Path, recordings: int, samples: int) -> Iterator[str]:
     logs, every = folder / "logs", str(folder / "logs" / "*.parquet")
     simulated(logs, recordings, samples)
-    cold, _ = fleet(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
-    one, _ = fleet(every, folder / "one", 1)
-    two, _ = fleet(every, folder / "two", 2)
-    killed, code = fleet(every, folder / "killed", 2, kill_after=recordings // 2)
-    (logs / "corrupt.parquet").write_bytes((logs / "unit_000.parquet").read_bytes()[:1000])
-    before = done(folder / "two")
-    again, code_again = fleet(every, folder / "two", 2)
     times = {
-        "two recordings, nothing compiled yet, 2 workers": cold,
-        "1 worker": one,
-        "2 workers": two,
-        "2 workers, one killed half-way": killed,
-        "second run, with a corrupt file added": again,
+        "two recordings, nothing compiled yet": fleet(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
     }
-    yield table(
-        ["run", "seconds", "1 worker over this"],
-        [[k, f"{s:.1f}", f"{one / s:.2f}"] for k, s in times.items()],
-    )
-    kept = sum(before[name] == at for name, at in done(folder / "two").items())
-    tables = [pd.read_parquet(folder / out / "fleet.parquet") for out in ("two", "killed")]
+    times |= {f"{n} worker{'s' if n > 1 else ''}": fleet(every, folder / str(n), n) for n in (1, 2)}
+    times["2 workers, one killed half-way"] = fleet(every, folder / "killed", 2, kill_after=recordings // 2)
+    yield table(["run", "seconds"], [[run, f"{s:.1f}"] for run, s in times.items()])
+    tables = [pd.read_parquet(folder / out / "fleet.parquet") for out in ("2", "killed")]
     same = [json.loads(t.sort_index().to_json()) for t in tables]
     marks = tables[0].loc[tables[0]["outlying"], ["recording", "axis", "coefficient"]].drop_duplicates()
-    errors = pd.read_csv(folder / "two" / "errors.csv")["message"]
     yield (
-        f"- One killed half-way (SIGKILL): {len(done(folder / 'killed'))} results, exit code {code}; "
-        f"the table {'is' if same[0] == same[1] else 'IS NOT'} the same as without.\n"
-        f"- Second run: {kept} of {recordings} results kept; exit code {code_again}; "
-        f"errors: {'; '.join(errors)}.\n"
-        f"- Outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}; put in: "
+        f"With one killed half-way (SIGKILL) the table {'is' if same[0] == same[1] else 'IS NOT'} the same as "
+        f"without. Outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}; put in: "
         f"unit_{recordings // 2:03d} gyro_x with five times the random walk."
     )
 
@@ -254,8 +237,8 @@ def simulated(folder: Path, recordings: int, samples: int) -> None:
         pd.DataFrame(x, columns=AXES).to_parquet(folder / f"unit_{k:03d}.parquet")
 
 
-def fleet(pattern: str, out: Path, workers: int, kill_after: int | None = None) -> tuple[float, int]:
-    """Seconds and exit code; the worker that computed most is killed once so many recordings are done."""
+def fleet(pattern: str, out: Path, workers: int, kill_after: int | None = None) -> float:
+    """Seconds; the worker that computed most is killed once so many recordings are done."""
     options = {"--out": out, "--workers": workers, "--rate": 100, "--gyro-unit": "deg/s", "--accel-unit": "g"}
     command = [str(Path(sys.executable).with_name("allanjax")), "fleet", pattern]
     command += [str(part) for option in options.items() for part in option]
@@ -264,14 +247,9 @@ def fleet(pattern: str, out: Path, workers: int, kill_after: int | None = None) 
     if kill_after is not None:
         import psutil
 
-        while process.poll() is None and len(done(out)) < kill_after:
+        while process.poll() is None and len(list((out / "recordings").glob("*.json"))) < kill_after:
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
         os.kill(max(children, key=lambda child: child.cpu_times().user).pid, signal.SIGKILL)
-    code = process.wait()
-    return time.perf_counter() - begun, code
-
-
-def done(out: Path) -> dict[str, int]:
-    """Results that are there, with the time of their writing."""
-    return {path.name: path.stat().st_mtime_ns for path in (out / "recordings").glob("*.json")}
+    process.wait()
+    return time.perf_counter() - begun

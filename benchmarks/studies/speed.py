@@ -49,6 +49,14 @@ def run(
     yield "## Fits and posteriors of N + B + K [ms], one axis"
     head = ["samples", "np.sum", "Whittle fit", "Allan fit", "posterior", "the posterior converged"]
     yield table(head, [posterior_row(n) for n in likelihood])
+    model = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5) + aj.Markov(1e-4, 100.0)
+    record = np.random.default_rng(1).standard_normal(max(lengths[0], likelihood[0]))[:, None]
+    states = aj.Recording.from_array(record, 100.0, gyro_unit="rad/s", names=["gyro"])
+    times = [seconds_of(lambda s=s: aj.kalman_filter(states, model, smooth=s), 2) for s in (False, True)]
+    yield (
+        f"A Kalman filter of {len(record):,} samples under N + K + Markov, all states told: "
+        f"{times[0]:.2f} s; with the smoother {times[1]:.2f} s."
+    )
     yield (
         f"## Fits in bulk: {units:,} units of N + B + K, {unit_samples:,} samples\n\nTheir Allan deviations "
         'at octaves are not in the times. "One by one" is `fit_many` of a single unit; log-log least squares '
