@@ -87,7 +87,7 @@ def perform(name: str, quick: bool = False, results: Path | None = None, **given
     command = " ".join(["python -m benchmarks", name, *["--quick"] * quick, *map(written, given.items())])
     head = [
         f"`{command}` at commit {commit}, {datetime.date.today():%Y-%m-%d}, "
-        f"{time.perf_counter() - begun:.0f} s  \n{machine((*PACKAGES, *getattr(module, 'PACKAGES', ())))}",
+        f"{time.perf_counter() - begun:.0f} s  \n{machine((*PACKAGES, *getattr(module, 'PACKAGES', ())))}"
     ]
     text = "\n\n".join([f"# {title}", *head, about.strip(), *parts]) + "\n"
     path = results or (None if quick else RESULTS / f"{name}.md")

@@ -18,12 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.composite_judge import (
-    LABELS,
-    NAMED,
-    Outcome,
-    judged,
-)
+from benchmarks.common.composite_judge import LABELS, NAMED, Outcome, judged
 from benchmarks.common.composite_sensors import KINDS
 from benchmarks.common.study import run_tasks, share, table
 

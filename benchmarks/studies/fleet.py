@@ -205,9 +205,8 @@ def graded(
 def workers(folder: Path, recordings: int, samples: int) -> Iterator[str]:
     logs, every = folder / "logs", str(folder / "logs" / "*.parquet")
     simulated(logs, recordings, samples)
-    times = {
-        "two recordings, nothing compiled yet": fleet(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
-    }
+    first = fleet(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
+    times = {"two recordings, nothing compiled yet": first}
     times |= {f"{n} worker{'s' if n > 1 else ''}": fleet(every, folder / str(n), n) for n in (1, 2)}
     times["2 workers, one killed half-way"] = fleet(every, folder / "killed", 2, kill_after=recordings // 2)
     yield table(["run", "seconds"], [[run, f"{s:.1f}"] for run, s in times.items()])
@@ -215,9 +214,9 @@ def workers(folder: Path, recordings: int, samples: int) -> Iterator[str]:
     same = [json.loads(t.sort_index().to_json()) for t in tables]
     marks = tables[0].loc[tables[0]["outlying"], ["recording", "axis", "coefficient"]].drop_duplicates()
     yield (
-        f"With one killed half-way (SIGKILL) the table {'is' if same[0] == same[1] else 'IS NOT'} the same as "
-        f"without. Outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}; put in: "
-        f"unit_{recordings // 2:03d} gyro_x with five times the random walk."
+        f"With one killed half-way (SIGKILL) the table {'is' if same[0] == same[1] else 'IS NOT'} "
+        f"the same as without. Outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}; put "
+        f"in: unit_{recordings // 2:03d} gyro_x with five times the random walk."
     )
 
 
