@@ -158,6 +158,7 @@ def run_tasks(function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]
     Workers compile and compute on one thread each, which together do more than one process with all threads.
     """
     found, begun = {}, time.perf_counter()
+    shown = [begun]
     kept = [_kept(function, task) for task in tasks]
     for k, path in enumerate(kept):
         if path and path.exists():
@@ -169,8 +170,11 @@ def run_tasks(function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]
         if path := kept[k]:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(pickle.dumps(result))
-        told = f"{len(found)} of {len(tasks)}, {time.perf_counter() - begun:.0f} s: {tasks[k]}"
-        print(told[:110], file=sys.stderr, flush=True)
+        now = time.perf_counter()
+        if now - shown[0] > 5.0:
+            shown[0] = now
+            told = f"{len(found)} of {len(tasks)}, {now - begun:.0f} s: {tasks[k]}"
+            print(told[:110], file=sys.stderr, flush=True)
 
     if settings.workers == 1 or len(waiting) < 2:
         for k in waiting:
