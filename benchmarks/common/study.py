@@ -143,8 +143,8 @@ def machine(packages: Sequence[str] = PACKAGES) -> str:
 
 def data(name: str) -> Path:
     """A file of a real sensor, in the folder that ALLANJAX_DATA names; these are not in the repository."""
-    folder = os.environ.get("ALLANJAX_DATA")
-    if not folder or not (path := Path(folder) / name).exists():
+    path = Path(os.environ.get("ALLANJAX_DATA", ROOT.parent / "shared" / "data")) / name
+    if not path.exists():
         raise UnavailableError(f"{name} is not there; ALLANJAX_DATA names the folder of the real recordings")
     return path
 
