@@ -287,22 +287,7 @@ def _another_number(content: bytearray, rng: np.random.Generator) -> bytearray:
 
 def _another_text(content: bytearray, rng: np.random.Generator) -> bytearray:
     """Text that means something somewhere."""
-    texts = (
-        b"nan",
-        b"inf",
-        b"-1e307",
-        b"1e400",
-        b"",
-        b'"',
-        b",",
-        b"\n",
-        b"\0",
-        b"9" * 30,
-        b"[",
-        b"(",
-        b"\xff",
-        b"#",
-    )
+    texts = *b"nan inf -1e307 1e400 [ ( \xff # , \0 ".split(b" "), b'"', b"\n", b"9" * 30
     first = _place(content, rng)
     content[first : first + int(rng.integers(4))] = texts[rng.integers(len(texts))]
     return content
