@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from compilations import compilations
-from noise_terms import RATE, RESPONSES, TERMS
+from noise_terms import OTHER_VALUES, RATE, RESPONSES, TERMS, rounds
 
 import allanjax as aj
 
@@ -20,14 +20,6 @@ MODELS = {
     **{name: aj.Model((term,)).sampled(RATE) for name, term in TERMS.items()},
     **{f"{name}, continuous": aj.Model((TERMS[name],)) for name in ("line", "resonance", "low pass")},
     **{name: (filter_ * INNER).sampled(RATE) for name, filter_ in RESPONSES.items()},
-}
-# The same formulas at other values, which the same program takes.
-OTHERS = {
-    "flicker to 70 Hz": "flicker to 0.9 Hz",
-    "short markov": "markov",
-    "damped resonance": "resonance",
-    **{name: "power law 0.6" for name in MODELS if name.startswith("power law") and name != "power law 0.6"},
-    "mean of 5": "mean of 3.7",
 }
 # Without a curve that compiles: eleven oscillators, and G after a filter, which has parts of its own for each
 # kind of noise; of these two are enough.
@@ -43,7 +35,7 @@ def finite(model):
 
 def values_of(name, values, times, frequencies):
     """Allan variances, where they are compiled, densities of samples, and what the ends of a record add."""
-    model, slot = MODELS[name].with_values(**values), OTHERS.get(name, name)
+    model, slot = MODELS[name].with_values(**values), OTHER_VALUES.get(name, name)
     found = [] if slot in DENSITY_ONLY else [model.allan_variance(times)]
     found += [model.sampled_psd(frequencies, RATE)]
     found += [term.end_effect(frequencies, RATE) for term in model.terms if name == "quantization"]
@@ -66,13 +58,11 @@ def compiled(values, directions, times, frequencies):
 
 def run(values, directions, times):
     """Results by name, of as many runs of the one program as its slots have models."""
-    found, left = {}, list(MODELS)
-    while left:
-        of_slot = {OTHERS.get(name, name): name for name in [*(set(MODELS) - set(OTHERS)), *reversed(left)]}
+    found = {}
+    for of_slot in rounds(MODELS):
         data = [{slot: given[name] for slot, name in of_slot.items()} for given in (values, directions)]
         results = jax.device_get(compiled(*data, times, F))
         found |= {name: results[slot] for slot, name in of_slot.items()}
-        left = [name for name in left if name not in found]
     return found
 
 

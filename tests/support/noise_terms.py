@@ -1,5 +1,7 @@
 """Every noise term and every response with unequal parameters, for tests of what all of them must hold."""
 
+from collections.abc import Iterable, Iterator
+
 import allanjax as aj
 
 #: Sample rate [Hz], no round number of anything below.
@@ -52,3 +54,22 @@ RESPONSES: dict[str, aj.Response] = {
     "mean of 5": aj.MovingAverage.of(5.0 / RATE),
     "mean of 3.7": aj.MovingAverage.of(3.7 / RATE),
 }
+
+#: Terms and filters that are others' formulas at other values, which one compiled program takes as data.
+OTHER_VALUES = {
+    "flicker to 70 Hz": "flicker to 0.9 Hz",
+    "short markov": "markov",
+    "damped resonance": "resonance",
+    **{name: "power law 0.6" for name in RANDOM if name.startswith("power law") and name != "power law 0.6"},
+    "mean of 5": "mean of 3.7",
+}
+
+
+def rounds(names: Iterable[str]) -> Iterator[dict[str, str]]:
+    """Whose values a program of one slot a formula takes, by slot, in as many runs as reach all names."""
+    left = list(names)
+    slots = {name: name for name in left if name not in OTHER_VALUES}
+    while left:
+        of_slot = slots | {OTHER_VALUES.get(name, name): name for name in reversed(left)}
+        yield of_slot
+        left = [name for name in left if name not in of_slot.values()]
