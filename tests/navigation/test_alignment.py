@@ -31,7 +31,9 @@ def test_white_noise_takes_the_time_of_the_thesis():
     assert found.best_time == found.time[-1]
     assert found.falling
     assert found.out_of_reach == 0.0
-    assert np.isnan([*found.needed_interval, *found.best_interval, *found.best_time_interval, *found.lower]).all()
+    assert np.isnan(
+        [*found.needed_interval, *found.best_interval, *found.best_time_interval, *found.lower]
+    ).all()
 
 
 def test_a_walk_makes_an_optimum():
@@ -41,7 +43,9 @@ def test_a_walk_makes_an_optimum():
     """
     models = {"gyro_x": WALKING}
     found = aj.align(models, 51.0, 1.5 * LEAST, rate=10.0)["gyro_x"]
-    np.testing.assert_allclose(found.error * EARTH, np.sqrt(N**2 / found.time + K**2 * found.time / 12.0), rtol=1e-6)
+    np.testing.assert_allclose(
+        found.error * EARTH, np.sqrt(N**2 / found.time + K**2 * found.time / 12.0), rtol=1e-6
+    )
     assert found.best == pytest.approx(LEAST, rel=1e-3)
     assert found.best_time == pytest.approx(0.82 * math.sqrt(12.0) * N / K, rel=0.1)
     # The smaller root of N²/T + K²T/12 = wanted².
@@ -90,14 +94,16 @@ def quantiles(values):
 
 
 def test_intervals_of_a_posterior_are_those_of_its_draws():
-    """Each variance is linear in the powers of the terms: all numbers of 400 draws, at their own definitions."""
+    """Each variance is linear in the powers of the terms: all numbers by their definition from 400 draws."""
     posterior, latitude, bias = bench.posterior("small", ("gyro_x", "accel_z")), -40.0, 1e-9
     earth = 7.292115e-5 * math.cos(latitude * DEG)
     best = aj.align(posterior, latitude, gyro_bias=bias)["gyro_x"].best
     found = aj.align(posterior, latitude, 1.02 * best, gyro_bias=bias)["gyro_x"]
     at, half = found.time, found.time / 2.0
     models = posterior["gyro_x"].models(400)
-    white, flicker = (np.array([m.values[k] for m in models]) for k in ("angle_random_walk", "bias_instability"))
+    white, flicker = (
+        np.array([m.values[k] for m in models]) for k in ("angle_random_walk", "bias_instability")
+    )
     # Allan variances of N and B at half of the time, by themselves of amplitude one; that of the flicker
     # noise's means over a sample interval is below 2 ln 2/π at the first clusters.
     of_flicker = np.array(aj.BiasInstability(1.0).sampled(100.0).allan_variance(half))
@@ -109,14 +115,18 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
     np.testing.assert_allclose([found.lower, found.upper], ends, rtol=1e-6)
     least = errors.min(axis=1)
     np.testing.assert_allclose(found.best_interval, quantiles(least), rtol=1e-6)
-    np.testing.assert_allclose(found.best_time_interval, quantiles(at[np.argmax(errors <= 1.01 * least[:, None], axis=1)]))
+    np.testing.assert_allclose(
+        found.best_time_interval, quantiles(at[np.argmax(errors <= 1.01 * least[:, None], axis=1)])
+    )
     reached = []
     for row in errors:
         k = np.flatnonzero(row <= found.wanted)
         logs = np.log(np.stack([row, at]))
         cut = np.r_[k, 0][0] - 1
         share = (logs[0, cut] - math.log(found.wanted)) / (logs[0, cut] - logs[0, cut + 1])
-        reached.append(math.exp(logs[1, cut] + share * (logs[1, cut + 1] - logs[1, cut])) if len(k) else math.inf)
+        reached.append(
+            math.exp(logs[1, cut] + share * (logs[1, cut + 1] - logs[1, cut])) if len(k) else math.inf
+        )
     np.testing.assert_allclose(found.needed_interval, quantiles(reached), rtol=1e-6)
     assert found.out_of_reach == np.isinf(reached).mean()
     assert 0.1 < found.out_of_reach < 0.9
@@ -167,7 +177,9 @@ def test_the_frame_and_document_have_the_numbers():
         assert [told[name] for name in names] == [getattr(axis, name) for name in names]
         assert told["best_interval"] == [None, None]
     assert [told["needed"] for told in document["axes"]] == [found["gyro_x"].needed, None]
-    rows = [[cell.strip() for cell in line.split("│")[1:5]] for line in str(found).splitlines() if "best" in line]
+    rows = [
+        [cell.strip() for cell in line.split("│")[1:5]] for line in str(found).splitlines() if "best" in line
+    ]
     assert float(rows[0][2].removesuffix("deg")) == pytest.approx(found["gyro_x"].best / DEG, rel=5e-3)
     assert float(rows[1][2].removesuffix("deg")) == pytest.approx(found["accel_y"].best / DEG, rel=5e-3)
 

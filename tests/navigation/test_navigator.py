@@ -89,7 +89,9 @@ def test_errors_are_those_of_a_dense_covariance(name, schuler):
         axes, [AFTER / RATE], rate=RATE, calibration=BEFORE / RATE, gravity=gravity, schuler=schuler
     )
     C = covariance_of_samples(model)
-    level, vertical, heading = (np.sqrt(np.einsum("ai,ij,aj->a", w, C, w)) for w in map(weights, (k, -2.0 * k, 0)))
+    level, vertical, heading = (
+        np.sqrt(np.einsum("ai,ij,aj->a", w, C, w)) for w in map(weights, (k, -2.0 * k, 0))
+    )
     expected = {
         ("attitude", "east"): level[0],
         ("attitude", "down"): heading[0],
@@ -102,7 +104,11 @@ def test_errors_are_those_of_a_dense_covariance(name, schuler):
         assert found[quantity].of(channel)[0] == pytest.approx(error, rel=1e-7), (quantity, channel)
     assert found["attitude"].channels == ("east", "down")
     by_gyro, by_accel = (
-        sum(part[0] ** 2 for cause, part in found["position"].causes["north"].items() if cause.startswith(axis))
+        sum(
+            part[0] ** 2
+            for cause, part in found["position"].causes["north"].items()
+            if cause.startswith(axis)
+        )
         for axis in ("gyro_y", "accel_x")
     )
     assert np.sqrt(by_gyro) == pytest.approx(gravity * level[2], rel=1e-7)
@@ -116,9 +122,11 @@ def test_flicker_noise_is_that_of_its_closed_form():
     assert found["attitude"].of("north")[0] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("rate", "times"), [(1000.0, [1e-3, 1.0]), (2.0, [0.5, 500, 805, 806, 807, 5000, 2e4])])
+@pytest.mark.parametrize(
+    ("rate", "times"), [(1000.0, [1e-3, 1.0]), (2.0, [0.5, 500, 805, 806, 807, 5000, 2e4])]
+)
 def test_responses_to_a_bias_are_exact_from_a_millisecond_to_hours(rate, times):
-    """mpmath with 50 digits, on both sides of 806 s, where the series ends; causes of a bias by themselves."""
+    """mpmath with 50 digits, on both sides of 806 s, where the series ends; a bias by itself."""
     mpmath = pytest.importorskip("mpmath")
     models = {"gyro_y": QUIET, "accel_x": QUIET, "accel_z": QUIET}
     found = aj.navigate(models, times, rate=rate, schuler=True, gyro_bias=3e-6, accel_bias=2e-3)
@@ -193,8 +201,8 @@ def drawn(rng, shape, h, white, walk):
 def test_errors_are_those_of_a_strapdown_mechanization(schuler, gravity, push):
     """800 navigators: a standard deviation scatters by 1/√1600 = 2.5 %, and eight are within 10 %.
 
-    With a gravity of 1,600 m/s² the Schuler period is 400 s, and 60 s are a good part of it. Angles stay below
-    0.01, so that terms beyond the linear ones are below 10⁻⁴. On the sphere the vertical is not simulated.
+    With a gravity of 1,600 m/s² the Schuler period is 400 s, and 60 s are a good part of it. Angles stay
+    below 0.01, so that terms beyond the linear ones are below 10⁻⁴. On the sphere no vertical is simulated.
     """
     count, before, n, h = 800, 100, 300, 0.2
     noises = {"gyro": (2e-4, 5e-5), "accel": (3e-3 * push, 4e-4 * push)}
@@ -247,7 +255,7 @@ def test_a_fit_has_intervals_that_hold_the_truth(result):
 
 
 def test_the_interval_of_one_term_is_that_of_its_coefficient():
-    """Angles of white noise: N² (t + t²/C) + b² t²; 400 draws scatter the ends by a sixth of N's deviation."""
+    """Angles of white noise: N² (t + t²/C) + b² t²; draws scatter the ends by a sixth of N's deviation."""
     fit = bench.fit("white", "N")
     N, t, bias = fit["gyro_x"]["angle_random_walk"], np.array([1.0, 10.0]), 3e-6
     found = aj.navigate(fit, t, calibration=50.0, gyro_bias=bias)["attitude"]
@@ -270,7 +278,9 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
         variances = []
         for model in posterior[name].models(400):
             amplitudes = [getattr(term, term.amplitude_parameter().name) for term in model.terms]
-            unit = [unit_error(name, type(term).__name__, quantity, channel, tuple(t)) for term in model.terms]
+            unit = [
+                unit_error(name, type(term).__name__, quantity, channel, tuple(t)) for term in model.terms
+            ]
             variances.append(sum((a * u) ** 2 for a, u in zip(amplitudes, unit, strict=True)))
         variances = np.array(variances) + (bias * np.array(t) ** power) ** 2
         growth = found[quantity]
@@ -294,7 +304,11 @@ def test_the_table_the_frame_and_the_document_tell_the_same(result):
         for k, channel in enumerate(growth.channels):
             rows = frame[(frame.quantity == quantity) & (frame.channel == channel)]
             told = document["errors"][quantity]["channels"][channel]
-            for column, values in (("error", growth.error), ("lower_95", growth.lower), ("upper_95", growth.upper)):
+            for column, values in (
+                ("error", growth.error),
+                ("lower_95", growth.lower),
+                ("upper_95", growth.upper),
+            ):
                 np.testing.assert_array_equal(rows[column], values[k])
                 np.testing.assert_array_equal(told[column], values[k])
             assert set(rows.unit) == {{"attitude": "rad", "velocity": "m/s", "position": "m"}[quantity]}
@@ -321,7 +335,11 @@ def test_what_a_result_is_good_for_is_noted():
     """A quarter of the Schuler period, half of the record, axes without a measurement."""
     models, times = {"gyro_y": QUIET, "accel_x": QUIET}, [10.0, 1266.0, 1268.0]
     assert aj.navigate(models, times, rate=1.0).quarter_period == pytest.approx(1266.05, abs=0.1)
-    for last, schuler, word in ((1266.0, False, ""), (1267.0, False, "schuler=True"), (1267.0, True, "unstable")):
+    for last, schuler, word in (
+        (1266.0, False, ""),
+        (1267.0, False, "schuler=True"),
+        (1267.0, True, "unstable"),
+    ):
         notes = aj.navigate(models, [last], rate=1.0, schuler=schuler).notes
         assert " ".join(notes).count(word) == 1 if word else notes == ()
     first, *others = bench.fit("small").results
