@@ -2,9 +2,9 @@
 
 Noise follows the field's definitions: N, B, K, Q and R as in IEEE 952, a Gauss–Markov process
 dx/dt = −x/T_c + q_c·w, all as means over the sample interval, so that spectra and Allan variances are those
-of the continuous noise. Flicker noise and power laws are sums of Gauss–Markov processes whose correlation times
-are an octave apart: the ripple of such a sum is below 1e-5. Everything is in rad/s and m/s² here, and in the
-recording's own units for the package.
+of the continuous noise. Flicker noise and power laws are sums of Gauss–Markov processes whose correlation
+times are an octave apart: the ripple of such a sum is below 1e-5. Everything is in rad/s and m/s² here, and
+in the recording's own units for the package.
 """
 
 import dataclasses
@@ -191,8 +191,10 @@ def basic(seed: int, n: int, *axes: tuple[str, dict[str, float]], rate: float = 
     """A record of basic terms: name and coefficients of each axis; a bias of its own on each."""
     rng = np.random.default_rng(seed)
     names = tuple(name for name, _ in axes)
+    # The z axis of an accelerometer carries gravity.
     biases = [
-        0.01 * DEG * (k + 1) if x.startswith("gyro") else (-1.0) ** k * 3.3 for k, x in enumerate(names)
+        0.01 * DEG * (k + 1) if x.startswith("gyro") else G * x.endswith("z") - 0.1
+        for k, x in enumerate(names)
     ]
     columns = [sensor(rng, n, rate, **c) + bias for (_, c), bias in zip(axes, biases, strict=True)]
     letters = sorted({letter for _, c in axes for letter in c}, key="QNBKR".index)
@@ -440,9 +442,9 @@ def warm_up() -> Record:
 
 
 def temperature() -> Record:
-    """A bias that follows the temperature 3 s later."""
+    """A bias that follows the temperature 3 s later; it begins to change when the record begins."""
     _, x, truth = quiet(26, "gyro_x", "accel_z")
-    t = (np.arange(MIDDLE + 300) - 300) / RATE
+    t = np.maximum(np.arange(MIDDLE + 300) - 300, 0) / RATE
     degrees = 25.0 + 2.0 * np.sin(2.0 * np.pi * t / 55.0) + 1.5 * np.sin(2.0 * np.pi * t / 23.0 + 1.0)
     coefficient = 0.3 * level(truth, "gyro_x")
     x["gyro_x"] = x["gyro_x"] + coefficient * degrees[:MIDDLE]
