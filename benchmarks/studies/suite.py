@@ -1,9 +1,9 @@
 """How long do the tests take, how many are there, and do they pass?
 
-The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with those of the
-first run, then room by room, then `pytest -m study`, whose tests draw many records, fuzz files, end workers and
-check the shapes of arrays. Seconds are those of the wall clock and of the processor, all processes together. Tests
-with an inner name are those that `tests/project/test_public_doors.py` counts.
+The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with those of
+the first run, then room by room, then `pytest -m study`, whose tests draw many records, fuzz files, end workers
+and check the shapes of arrays. Seconds are those of the clock and of the processor, all processes together.
+Tests with an inner name are those that `tests/project/test_public_doors.py` counts.
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ def counted(clone: Path) -> str:
     ).stdout
     lines = sum(len((clone / name).read_text(encoding="utf-8").splitlines()) for name in files.split())
     paths = [str(clone / "tests" / part) for part in ("project", "support", "golden")]
-    code = f"import sys; sys.path[:0] = {paths}; import test_public_doors as doors; print(len(doors.behind_doors()))"
+    code = f"import sys; sys.path[:0] = {paths}; from test_public_doors import behind_doors as found"
+    code += "; print(len(found()))"
     inner = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
     return table(("lines of tests", "tests with an inner name"), [(lines, inner)])
