@@ -1,7 +1,7 @@
 """How long do the tests take, how many are there, and do they pass?
 
-The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with those of
-the first run, then room by room, then `pytest -m study`, whose tests draw many records, fuzz files, end workers
+The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with them,
+then room by room, then `pytest -m study`, whose tests draw many records, damage files, end workers
 and check the shapes of arrays. Seconds are those of the clock and of the processor, all processes together.
 Tests with an inner name are those that `tests/project/test_public_doors.py` counts.
 """
