@@ -9,7 +9,7 @@ from scipy import signal
 import allanjax as aj
 
 F = np.linspace(0.0, RATE / 2.0, 41)
-# What may pass a filter: terms that have parts of each kind, white, differences, walks, poles, pairs of poles.
+# What may pass a filter: terms that have parts of each kind, white, differences, walks, poles and pairs.
 PASSING = ["quantization", "white", "walk", "flicker", "markov", "short markov", "resonance"]
 PASSING += ["wandering resonance"]
 # A pole at zero, a quarter of the rate: G is that of one moved by 10⁻⁵.
