@@ -67,20 +67,20 @@ def test_expected_squares_are_those_of_the_dense_covariance(name):
         np.testing.assert_allclose(found[SINGLE:], exact[SINGLE:], rtol=in_bins)
 
 
-@pytest.mark.parametrize("f0", [0.4, 3.0])
-def test_flicker_with_a_cutoff(f0):
-    """Exact at the lowest frequencies; up to the cutoff to the power that leaks across it."""
-    bins = Bins.of(1000, RATE)
-    exact = bins.sums(squares(up_to(f0), 1000)) / bins.size
-    found = expected(bins, aj.BiasInstability(1.0, f0))
-    below = bins.frequency + bins.size * RATE / 4000.0 < 0.8 * f0
-    np.testing.assert_allclose(found[below], exact[below], rtol=0.02)
-    np.testing.assert_allclose(found[:5], exact[:5], rtol=0.01)
+def test_expected_squares_of_what_has_an_edge_or_a_line():
+    """Flicker noise with a cutoff: exact at the lowest frequencies, up to the cutoff but for what leaks.
 
-
-def test_a_resonance_is_right_around_its_line():
-    """What the record's ends cut off is 1/(its lifetimes in the record), 4 to 9 %; all its power is there."""
+    Resonances around their line: what the record's ends cut off is 1/(its lifetimes in the record), 4 to 9 %;
+    all their power is there.
+    """
     n = 1000
+    for f0 in (0.4, 3.0):
+        bins = Bins.of(n, RATE)
+        exact = bins.sums(squares(up_to(f0), n)) / bins.size
+        found = expected(bins, aj.BiasInstability(1.0, f0))
+        below = bins.frequency + bins.size * RATE / (4.0 * n) < 0.8 * f0
+        np.testing.assert_allclose(found[below], exact[below], rtol=0.02)
+        np.testing.assert_allclose(found[:5], exact[:5], rtol=0.01)
     for f0, Q_f in ((0.8, 12.0), (0.1, 3.0), (1.5, 40.0)):
         bins = Bins.of(n, RATE, [(f0, 0.0)])
         t, w0 = np.arange(n) / RATE, 2.0 * np.pi * f0

@@ -108,6 +108,8 @@ def test_fits_are_those_of_the_levels_by_definition(x, start):
         value, error = by_definition(x[:, k], start, truth)
         found = [fit[name][label] for label in LABELS]
         np.testing.assert_array_less(abs([c.value for c in found] - value), 0.05 * error)
-        np.testing.assert_allclose([c.std for c in found], error, rtol=2e-3)
+        # The ramp's degree of freedom is missing in the walk's error, by definition.
+        ratio = np.array([c.std for c in found]) / error
+        np.testing.assert_array_less(abs(ratio - 1.0), [1e-4, 0.01, 0.01])
         np.testing.assert_array_less(abs(value - truth), 4.0 * error)
         assert fit[name].p_value > 1e-3
