@@ -1,0 +1,219 @@
+"""Covariance of samples, written out: from G(t) of each term by mpmath, and from the pulses of filters.
+
+Nothing of the package is used but the values of a model's parameters. With θ the integral of the rate, a
+covariance of means over intervals h is minus the second difference of the phase covariance G over h². It is
+known up to a constant: right for filters that sum to zero. Lines and ramps have the covariance of records
+whose phase or sign is random. Terms that are read at the instants of the samples have that of these.
+"""
+
+from collections.abc import Callable
+
+import mpmath as mp
+import numpy as np
+from scipy import signal
+from scipy.linalg import toeplitz
+
+import allanjax as aj
+
+# Digits of mpmath: differences of t⁴ at a thousand lags, and of exponentials at small ones, lose some ten.
+DIGITS = 40
+# What is left of a filter's pulse where it is cut off.
+_GONE = 1e-18
+# Nodes of Gauss and Hermite over which a wandering resonance is spread.
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
+
+
+def covariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
+    """Covariance [rate²] of n samples, up to a constant; of a stationary model it is the true one."""
+    return toeplitz(autocovariance(model, n, rate))
+
+
+def loglikelihood(
+    x: np.ndarray,
+    model: aj.Model | aj.NoiseTerm,
+    rate: float,
+    mean: bool = True,
+    missing: np.ndarray | None = None,
+) -> float:
+    """Gaussian log-density [nats] of samples less those that are missing.
+
+    With `mean` that of the differences of successive ones, on which an unknown mean has no influence;
+    else that of the samples themselves about zero, which the model must have a true covariance for.
+    """
+    x = np.asarray(x, float)
+    there = np.ones(len(x), bool) if missing is None else ~np.asarray(missing, bool)
+    C = covariance(model, len(x), rate)[np.ix_(there, there)]
+    z = x[there]
+    if mean:
+        D = np.diff(np.eye(len(z)), axis=0)
+        C, z = D @ C @ D.T, np.diff(z)
+    L = np.linalg.cholesky(C)
+    u = np.linalg.solve(L, z)
+    return float(-0.5 * (u @ u + len(z) * np.log(2.0 * np.pi)) - np.sum(np.log(np.diag(L))))
+
+
+def autocovariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
+    """Covariance [rate²] of samples that are 0 … n − 1 apart, up to a constant."""
+    model = aj.Model(()) + model
+    inside = model.inside or (False,) * len(model.terms)
+    total = np.zeros(n)
+    for term, passes in zip(model.terms, inside, strict=True):
+        if not passes:
+            total += of_samples(term, n, rate)
+            continue
+        pulse = pulse_autocorrelation(model.response, rate)
+        R = of_samples(term, n + len(pulse) - 1, rate)
+        # From −(q − 1) to n + q − 2, of which the convolution leaves 0 … n − 1.
+        both = np.concatenate([R[len(pulse) - 1 : 0 : -1], R])
+        total += np.convolve(both, np.concatenate([pulse[:0:-1], pulse]), "valid")
+    return total
+
+
+def allan_variance(C: np.ndarray, m: int) -> float:
+    """Allan variance of clusters of m samples under the covariance of 2m or more."""
+    w = np.repeat([-1.0, 1.0], m) / m
+    return float(w @ C[: 2 * m, : 2 * m] @ w / 2.0)
+
+
+# --- Terms --------------------------------------------------------------------------------------------------
+
+
+def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
+    """Covariance of samples of a term that are 0 … n − 1 apart."""
+    if (read := AT_INSTANTS.get(type(term).__name__)) is not None:
+        return read(term, np.arange(n) / rate)
+    with mp.workdps(DIGITS):
+        h = 1 / mp.mpf(rate)
+        G_of = PHASE.get(type(term).__name__, _of_its_own)(term)
+        G = [G_of(k * h) for k in range(n + 1)]
+        G = [G[1], *G]
+        return np.array([float(-(G[k] - 2 * G[k + 1] + G[k + 2]) / h**2) for k in range(n)])
+
+
+def _of_its_own(term: aj.NoiseTerm) -> Callable:
+    """G of a user's term."""
+    return lambda t: mp.mpf(float(term.phase_covariance(np.asarray(float(t)))))
+
+
+def _flicker(term: aj.NoiseTerm) -> Callable:
+    """B²/(2π)·t² ln t; up to a cutoff B²/π·t² ∫₀^{2πf₀t} (cos x − 1 + x²/2)/x³ dx, by parts."""
+    B2, f0 = mp.mpf(term.coefficient) ** 2, term.cutoff_frequency
+    if np.isinf(f0):
+        return lambda t: B2 / (2 * mp.pi) * t**2 * mp.log(t) if t else mp.mpf(0)
+
+    def of_lag(t: mp.mpf) -> mp.mpf:
+        x = 2 * mp.pi * mp.mpf(f0) * t
+        if not x:
+            return mp.mpf(0)
+        cin = mp.euler + mp.log(x) - mp.ci(x)
+        ends = (mp.cos(x) - 1 + x**2 / 2) / x**2 + (x - mp.sin(x)) / x
+        return B2 / mp.pi * t**2 * (cin - ends) / 2
+
+    return of_lag
+
+
+def _markov(term: aj.NoiseTerm) -> Callable:
+    """Of R(t) = σ²e^{−t/T}, σ² = q²T/2: −σ²T²(e^{−t/T} − 1 + t/T)."""
+    T = mp.mpf(term.correlation_time)
+    scale = mp.mpf(term.amplitude) ** 2 * T**3 / 2
+    return lambda t: -scale * (mp.exp(-t / T) - 1 + t / T)
+
+
+def _power_law(term: aj.NoiseTerm) -> Callable:
+    """Of A²f^(−α): −A²(2π)^α t^(α+1)/(2Γ(α + 2)cos(πα/2)), from ∫₀^∞ f^(−s) cos(2πft) df."""
+    alpha, A2 = mp.mpf(term.exponent), mp.mpf(term.amplitude) ** 2
+    if alpha == 1:
+        return lambda t: A2 * t**2 * mp.log(t) if t else mp.mpf(0)
+    scale = A2 * (2 * mp.pi) ** alpha / (2 * mp.gamma(alpha + 2) * mp.cos(mp.pi * alpha / 2))
+    return lambda t: -scale * t ** (alpha + 1)
+
+
+PHASE: dict[str, Callable] = {
+    "Quantization": lambda term: lambda t: mp.mpf(term.coefficient) ** 2 * (t == 0),
+    "AngleRandomWalk": lambda term: lambda t: -(mp.mpf(term.coefficient) ** 2) * t / 2,
+    "BiasInstability": _flicker,
+    "RateRandomWalk": lambda term: lambda t: mp.mpf(term.coefficient) ** 2 * t**3 / 12,
+    "DriftRamp": lambda term: lambda t: mp.mpf(term.coefficient) ** 2 * t**4 / 24,
+    "Markov": _markov,
+    "PowerLaw": _power_law,
+    "BiasStep": lambda term: lambda t: mp.mpf(0),
+    "WarmUp": lambda term: lambda t: mp.mpf(0),
+    "ChannelEffect": lambda term: lambda t: mp.mpf(0),
+}
+
+
+def oscillator(t: np.ndarray, frequency: float, quality_factor: float) -> np.ndarray:
+    """Autocovariance of a damped oscillator of unit variance, driven by white noise."""
+    w0 = 2.0 * np.pi * frequency
+    a = w0 / (2.0 * quality_factor)
+    wd = np.sqrt(w0**2 - a**2)
+    return np.exp(-a * t) * (np.cos(wd * t) + a / wd * np.sin(wd * t))
+
+
+def _low_pass(term: aj.NoiseTerm, t: np.ndarray) -> np.ndarray:
+    """White noise N² after a filter has the variance N²ω/2 by one pole, N²ω/√8 by Butterworth's two."""
+    w = 2.0 * np.pi * term.bandwidth
+    if term.order == 1:
+        return term.coefficient**2 * w / 2.0 * np.exp(-w * t)
+    return term.coefficient**2 * w / np.sqrt(8.0) * oscillator(t, term.bandwidth, np.sqrt(0.5))
+
+
+def _wandering(term: aj.NoiseTerm, t: np.ndarray) -> np.ndarray:
+    shares = _WEIGHTS / _WEIGHTS.sum()
+    each = zip(shares, term.frequency + _NODES * term.spread, strict=True)
+    Q = term.quality_factor
+    return term.amplitude**2 * sum(s * oscillator(t, max(f, 0.01 * term.frequency), Q) for s, f in each)
+
+
+AT_INSTANTS: dict[str, Callable] = {
+    "Sinusoid": lambda term, t: term.amplitude**2 / 2.0 * np.cos(2.0 * np.pi * term.frequency * t),
+    "Resonance": lambda term, t: term.amplitude**2 * oscillator(t, term.frequency, term.quality_factor),
+    "WanderingResonance": _wandering,
+    "LowPass": _low_pass,
+    "Telegraph": lambda term, t: term.amplitude**2 / 4.0 * np.exp(-2.0 * t / term.dwell_time),
+}
+
+
+# --- Responses ----------------------------------------------------------------------------------------------
+
+
+def pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
+    """Autocorrelation of a filter's pulse at lags 0 … q − 1; together with those below zero it sums to 1."""
+    found = _pulse_autocorrelation(response, rate)
+    last = np.flatnonzero(abs(found) > _GONE * found[0])[-1]
+    found = found[: last + 1]
+    return found / (2.0 * found.sum() - found[0])
+
+
+def _pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
+    """The same but for a factor, over longer than it lasts."""
+    kind, f = type(response).__name__, response.bandwidth / rate
+    if kind == "MovingAverage":
+        # sinc²(x) = 1/2 at x = 0.44295, so that the mean is over 0.44295/f samples.
+        half = float(mp.findroot(lambda x: mp.sincpi(x) ** 2 - 0.5, 0.443))
+        return np.maximum(half / f - np.arange(70), 0.0)
+    if kind == "LowPass1":
+        return np.exp(-2.0 * np.pi * f * np.arange(_lasting(f)))
+    if kind == "LowPass2":
+        Q = response.quality_factor
+        return oscillator(np.arange(_lasting(f / (2.0 * Q))), f, Q)
+    one = np.append(1.0, np.zeros(_lasting(f / 4.0)))
+    if kind in ("Butterworth", "Biquad"):
+        pulse = signal.lfilter(*design(response, rate), one)
+    else:
+        pulse = np.asarray(response.filtered(one, rate))
+    return signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
+
+
+def _lasting(cycles: float) -> int:
+    """Samples after which e^{−2π·cycles·samples} is nothing."""
+    return int(42.0 / (2.0 * np.pi * min(cycles, 0.5))) + 16
+
+
+def design(response: aj.Response, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients b and a of a digital filter, as SciPy designs it."""
+    if type(response).__name__ == "Butterworth":
+        return signal.butter(response.order, response.bandwidth, fs=rate)
+    # An analog filter ω²/(s² + ωs/Q + ω²), prewarped.
+    w = 2.0 * rate * np.tan(np.pi * response.bandwidth / rate)
+    return signal.bilinear([w**2], [1.0, w / response.quality_factor, w**2], rate)
