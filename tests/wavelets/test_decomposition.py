@@ -127,7 +127,7 @@ def test_the_level_is_the_last_at_which_noise_without_memory_exceeds_the_drift(r
         levels = len(result.white)
         assert levels == pywt.dwt_max_level(N, wavelet)
         white, drift = (variances(part, wavelet, levels) for part in (white, drift))
-        # Beyond level 7 the filters' ripples are averaged, which only the rising spectrum of quantization sees.
+        # Beyond level 7 the filters' ripples are averaged, which only quantization's rising spectrum sees.
         np.testing.assert_allclose(result.white[:7], white[:7], rtol=1e-5)
         np.testing.assert_allclose(result.white, white, rtol=0.1 if name == "accel_z" else 1e-4)
         np.testing.assert_allclose(result.drift, drift, rtol=1e-4)
