@@ -276,6 +276,12 @@ def test_noise_of_any_colour_is_nothing_unusual():
     assert alarmed(0, 36) <= 2
 
 
+@pytest.mark.study
+def test_noise_of_any_colour_is_nothing_unusual_in_many_draws():
+    # 2.4 of 300 are expected, and nine come once in 2000 times.
+    assert alarmed(36, 336) <= 8
+
+
 @pytest.mark.parametrize(
     ("louder", "step", "found"), [(1.04, 0.1, False), (1.11, 0.0, True), (1.0, 1.0, True)]
 )
