@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -86,8 +85,6 @@ def pytest_unconfigure() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _counting() -> Iterator[None]:
+def _counting() -> None:
     """Count from the first test on."""
     import compilations  # noqa: F401 - counts since it is imported
-
-    yield

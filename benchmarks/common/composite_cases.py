@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from common import composite_noise as physical
-from common.composite_judge import CLUSTERS, cluster_sizes, deviation, explained, overlapping, told
 
 import allanjax as aj
+from benchmarks.common import composite_noise as physical
+from benchmarks.common.composite_judge import CLUSTERS, cluster_sizes, deviation, explained, overlapping, told
 
 RATE, SAMPLES, LONGEST = 100.0, 200_000, 30.0
 N_TRUE, K_TRUE, SIGMA = 1e-3, 2e-5, 2e-3

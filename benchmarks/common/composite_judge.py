@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common.composite_scene import AxisTruth, Effect
-from common.composite_sensors import Composite, composite
 
 import allanjax as aj
+from benchmarks.common.composite_scene import AxisTruth, Effect
+from benchmarks.common.composite_sensors import Composite, composite
 
 #: Clusters from which on an Allan deviation is compared.
 CLUSTERS = 1000

@@ -20,7 +20,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from common.composite_noise import (
+from scipy.fft import dct
+from scipy.optimize import brentq
+
+from benchmarks.common.composite_noise import (
     Filter,
     Resonance,
     exponential,
@@ -31,8 +34,6 @@ from common.composite_noise import (
     walk,
     walk_spectrum,
 )
-from scipy.fft import dct
-from scipy.optimize import brentq
 
 ASKED = 25.0
 NAMES = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")

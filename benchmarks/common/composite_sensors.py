@@ -9,8 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from common.composite_noise import Filter, Resonance, exponential, exponential_spectrum
-from common.composite_scene import (
+from scipy.signal import lfilter
+from scipy.signal.windows import tukey
+
+from benchmarks.common.composite_noise import Filter, Resonance, exponential, exponential_spectrum
+from benchmarks.common.composite_scene import (
     GRADES,
     NAMES,
     AxisTruth,
@@ -21,8 +24,6 @@ from common.composite_scene import (
     noise,
     spectrum,
 )
-from scipy.signal import lfilter
-from scipy.signal.windows import tukey
 
 #: Probabilities of 0 to 6 effects.
 COUNTS = (0.05, 0.15, 0.20, 0.20, 0.20, 0.10, 0.10)

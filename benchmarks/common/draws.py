@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from common.truth import RATE, SHAPES, Case
+
+from benchmarks.common.truth import RATE, SHAPES, Case
 
 # Scenarios are written for so many samples. Longer records have their noise stretched along with them, so
 # that every term stays as well seen as it was.

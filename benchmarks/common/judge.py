@@ -12,11 +12,12 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from hidden_effects import Hidden
-from hidden_sensors import DETECTABLE_SNR, term_variances
 from scipy.fft import dct
 from scipy.special import log_ndtr, logsumexp
 from scipy.stats import multivariate_t
+
+from benchmarks.common.hidden_effects import Hidden
+from benchmarks.common.hidden_sensors import DETECTABLE_SNR, term_variances
 
 DURATION, RATE = 600.0, 100.0
 #: The coefficients above these see white noise and quantization alone.

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from types import MappingProxyType
 
 import numpy as np
-from common.truth import RATE, SHAPES, Case
 
 import allanjax as aj
 from allanjax.estimate.ranking import select_terms
 from allanjax.estimate.selection import TermSelection
+from benchmarks.common.truth import RATE, SHAPES, Case
 
 TERMS = {
     "Q": aj.Quantization(),

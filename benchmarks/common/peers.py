@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 import matplotlib
 import numpy as np
-from common.truth import T0, Case, allan_shape
 from scipy.optimize import least_squares
+
+from benchmarks.common.truth import T0, Case, allan_shape
 
 matplotlib.use("Agg")
 

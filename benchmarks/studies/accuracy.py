@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.ours import LABELS, columns_of, fit_all, model_of, recording_of
-from common.peers import PEERS
-from common.report import publish, table
-from common.truth import RATE, SHOWN, T0, Case, allan_shape, bound, exact_bound, simulate
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import LABELS, columns_of, fit_all, model_of, recording_of
+from benchmarks.common.peers import PEERS
+from benchmarks.common.report import publish, table
+from benchmarks.common.truth import RATE, SHOWN, T0, Case, allan_shape, bound, exact_bound, simulate
 
 CHUNK = 50
 BASIC = "QNBKR"

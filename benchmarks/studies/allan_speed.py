@@ -26,10 +26,10 @@ import jax
 import numpy as np
 import paths
 from allan_variance import compute_avar
-from common.machine import describe
-from common.report import publish, table
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 REFERENCE = "allantools oadev"
 ONE_PASS = "np.sum"

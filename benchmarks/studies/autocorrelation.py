@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.ours import fit_all, model_of, recording_of
-from common.report import publish, share, table
-from common.truth import RATE, Case, simulate
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import fit_all, model_of, recording_of
+from benchmarks.common.report import publish, share, table
+from benchmarks.common.truth import RATE, Case, simulate
 
 # σ² = q²T/2 is 1, and the white noise's variance, 100 N² at 100 Hz, is so many times that.
 WHITE = 9.0

@@ -20,12 +20,12 @@ from pathlib import Path
 import jax
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 from scipy.optimize import least_squares
 
 import allanjax as aj
 from allanjax.estimate.axis_fits import fit_allan
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 RATE = 100.0
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()

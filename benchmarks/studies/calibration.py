@@ -20,8 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, share, table
 from scipy.fft import next_fast_len
 from scipy.stats import t as student
 
@@ -31,6 +29,8 @@ from allanjax.calibration.orientation import as_orientation
 from allanjax.calibration.result import Position
 from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
 from allanjax.record.axes import Axis
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, share, table
 
 RATE, LONG, T, PAUSE, G = 5.0, 14400.0, 600.0, 20.0, 9.8118
 N = 5e-4

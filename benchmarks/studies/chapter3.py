@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.ours import LABELS, columns_of, fit_all, model_of, recording_of
-from common.readings import SLOPES, read_slope
-from common.report import publish, table
-from common.truth import RATE, SHOWN, T0, Case, bound, simulate
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import LABELS, columns_of, fit_all, model_of, recording_of
+from benchmarks.common.readings import SLOPES, read_slope
+from benchmarks.common.report import publish, table
+from benchmarks.common.truth import RATE, SHOWN, T0, Case, bound, simulate
 
 GRADES = (
     Case("navigation: Q, N, Markov", {"Q": 0.5, "N": 1.0, "q": 2.0, "T": 20.0}),

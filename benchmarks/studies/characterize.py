@@ -20,8 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 PEERS = """
 import sys, time

@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.composite_cases import CASES, K_TRUE, LONGEST, N_TRUE, RATE, SAMPLES, SIGMA, case
-from common.composite_judge import CLUSTERS, LABELS, NAMED, Outcome, judged
-from common.composite_scene import ASKED
-from common.composite_sensors import KINDS
-from common.machine import describe
-from common.report import publish, run_tasks, standard_error, table
+
+from benchmarks.common.composite_cases import CASES, K_TRUE, LONGEST, N_TRUE, RATE, SAMPLES, SIGMA, case
+from benchmarks.common.composite_judge import CLUSTERS, LABELS, NAMED, Outcome, judged
+from benchmarks.common.composite_scene import ASKED
+from benchmarks.common.composite_sensors import KINDS
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, standard_error, table
 
 WITHIN = 0.05
 

@@ -17,9 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, run_tasks, table
 from scipy.signal import bessel, butter, lfilter, sosfilt
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, table
 
 RATE, SETTLED = 100.0, 4000
 LENGTHS = (60_000, 200_000)

@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.draws import SCENARIOS, one
-from common.machine import describe
-from common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
-from common.report import publish, run_tasks, standard_error, table
-from common.truth import RATE, SHOWN, T0, bound, simulate
 from scipy.stats import chi2
 
 import allanjax as aj
+from benchmarks.common.draws import SCENARIOS, one
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
+from benchmarks.common.report import publish, run_tasks, standard_error, table
+from benchmarks.common.truth import RATE, SHOWN, T0, bound, simulate
 
 CASES = ("N+K", "Q+N+K", "N+B+K", "N+Markov+K", "N+sinusoid")
 CHUNK = 25

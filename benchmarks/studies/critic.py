@@ -24,11 +24,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, run_tasks, share, table
-from common.sweeps import APART, SWEEP, half_detected
-from hidden_effects import CAUSES, TERMS, draw
-from hidden_verdict import (
+from scipy.stats import kstest
+
+import allanjax as aj
+from allanjax.critic.critique import critique
+from allanjax.critic.view import FALSE_ALARMS
+from benchmarks.common.hidden_effects import CAUSES, TERMS, draw
+from benchmarks.common.hidden_verdict import (
     NEAR,
     NEAR_PLACE,
     PARAMETERS,
@@ -39,11 +41,9 @@ from hidden_verdict import (
     recording_of,
     right,
 )
-from scipy.stats import kstest
-
-import allanjax as aj
-from allanjax.critic.critique import critique
-from allanjax.critic.view import FALSE_ALARMS
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, share, table
+from benchmarks.common.sweeps import APART, SWEEP, half_detected
 
 MULTIPLES = (2.0, 5.0)
 #: Two effects in one record; basic terms, which a fit must lack to hide them, are not among these.

@@ -21,17 +21,17 @@ from typing import Any
 
 import numpy as np
 import paths
-from common.judge import DURATION, LOWEST, RATE, SIZE_WITHIN, Judge, ground
-from common.machine import describe
-from common.report import publish, run_tasks, share, table
-from common.sweeps import APART, SWEEP, half_detected
-from hidden_effects import TERMS, Hidden, draw
-from hidden_sensors import power_limit
-from hidden_verdict import model_without, recording_of, right
 from scipy.special import logsumexp
 
 import allanjax as aj
 from allanjax.critic.critique import critique
+from benchmarks.common.hidden_effects import TERMS, Hidden, draw
+from benchmarks.common.hidden_sensors import power_limit
+from benchmarks.common.hidden_verdict import model_without, recording_of, right
+from benchmarks.common.judge import DURATION, LOWEST, RATE, SIZE_WITHIN, Judge, ground
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, share, table
+from benchmarks.common.sweeps import APART, SWEEP, half_detected
 
 PATHS = ("bias_step", "warm_up", "telegraph")
 STOCHASTIC = ("drift_ramp", "rate_random_walk", "markov")

@@ -23,8 +23,9 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 SAMPLES, SHORT, RATE = 1_000_000, 36_600, 100.0
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]

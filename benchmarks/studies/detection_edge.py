@@ -15,14 +15,14 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import paths
-from common.machine import describe
-from common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
-from common.report import publish, run_tasks, share, standard_error, table
-from common.truth import RATE, T0, Case, bound, derivatives, simulate
-from common.truth import cosine_variances as variances_of
 from scipy.fft import dct
 
 from allanjax.estimate.selection import AxisSelection
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
+from benchmarks.common.report import publish, run_tasks, share, standard_error, table
+from benchmarks.common.truth import RATE, T0, Case, bound, derivatives, simulate
+from benchmarks.common.truth import cosine_variances as variances_of
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -13,14 +13,14 @@ import argparse
 from pathlib import Path
 
 import paths
-from common.machine import describe
-from common.report import publish, table
 from export_arithmetic import ONE_TIME, WITH_TIME, error_of
 from export_sensors import RATE, markov, model_of, recording, walk, with_one_time
 
 import allanjax as aj
 from allanjax.report.export.table import TARGETS
 from allanjax.report.export.targets import Target
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 PACKAGES = ("numpy", "scipy", "ruamel.yaml", "allanjax")
 

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 import paths
 import scipy.signal
-from common.machine import describe
-from common.report import publish, table
-from hidden_effects import SETTLING, Scene, draw, low_pass, resonance
-from hidden_sensors import GRADES, coloured_noise, draw_sensor, log_uniform, white_std
 
 import allanjax as aj
 from allanjax.cli.demo_sensor import demo_recording
 from allanjax.record.recording import Recording
+from benchmarks.common.hidden_effects import SETTLING, Scene, draw, low_pass, resonance
+from benchmarks.common.hidden_sensors import GRADES, coloured_noise, draw_sensor, log_uniform, white_std
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 #: Thresholds were set on clean seeds below 800 and touched seeds below 100.
 FRESH = 1_000_000

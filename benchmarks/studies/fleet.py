@@ -22,8 +22,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import paths
-from common.machine import PACKAGES, describe
-from common.report import publish, table
+
+from benchmarks.common.machine import PACKAGES, describe
+from benchmarks.common.report import publish, table
 
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 # White noise and random walk a sample, deg/s and g; units scatter by 10 %, and one has five times the walk.

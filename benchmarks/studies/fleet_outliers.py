@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common import rosner
-from common.machine import describe
-from common.report import publish, run_tasks, share, table
 
 from allanjax.fleet.outlying_units import FALSE_ALARMS
 from allanjax.fleet.summary import judged
 from allanjax.fleet.table import table_of
+from benchmarks.common import rosner
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, share, table
 
 UNITS = (3, 4, 6, 12, 24)
 SCATTERS = (0.0, 0.05, 0.10, 0.15)

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 from flight_logs import structured, write_dataflash, write_ulog
 from mutated_files import SIX, sample_files
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 REAL = ("phidgets_imu.bag", "sparkfun_razor.bag", "px4_small.ulg", "ardupilot_test.bin")
 REAL += ("euroc_slice.csv", "xio_sensor_data.csv")

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 from mutated_files import SLOWEST, Sample, damaged, outcome, sample_files
 
 from allanjax.record.io import read
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 #: Files that a process reads, and bytes of memory that it may take beyond those it begins with.
 BATCH = 2000

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, run_tasks, share, table
 from scipy.signal import butter, sosfilt
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, share, table
 
 RATE, N, SETTLED = 100.0, 40_000, 2000
 WHITE, WALK, BANDWIDTH = 1e-3, 1e-4, 22.0

@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 RATE, FITTED, TESTED = 50.0, 3600.0, 36000.0
 HORIZONS = (1.0, 10.0, 100.0)

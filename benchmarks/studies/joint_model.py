@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 from scipy.signal import lfilter
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 RATE, SAMPLES = 100.0, 200_000
 N, K, BANDWIDTH = 1e-3, 2e-5, 15.0

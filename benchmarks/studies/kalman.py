@@ -15,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, run_tasks, share, table
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import kstest
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, run_tasks, share, table
 
 RATE, N_SAMPLES, AXES = 10.0, 1500, 3
 WHITE, WALK = 1e-3, 1e-4

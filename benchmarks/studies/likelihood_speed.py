@@ -18,12 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 
 import allanjax as aj
 from allanjax.posterior.likelihood import likelihood_of
 from allanjax.spectrum.cosine import cosine_transform
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
 TRUTH = aj.AngleRandomWalk(1e-4) + aj.BiasInstability(1e-5) + aj.RateRandomWalk(1e-6)

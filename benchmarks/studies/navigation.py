@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, share, table
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, share, table
 
 RATE, CALIBRATION, TIMES = 50.0, 100.0, (1.0, 10.0, 100.0)
 SEED = 434_955_521

@@ -14,8 +14,9 @@ import sys
 from pathlib import Path
 
 import paths
-from common.machine import describe
-from common.report import publish, table
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 START = """import resource, sys, numpy as np
 {}

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 from scipy.stats import chi2
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 UNITS = ("adis16405_unit1", "adis16405_unit2")
 # Cluster times below this one [s] have errors of their own, and how large these may be.

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
 
 import allanjax as aj
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 UNITS = ("adis16405_unit1", "adis16405_unit2")
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()

@@ -17,11 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.draws import SCENARIOS
-from common.machine import describe
-from common.ours import TERM_LABELS, fit_all, recording_of
-from common.report import publish, run_tasks, share, standard_error, table
-from common.truth import SHAPES, simulate
+
+from benchmarks.common.draws import SCENARIOS
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import TERM_LABELS, fit_all, recording_of
+from benchmarks.common.report import publish, run_tasks, share, standard_error, table
+from benchmarks.common.truth import SHAPES, simulate
 
 CASES = ("N", "N+K", "Q+N+K", "N+B", "N+B+K", "N+Markov+K", "N+K+R", "Q+N+B+K+R")
 LENGTHS = "16384:300,131072:100"

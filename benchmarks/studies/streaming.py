@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 LENGTHS = "100000,1000000,10000000,100000000,1000000000"
 RATE = 1000.0

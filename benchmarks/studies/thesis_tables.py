@@ -18,9 +18,6 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.readings import Reading, read_slope
-from common.report import publish, table
 
 from allanjax.allan.deviation import allan_deviation
 from allanjax.base.wording import format_with_error
@@ -29,6 +26,9 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.sensors import SENSORS, Tabulated
 from allanjax.record.units import unit_scale
 from allanjax.spectrum.psd import power_spectrum
+from benchmarks.common.machine import describe
+from benchmarks.common.readings import Reading, read_slope
+from benchmarks.common.report import publish, table
 
 # Table 3.5: angle random walk read off the density, deg/√h.
 TABLE_3_5 = {("cimu", "gyro_x"): 0.0015, ("motionpak2", "gyro_x"): 0.5}

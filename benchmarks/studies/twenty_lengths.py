@@ -19,8 +19,9 @@ from pathlib import Path
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.report import publish, table
+
+from benchmarks.common.machine import describe
+from benchmarks.common.report import publish, table
 
 AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 LENGTHS = np.rint(np.geomspace(10_000, 1_000_000, 20)).astype(int).tolist()

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 import paths
-from common.machine import describe
-from common.ours import columns_of, fit_all, model_of, recording_of
-from common.report import publish, table
-from common.truth import RATE, SHOWN, Case, bound, simulate
+
+from benchmarks.common.machine import describe
+from benchmarks.common.ours import columns_of, fit_all, model_of, recording_of
+from benchmarks.common.report import publish, table
+from benchmarks.common.truth import RATE, SHOWN, Case, bound, simulate
 
 CASES = (
     Case("N+K", {"N": 1.0, "K": 2.0}),

@@ -6,7 +6,6 @@ import itertools
 import numpy as np
 import pytest
 from critic_views import view_of
-from hidden_effects import draw
 from one_axis import searched
 from scipy.fft import dct
 from scipy.linalg import toeplitz
@@ -31,6 +30,7 @@ from allanjax.critic.windows import conspicuous
 from allanjax.estimate.evidence import evidences
 from allanjax.noise.butterworth import Butterworth
 from allanjax.record.completion import in_time, predicted
+from benchmarks.common.hidden_effects import draw
 
 # One length for most: one compilation.
 N, RATE = 30_000, 50.0

@@ -9,13 +9,13 @@ import importlib
 
 import numpy as np
 import pytest
-from hidden_effects import TERMS, draw
-from hidden_verdict import compared, model_without, others, recording_of, right
 
 import allanjax as aj
 from allanjax.critic import CAUSES, Bank, Candidate, Cause, Template, View, additive, centred
 from allanjax.critic.causes.bias_step import BiasStep
 from allanjax.critic.critique import critique
+from benchmarks.common.hidden_effects import TERMS, draw
+from benchmarks.common.hidden_verdict import compared, model_without, others, recording_of, right
 
 SMALL = {"duration": 600.0, "rate": 50.0}
 SHOWN = (

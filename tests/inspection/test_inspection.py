@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.signal
-from hidden_effects import draw
 from places import DATA
 
 import allanjax as aj
@@ -14,6 +13,7 @@ from allanjax.estimate.fit import inspected
 from allanjax.inspection import Windows, look
 from allanjax.inspection.scores import shortest_half
 from allanjax.record.recording import Axis, Recording
+from benchmarks.common.hidden_effects import draw
 
 RATE = 100.0
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")

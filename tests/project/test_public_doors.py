@@ -23,7 +23,10 @@ MOST = 30
 def is_public(name: str) -> bool:
     """Whether a dotted name of the package is offered by `allanjax` itself or in the `__all__` of a room."""
     module, _, last = name.rpartition(".")
-    rooms = ("allanjax", *(f"allanjax.{path.name}" for path in (ROOT / "allanjax").iterdir() if path.is_dir()))
+    rooms = (
+        "allanjax",
+        *(f"allanjax.{path.name}" for path in (ROOT / "allanjax").iterdir() if path.is_dir()),
+    )
     if name in ALLOWED or name == "allanjax" or (module == "allanjax" and last in dir(aj)):
         return True
     if module in rooms:
@@ -39,7 +42,10 @@ def imported(tree: ast.Module) -> dict[str, str]:
         if isinstance(node, ast.ImportFrom) and node.module:
             names |= {a.asname or a.name: f"{node.module}.{a.name}" for a in node.names}
         elif isinstance(node, ast.Import):
-            names |= {a.asname or a.name.split(".")[0]: a.name if a.asname else a.name.split(".")[0] for a in node.names}
+            names |= {
+                a.asname or a.name.split(".")[0]: a.name if a.asname else a.name.split(".")[0]
+                for a in node.names
+            }
     return names
 
 
@@ -60,7 +66,7 @@ def inner_names(path: Path) -> dict[str, frozenset[str]]:
                 called.add(part.id if isinstance(part, ast.Name) else part.arg)
             elif isinstance(part, ast.Attribute):
                 dotted = ast.unparse(part)
-                first, _, rest = dotted.partition(".")
+                first = dotted.partition(".")[0]
                 origin = names.get(first, "")
                 if origin.startswith("allanjax.") and not is_public(origin):
                     inner.add(origin)
@@ -104,7 +110,9 @@ def behind_doors(folder: Path = TESTS) -> dict[str, frozenset[str]]:
 
 def test_tests_use_public_names():
     found = behind_doors()
-    assert len(found) <= MOST, "\n".join(f"{test}: {', '.join(sorted(names))}" for test, names in found.items())
+    assert len(found) <= MOST, "\n".join(
+        f"{test}: {', '.join(sorted(names))}" for test, names in found.items()
+    )
 
 
 def test_an_inner_name_is_seen_wherever_it_hides(tmp_path):

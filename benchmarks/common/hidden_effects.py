@@ -10,7 +10,8 @@ import dataclasses
 
 import numpy as np
 import scipy.signal
-from hidden_sensors import (
+
+from benchmarks.common.hidden_sensors import (
     DETECTABLE_SNR,
     basic_model_limit,
     coloured_noise,

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from hidden_effects import TERMS, Effect, Hidden
 
 import allanjax as aj
 from allanjax.critic import Critique, Finding
 from allanjax.record.units import unit_scale
+from benchmarks.common.hidden_effects import TERMS, Effect, Hidden
 
 BASIC = {
     "Q": aj.Quantization(),

@@ -1,0 +1,1 @@
+"""Studies that measure what allanjax claims: `python -m benchmarks --list`."""

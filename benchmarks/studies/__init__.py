@@ -1,0 +1,1 @@
+"""A file a study, run by its name: `python -m benchmarks NAME`."""
