@@ -162,7 +162,7 @@ def test_wavelet_variances_of_haar_are_half_the_allan_variances_at_octaves():
     assert fit["gyro_0"].dof == 6
 
 
-EXACT = {"N + K": (WHITE + WALK, 7), "N + markov": (WHITE + aj.Markov(0.5, 1.5), 9)}
+EXACT = {"N + K": (WHITE + WALK, 7), "N + markov": (WHITE + aj.Markov(0.5, 1.5), 7)}
 
 
 @pytest.mark.parametrize("name", EXACT)
