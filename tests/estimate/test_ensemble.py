@@ -118,7 +118,9 @@ def test_a_fit_of_many_is_that_of_each(kind):
     for k, c in enumerate(found):
         for name in ("value", "std", "upper_limit", "detected"):
             np.testing.assert_allclose(getattr(many, name)[:, k], getattr(c, name), rtol=1e-5, atol=1e-9)
-        np.testing.assert_allclose(np.stack([many.lower, many.upper], -1)[:, k], c.interval, rtol=1e-5, atol=1e-9)
+        np.testing.assert_allclose(
+            np.stack([many.lower, many.upper], -1)[:, k], c.interval, rtol=1e-5, atol=1e-9
+        )
     np.testing.assert_allclose(many.p_value, found[0].p_value, rtol=1e-4)
 
 

@@ -160,7 +160,9 @@ def test_a_gauss_markov_filter_follows_the_drift():
     """One that soon forgets its bias would predict a vibration best, with twice the error of a walk's."""
     model = aj.AngleRandomWalk(1e-4) + aj.RateRandomWalk(1e-4) + aj.Resonance(3e-3, 11.0, 12.0)
     z = np.asarray(aj.simulate(model, N, RATE, 5))
-    fit = aj.fit(recording(z, RATE), "N + K + resonance(frequency=11 Hz)", "whittle", as_is=True, vibrating=True)
+    fit = aj.fit(
+        recording(z, RATE), "N + K + resonance(frequency=11 Hz)", "whittle", as_is=True, vibrating=True
+    )
     walk, markov = (aj.horizon(fit, 1.0, process=p)["gyro_0"].error[-1] for p in ("walk", "markov"))
     assert markov < 1.1 * walk
 
@@ -176,7 +178,9 @@ def test_estimated_coefficients_scatter_as_their_fit_says():
             # Standard deviations of 400 draws are known to 4 %; the grid of memories is a fifth apart.
             assert c.interval[0] < own.value < c.interval[1]
             if symbol == "K":
-                assert np.log(c.interval[1] / c.interval[0]) == pytest.approx(4 * own.std / own.value, rel=0.35)
+                assert np.log(c.interval[1] / c.interval[0]) == pytest.approx(
+                    4 * own.std / own.value, rel=0.35
+                )
             assert c.interval[0] <= c.interval_68[0] <= c.interval_68[1] <= c.interval[1]
             assert c.std == pytest.approx(np.diff(c.interval_68)[0] / 2.0)
         # With a higher probability the bound is wider.

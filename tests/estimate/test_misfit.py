@@ -58,7 +58,9 @@ def by_definition(place, ratio, edf, unit):
     sustained = certain[k]
     if unit == "Hz":
         # The largest of the lower medians over octaves.
-        inside = [(place >= p) & (place <= 2.0 * p * (1 + 1e-9)) for p in place if 2.0 * p <= place[-1] * (1 + 1e-9)]
+        inside = [
+            (place >= p) & (place <= 2.0 * p * (1 + 1e-9)) for p in place if 2.0 * p <= place[-1] * (1 + 1e-9)
+        ]
         sustained = max(np.sort(certain[i])[(i.sum() - 1) // 2] for i in inside)
     return place[k], *np.expm1([log[k], rms, sustained, abs(log[k]) - certain[k]])
 
@@ -91,7 +93,9 @@ def test_the_misfit_of_a_spectrum_is_that_of_thirds_of_octaves(records, fits, ax
     middle = (edges[:-1] + edges[1:] - 1) * RATE / (4.0 * N)
     part = np.repeat(np.floor(3.0 * np.log2(middle / middle[0]) + 1e-9).astype(int), np.diff(edges))
     count = np.bincount(part)
-    own = np.exp(np.bincount(part, np.log(np.repeat(middle, np.diff(edges)))) / np.maximum(count, 1))[count > 0]
+    own = np.exp(np.bincount(part, np.log(np.repeat(middle, np.diff(edges)))) / np.maximum(count, 1))[
+        count > 0
+    ]
     mean = (np.bincount(part, ratio) / np.maximum(count, 1))[count > 0]
     at, *numbers = by_definition(own, np.sqrt(mean), count[count > 0].astype(float), "Hz")
     assert result.misfit.at == pytest.approx(at, rel=1e-3)
@@ -123,7 +127,8 @@ def test_the_discrepancy_brings_chi_square_to_its_degrees_of_freedom(fits):
         bins, n = result.spectrum.bins, len(result.spectrum.bins.edges) - 1
         k = np.diff(bins.edges).astype(float)
         mean = np.add.reduceat(
-            RATE * np.asarray(result.model.sampled(RATE).sampled_psd(np.arange(1, N) * RATE / (2.0 * N), RATE)),
+            RATE
+            * np.asarray(result.model.sampled(RATE).sampled_psd(np.arange(1, N) * RATE / (2.0 * N), RATE)),
             bins.edges[:-1] - 1,
         )
         ratio = result.spectrum.squares / mean
@@ -162,7 +167,7 @@ def test_a_curve_that_is_far_off_is_no_measurement(fits, objective):
     assert table["std"].isna().tolist() == [True] * 4 + [False] * 6
     # As of the same curves in bulk, at octaves.
     many = aj.fit_many(found.curve, "N + K")
-    np.testing.assert_array_equal(many.measured, [True if k > 1 else False for k in range(5)])
+    np.testing.assert_array_equal(many.measured, np.arange(5) > 1)
     if objective == "allan":
         np.testing.assert_allclose(many.discrepancy, [r.discrepancy for r in found.results], rtol=1e-5)
 
@@ -180,16 +185,22 @@ def test_a_sensor_in_motion_is_no_measurement():
 def test_what_was_held_stays_as_it_was_given(records):
     model = aj.AngleRandomWalk(WHITE).hold("coefficient") + aj.RateRandomWalk()
     for k, objective in ((2, "allan"), (2, "whittle"), (1, "whittle")):
-        result = aj.fit(recording(records[:, k], RATE), model, objective, as_is=True, vibrating=True)["gyro_0"]
+        result = aj.fit(recording(records[:, k], RATE), model, objective, as_is=True, vibrating=True)[
+            "gyro_0"
+        ]
         c = result["N"]
         assert (c.value, c.std, c.held, c.measured, c.interval) == (WHITE, 0.0, True, True, (WHITE, WHITE))
         assert c.describe().endswith("(held)")
         walk = result["K"]
         assert walk.std > 0.0 or k == 1
         if k == 2:
-            assert result.dof == (fitted := aj.fit(recording(records[:, k], RATE), "N + K", objective, as_is=True))[
-                "gyro_0"
-            ].dof + 1
+            assert (
+                result.dof
+                == (fitted := aj.fit(recording(records[:, k], RATE), "N + K", objective, as_is=True))[
+                    "gyro_0"
+                ].dof
+                + 1
+            )
             assert walk.std < 1.05 * fitted["gyro_0"]["K"].std
 
 
@@ -198,14 +209,3 @@ def test_mean_and_rms_are_those_of_the_samples():
     for k, result in enumerate(fit.results):
         assert result.mean == pytest.approx(record.values[:, k].mean(), rel=1e-9)
         assert result.rms == pytest.approx(record.values[:, k].std(), rel=1e-6)
-
-
-def test_a_fit_that_was_led_far_off_at_first_needs_no_error_of_the_model_at_last():
-    """One of 130 records on which the first steps called the right model incomplete, and never came back."""
-    model = aj.Quantization(0.5) + aj.AngleRandomWalk(1.0) + aj.Markov(2.0, 20.0)
-    x = aj.simulate_recording({f"gyro_{k}": model for k in range(10)}, 32_768, 100.0, 3).values[:, 7]
-    (found,) = aj.fit(recording(x, RATE), "Q + N + markov", "wavelet", as_is=True, vibrating=True).results
-    assert found.converged, found.reason
-    assert found.discrepancy == 0.0
-    for label, truth in (("quantization", 0.5), ("angle_random_walk", 1.0), ("markov_amplitude", 2.0)):
-        assert abs(found[label].value - truth) < 4.0 * found[label].std

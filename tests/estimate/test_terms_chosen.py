@@ -26,7 +26,7 @@ def unit(dense, term):
 
 
 class Integrals:
-    """ln ∫ likelihood · prior over amplitudes, on grids uniform in ln(1 + c/scale), coefficient by coefficient.
+    """ln ∫ likelihood · prior over amplitudes, on grids uniform in ln(1 + c/scale).
 
     The scale is where a term's power is one standard deviation: scale⁻⁴ = Σ ½ (s_j/S_j)², S at the maximum.
     """
@@ -121,7 +121,9 @@ def test_a_grid_of_times_is_one_set():
     times = np.geomspace(4.0 / RATE, SHORT / RATE / 4.0, 16)
     ratios = [ours.beside(aj.Markov(1.0, float(T))) for T in times]
     expected = logsumexp(ratios) - np.log(len(ratios)) - ours.alone()
-    assert found[("angle_random_walk", "markov")] - found[("angle_random_walk",)] == pytest.approx(expected, abs=0.8)
+    assert found[("angle_random_walk", "markov")] - found[("angle_random_walk",)] == pytest.approx(
+        expected, abs=0.8
+    )
 
 
 # --- The rules ----------------------------------------------------------------------------------------------
@@ -132,7 +134,9 @@ def by_hand(**odds):
     weights = dict(sorted(odds.items(), key=lambda item: -item[1]))
     total = sum(weights.values())
     sets = tuple(
-        aj.TermSet(tuple(NAMES[t] for t in terms.split("_")), len(terms.split("_")), float(np.log(w)), w / total)
+        aj.TermSet(
+            tuple(NAMES[t] for t in terms.split("_")), len(terms.split("_")), float(np.log(w)), w / total
+        )
         for terms, w in weights.items()
     )
     return aj.AxisSelection(aj.Axis("gyro_x", "gyro", "rad/s"), sets, 0.0)
@@ -226,12 +230,10 @@ def test_units_and_a_bias_do_not_matter(ranked):
 
 
 def test_a_model_that_no_set_of_terms_follows_has_weaker_odds():
-    """White noise under a line of twice its size: the best set is off, and all evidences are brought nearer."""
+    """White noise under a line: the best set is off, and all evidences are brought nearer."""
     x = drawn(WHITE + WALK, SHORT, RATE, 21)[:, 0]
     line = 0.8 * np.sin(2.0 * np.pi * 1.0 * np.arange(SHORT) / RATE)
-    good, bad = (
-        aj.select_terms(recording(z, RATE), "N + K + R")["gyro_0"] for z in (x, x + line)
-    )
+    good, bad = (aj.select_terms(recording(z, RATE), "N + K + R")["gyro_0"] for z in (x, x + line))
     assert good.discrepancy == 0.0
     assert bad.discrepancy > 0.1
     spread = [s.ranking[0].log_evidence - s.ranking[-1].log_evidence for s in (good, bad)]

@@ -1,4 +1,4 @@
-"""Fits of short records, written out: dense covariances, scipy's optimum, Fisher's information by differences.
+"""Fits of short records, written out: dense covariances, scipy's optimum, Fisher's information.
 
 Nothing of the package is used but the values of a model's parameters (see `dense`).
 """
