@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,23 @@ sys.path.append(str(ROOT))
 #: Most programs that a run of the default tests may compile: each costs its process about a second.
 PROGRAMS = 80
 
+
+def _faster() -> str:
+    """Flags with which XLA compiles faster: its fusion emitters take half as long again and gain nothing.
+
+    A jaxlib that does not know the option aborts, hence a process of its own tries it, once per version.
+    """
+    flags = "--xla_cpu_use_fusion_emitters=false"
+    tried = ROOT / ".pytest_cache" / f"jaxlib-{version('jaxlib')}"
+    if not tried.exists():
+        environment = os.environ | {"XLA_FLAGS": flags}
+        trial = [sys.executable, "-c", "import jax; jax.devices()"]
+        known = subprocess.run(trial, env=environment, capture_output=True, check=False).returncode == 0
+        tried.parent.mkdir(exist_ok=True)
+        tried.write_text(flags if known else "")
+    return tried.read_text()
+
+
 # Set before JAX is imported. Workers, and the processes that tests start, inherit all of it.
 _RUN, _CACHE = "ALLANJAX_TEST_RUN", "JAX_COMPILATION_CACHE_DIR"
 _FIRST = _RUN not in os.environ
@@ -26,17 +44,7 @@ if _FIRST:
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
     os.environ["MPLBACKEND"] = "agg"
-    # Fusion emitters make programs no faster here and their compilation half as long again. A jaxlib that
-    # does not know the option aborts, hence a process of its own tries it.
-    faster = "--xla_cpu_use_fusion_emitters=false"
-    if "XLA_FLAGS" not in os.environ:
-        trial = subprocess.run(
-            [sys.executable, "-c", "import jax; jax.devices()"],
-            env=os.environ | {"XLA_FLAGS": faster},
-            capture_output=True,
-            check=False,
-        )
-        os.environ["XLA_FLAGS"] = faster if trial.returncode == 0 else ""
+    os.environ.setdefault("XLA_FLAGS", _faster())
 
 pytest_plugins = ["shared_fixtures"]
 

@@ -50,7 +50,8 @@ class Filtered(Process):
         """Simulated samples; the filter has seen some thousand of them before the first."""
         x = self.process.simulate(key, n + _SETTLING, rate)
         # It starts at rest at the first of these, which it passes: constants it leaves as they are.
-        return self.response.filtered(x - x[0], rate)[_SETTLING:] + x[0]
+        first = _SETTLING - self.response.ahead
+        return self.response.filtered(x - x[0], rate)[first : first + n] + x[0]
 
     @property
     def _known_rate(self) -> float:

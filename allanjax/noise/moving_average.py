@@ -30,6 +30,8 @@ HALF_POWER = 0.44294647068945237
 LONGEST = 64
 
 _LARGEST = HALF_POWER * (1.0 + 1e-9)
+# Samples on either side beyond which a mean without delay, by a Fourier transform, is as good as over.
+_REACH = 2048
 # Zeros of the response make a maximum of the likelihood of every number of samples [samples].
 _STARTS = (1.5, 2, 2.5, 3, 3.5, *range(4, LONGEST))
 
@@ -88,6 +90,10 @@ class MovingAverage(Response):
         # In one call: G is up to a multiple of lag² that is common to a call.
         moved = process.phase_covariance(abs(xp.asarray(lag)[..., None] + d / rate))
         return moved @ weight / xp.sum(weight)
+
+    @property
+    def ahead(self) -> int:
+        return _REACH
 
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         """Samples after the filter, which delays nothing; it leaves the line from first to last as it is."""

@@ -25,6 +25,10 @@ from allanjax.noise.numerics import gaussian_sequence, increment_autocovariance,
 from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import Parts
 
+# Samples of the least half circle on which noise that oscillates is drawn: on one that is shorter than its
+# memory its covariance is none, but one with negative eigenvalues.
+_LEAST_CIRCLE = 1 << 16
+
 
 class Process(eqx.Module):
     """A random process with a phase covariance, and its Allan variance, spectrum and simulation."""
@@ -70,7 +74,7 @@ class Process(eqx.Module):
         """
         from scipy.fft import next_fast_len
 
-        half = next_fast_len(max(n, 2), real=True)
+        half = next_fast_len(max(n, _LEAST_CIRCLE if self.oscillates else 2), real=True)
         increments = gaussian_sequence(key, increment_autocovariance(self.phase_covariance, half + 1, rate))[
             :n
         ]

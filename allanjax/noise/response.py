@@ -103,6 +103,11 @@ class Response(Parametrized):
         """Frequency at which the power response, as that of an analog filter, has fallen by half [Hz]."""
         return float(getattr(self, self.parameters()[0].name))
 
+    @property
+    def ahead(self) -> int:
+        """How many later samples have a say in what `filtered` makes of one; 0 of a filter in time."""
+        return 0
+
     def sampled(self, rate: float) -> Self:
         """The filter for samples at `rate` [Hz]; AllanjaxError if there is none."""
         return self

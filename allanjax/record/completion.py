@@ -33,6 +33,8 @@ _FEWEST, _SHARE = 4, 0.01
 # Conjugate gradients: most steps, the part of d'C⁻¹d that does not matter beside that of one draw, and
 # samples that are solved for at once.
 _STEPS, _EXACT, _BLOCK = 100, 1e-3, 256
+# Levels in the range of a record to which its samples are rounded for the seed of its draws.
+_LEVELS = 1e3 * np.sqrt(3.0)
 
 
 def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
@@ -69,8 +71,7 @@ def completed(
                 "take the longest stretch without gaps by gaps='segments' (--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])
-        # Other samples, other draws.
-        rng = np.random.default_rng(crc32(x.tobytes()))
+        rng = np.random.default_rng(_seed(x))
         v, changed = _spectrum(x), np.inf
         for _ in range(_TURNS):
             draw = in_time(np.sqrt(v) * rng.standard_normal(n - 1)) + x.mean()
@@ -85,6 +86,15 @@ def completed(
                 break
         full[:, k] = x
     return full
+
+
+def _seed(x: Float[np.ndarray, " n"]) -> int:
+    """Seed of a record's draws: other samples, other draws, but the same whatever their unit and last bits.
+
+    Samples are rounded to a share of their range that no output's steps are halves of.
+    """
+    levels = np.rint((x - x.min()) / np.ptp(x) * _LEVELS)
+    return crc32(levels.astype("<i4").tobytes())
 
 
 def bridged(x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -83,7 +83,7 @@ class Autocorrelation(ByValue):
         relative standard error √(2/(βT)) of (3.34), T being the record's length: a bound for the
         autocorrelation of the process itself. It knows nothing of other noise, which is to be taken out
         before (`wavelet_decomposition`), nor of the bias that subtracting the mean and reading off one lag
-        have; see `benchmarks/results/autocorrelation.md`. There is no reading where the autocorrelation does
+        have; see `benchmarks/results/chapter3.md`. There is no reading where the autocorrelation does
         not fall to σ²/e, or does so within a sample.
 
         Raises:

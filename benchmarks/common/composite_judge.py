@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import time
 import traceback
 from dataclasses import dataclass, field
@@ -52,52 +51,29 @@ class Outcome:
     """
 
     seed: int
-    samples: int
-    axes: int
     effects: int
     told: int = 0
     seconds: float = 0.0
-    megabytes: float = 0.0
     error: str = ""
     off: dict[str, float] = field(default_factory=dict)
     covered: list[tuple[str, bool]] = field(default_factory=list)
     named: list[tuple[str, int, int]] = field(default_factory=list)
-    asked: int = 0
     cut: int = 0
-    causes: list[str] = field(default_factory=list)
 
 
 # --- What the critic's API gives ---------------------------------------------------------------------------
 
 
-def told(critique: Any) -> list[Any]:
-    """The findings of the recording as a whole: one that several axes share is one."""
-    if hasattr(critique, "findings"):
-        return list(critique.findings)
-    own = [finding for axis in critique.values() for finding in axis.findings]
-    return [*own, *critique.shared_findings]
+def explained(critique: aj.Critique, axis: str, record: np.ndarray) -> tuple[np.ndarray, aj.Model]:
+    """Samples [SI] without what was found in them in time, and the model of the noise that is left.
 
-
-def explained(critique: Any, axis: str, record: np.ndarray) -> tuple[np.ndarray, Any]:
-    """Samples [SI] without what was found in them, and the model of the noise that is left.
-
-    The record as it came and the whole model, lines and steps included, where the critique has no such
-    samples.
+    The record as it came and the whole model, lines and steps included, where nothing was found in time.
     """
-    model = critique.models[axis].sampled(critique.rate)
-    stages = getattr(critique[axis], "stages", ())
+    model, stages = critique.models[axis].sampled(critique.rate), critique[axis].stages
     if not stages:
         return record, model
     labels = [name for name, term in zip(model.term_labels, model, strict=True) if term.deterministic]
     return np.asarray(stages[-1].x), model.without(labels)
-
-
-def stated(fit: Any, axis: str) -> dict[str, Any]:
-    """The coefficients with intervals of `critique.refit()`; none where an axis has no result."""
-    try:
-        return dict(fit[axis].coefficients)
-    except aj.AllanjaxError:
-        return {}
 
 
 # --- Judgement ---------------------------------------------------------------------------------------------
@@ -174,32 +150,24 @@ def named_axes(findings: list[Any], effect: Effect) -> set[str]:
 
 def left_out(critique: Any, effect: Effect) -> bool:
     """Whether it lies in a part of the record that the first look did not give to the fit."""
-    stretch = getattr(critique.fit, "stretch", None)
-    if stretch is None or effect.span is None:
+    if (stretch := critique.fit.stretch) is None or effect.span is None:
         return False
     return effect.span[1] <= stretch[0] or effect.span[0] >= stretch[1]
 
 
-def judged(seed: int, clean: bool, samples: int | None) -> Outcome:
+def judged(seed: int, clean: bool, samples: int) -> Outcome:
     """One recording, made, criticized and judged."""
     aj.enable_compilation_cache()
-    made = composite(seed, clean, samples)
-    outcome = Outcome(seed, len(made.values), len(made.names), len(made.effects))
-    outcome.asked = sum(1 for effect in made.effects if effect.asked)
+    made = composite(seed, clean, samples or None)
+    outcome = Outcome(seed, len(made.effects))
+    units = {"gyro_unit": made.gyro_unit, "accel_unit": made.accel_unit}
     recording = aj.Recording.from_array(
-        made.values,
-        made.rate,
-        names=list(made.names),
-        gyro_unit=made.gyro_unit,
-        accel_unit=made.accel_unit,
-        auxiliary=made.auxiliary,
-        name=f"composite {seed}",
+        made.values, made.rate, names=list(made.names), auxiliary=made.auxiliary, **units
     )
-    forget_peak()
     begun = time.perf_counter()
     try:
         critique = aj.critique(recording)
-        outcome.seconds, outcome.megabytes = time.perf_counter() - begun, peak()
+        outcome.seconds = time.perf_counter() - begun
         judge(outcome, critique, recording, made)
     except Exception as error:
         outcome.seconds = outcome.seconds or time.perf_counter() - begun
@@ -208,35 +176,19 @@ def judged(seed: int, clean: bool, samples: int | None) -> Outcome:
         outcome.off = dict.fromkeys(made.names, np.inf)
         outcome.named = [(e.kind, len(e.asked), 0) for e in made.effects if e.asked]
         return outcome
-    outcome.told, outcome.causes = len(told(critique)), [f.cause for f in told(critique)]
+    outcome.told = len(critique.findings)
     return outcome
 
 
 def judge(outcome: Outcome, critique: Any, recording: aj.Recording, made: Composite) -> None:
-    findings, fit = told(critique), critique.refit()
+    findings, fit = list(critique.findings), critique.refit()
     for k, axis in enumerate(recording.names):
         outcome.off[axis] = off_by(critique, axis, recording.values[:, k])
-        outcome.covered += coverage(stated(fit, axis), made.axes[axis])
+        if axis in fit.axes and fit[axis].converged:
+            outcome.covered += coverage(fit[axis].coefficients, made.axes[axis])
     for effect in made.effects:
         if left_out(critique, effect):
             outcome.cut += 1
         elif effect.asked:
             hits = named_axes(findings, effect) & set(effect.asked)
             outcome.named.append((effect.kind, len(effect.asked), len(hits)))
-
-
-def forget_peak() -> None:
-    """Have the system count this process's peak memory anew, where it can."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        return
-
-
-def peak() -> float:
-    """Peak memory of this process [MB], the interpreter and the recording included."""
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return next(float(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -8,8 +8,6 @@ from types import MappingProxyType
 import numpy as np
 
 import allanjax as aj
-from allanjax.estimate.ranking import select_terms
-from allanjax.estimate.selection import TermSelection
 from benchmarks.common.truth import RATE, SHAPES, Case
 
 TERMS = {
@@ -49,7 +47,7 @@ def recording_of(x: np.ndarray) -> aj.Recording:
 
 def fit_all(
     recording: aj.Recording, model: aj.Model | None = None, objective: str = "allan", **options: str
-) -> tuple[list[aj.AxisFit | None], TermSelection | None]:
+) -> tuple[list[aj.AxisFit | None], aj.TermSelection | None]:
     """The fit of every axis, None where there is no result or an exception; and the ranking of terms."""
     try:
         fit = aj.fit(recording, model, objective, as_is=True, vibrating=True, **options)
@@ -57,7 +55,7 @@ def fit_all(
         # One axis may have spoilt it for all.
         singles = [recording_of(x[:, None]) for x in recording.values.T]
         axes = [_fit_one(single, model, objective, **options) for single in singles]
-        return axes, None if model else select_terms(recording)
+        return axes, None if model else aj.select_terms(recording)
     return [axis if axis.converged else None for axis in fit.results], fit.selection
 
 

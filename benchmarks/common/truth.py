@@ -183,9 +183,7 @@ def exact_bound(case: Case, n: int) -> np.ndarray:
     factor = cho_factor(differenced(H))
     m = np.diff(mean_derivatives(case, n), axis=1)
     return _in_order(
-        case,
-        _information([cho_solve(factor, differenced(d)) for d in by]),
-        m @ cho_solve(factor, m.T),
+        case, _information([cho_solve(factor, differenced(d)) for d in by]), m @ cho_solve(factor, m.T)
     )
 
 

@@ -1,25 +1,21 @@
-"""Do the intervals of a six-position calibration hold the truth? Full records, the noise fitted to others.
-
-    python benchmarks/studies/calibration.py [--quick] [--calibrations 400] [--results PATH]
+"""Do the intervals of a six-position calibration hold the truth, the noise being fitted to other records?
 
 Each simulated unit has three accelerometers with errors of their own (2.23). It lies still for four hours,
 and then for ten minutes in each of six positions, 20 s apart. The noise model is that fitted to the four
-hours, or to the first of the positions alone. Beside it: ordinary least squares of the six means (numpy),
+hours, or to the first of the positions alone. Beside it: ordinary least squares of the six means (NumPy),
 with intervals from white noise alone, whose N is known, and from the residuals by Student's law, as textbooks
 have it. Sensors are simulated in NumPy without the package. `calibrate` itself only reads and inspects the
-recordings beside what is run here, and takes the mean powers of a fit's likely models for its best one.
+recordings beside what is run here, and takes the mean powers of a fit's likely models for its best one. N is
+5e-4 m/s/√s; the random walk has K = 4e-6 m/s²/√s, flicker noise B = 1e-4 m/s². The terms are given to the
+fits. The truth of a bias is its average over the calibration.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-import paths
 from scipy.fft import next_fast_len
 from scipy.stats import t as student
 
@@ -29,12 +25,11 @@ from allanjax.calibration.orientation import as_orientation
 from allanjax.calibration.result import Position
 from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
 from allanjax.record.axes import Axis
-from benchmarks.common.machine import describe
-from benchmarks.common.report import publish, share, table
+from benchmarks.common.study import run_tasks, share, table
 
+QUICK: dict[str, Any] = {"calibrations": 2}
 RATE, LONG, T, PAUSE, G = 5.0, 14400.0, 600.0, 20.0, 9.8118
 N = 5e-4
-SEED = 261_125
 # Units that are fitted together.
 BLOCK = 4
 TERMS = {"random walk": "N + K", "flicker noise": "N + B"}
@@ -46,6 +41,23 @@ METHODS = (
     *("calibrate, fit of 4 h", "calibrate, fit of the longest position"),
     *("least squares, white noise alone", "least squares, from its residuals"),
 )
+
+
+def run(*, calibrations: int = 400, seed: int = 261_125) -> Iterator[str]:
+    rows, checks = [], []
+    for kind in TERMS:
+        tasks = [(kind, seed, k, min(BLOCK, calibrations - k)) for k in range(0, calibrations, BLOCK)]
+        ratios, errors, p = (np.concatenate(part) for part in zip(*run_tasks(calibrated, tasks), strict=True))
+        best = [np.sqrt(np.mean(by_kind(errors[:, 0], k) ** 2)) for k in range(3)]
+        for m, method in enumerate(METHODS):
+            cells = [share(np.abs(by_kind(ratios[:, m], k)) < 1.96) for k in range(3)]
+            rmse = [np.sqrt(np.mean(by_kind(errors[:, m], k) ** 2)) / best[k] for k in range(3)]
+            rows.append([kind, method, *cells, " / ".join(f"{x:.2f}" for x in rmse)])
+        checks.append([kind, share(p[:, 0] < 0.05), share(p[:, 1] < 0.05)])
+    yield f"Share of 95 % intervals that hold the truth, {calibrations} calibrations for each kind of noise:"
+    yield table(["noise besides N", "intervals", *KINDS, "RMSE over the first, alike"], rows)
+    yield "Share of the calibrations whose p-value is below 0.05:"
+    yield table(["noise besides N", "fit of 4 h", "fit of the longest position"], checks)
 
 
 def drift(kind: str, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -69,9 +81,9 @@ class Unit(NamedTuple):
     truth: np.ndarray
 
 
-def unit_of(kind: str, index: int) -> Unit:
+def unit_of(kind: str, seed: int, index: int) -> Unit:
     """A unit with errors of its own, simulated."""
-    rng = np.random.default_rng([SEED, list(TERMS).index(kind), index])
+    rng = np.random.default_rng([seed, list(TERMS).index(kind), index])
     SN, b = 1e-3 * rng.standard_normal((3, 3)), 0.03 * rng.standard_normal(3)
     still, count, step = round(LONG * RATE), round(T * RATE), round((T + PAUSE) * RATE)
     n = still + 5 * step + count
@@ -96,8 +108,9 @@ def model_of(labels: Sequence[str], values: np.ndarray) -> aj.Model:
     return model
 
 
-def calibrations(kind: str, units: Sequence[Unit]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def calibrated(kind: str, seed: int, first: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors over their standard deviations, and errors, by unit, method, axis and parameter; p-values."""
+    units = [unit_of(kind, seed, first + k) for k in range(count)]
     ratios, errors, p = [], [], []
     axes = tuple(Axis(f"accel_{a}", "accel", "m/s²") for a in "xyz")
     places = [Position(name, as_orientation(name), k * (T + PAUSE), T) for k, name in enumerate(UPS)]
@@ -141,51 +154,3 @@ def by_kind(values: np.ndarray, k: int) -> np.ndarray:
     if k == 0:
         return values[..., 0].ravel()
     return values[..., 1:][..., own if k == 1 else ~own].ravel()
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--calibrations", type=int, default=400)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--results", type=Path, default=paths.RESULTS / "calibration.md")
-    options = parser.parse_args()
-    count = 4 if options.quick else options.calibrations
-    begun = time.perf_counter()
-    rows, checks = [], []
-    for kind in TERMS:
-        blocks = [range(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
-        parts = [calibrations(kind, [unit_of(kind, k) for k in block]) for block in blocks]
-        ratios, errors, p = (np.concatenate(part) for part in zip(*parts, strict=True))
-        best = [np.sqrt(np.mean(by_kind(errors[:, 0], k) ** 2)) for k in range(3)]
-        for m, method in enumerate(METHODS):
-            cells = [share(np.abs(by_kind(ratios[:, m], k)) < 1.96) for k in range(3)]
-            rmse = [np.sqrt(np.mean(by_kind(errors[:, m], k) ** 2)) / best[k] for k in range(3)]
-            rows.append([kind, method, *cells, " / ".join(f"{x:.2f}" for x in rmse)])
-        checks.append([kind, share(p[:, 0] < 0.05), share(p[:, 1] < 0.05)])
-        print(kind, f"{time.perf_counter() - begun:.0f} s", flush=True)
-    head = ["noise besides N", "intervals", *KINDS, "RMSE over the first, alike"]
-    text = f"""# Six-position calibrations: do the intervals hold the truth?
-
-`python benchmarks/studies/calibration.py`: {count} calibrations of three accelerometers for each kind of
-noise, seed {SEED}, {time.perf_counter() - begun:.0f} s.
-
-{describe()}
-
-{" ".join((__doc__ or "").split("[--results PATH]")[1].split())}
-
-N is {N:g} m/s/√s; the random walk has K = 4e-6 m/s²/√s, flicker noise B = 1e-4 m/s². The terms are given to
-the fits. The truth of a bias is its average over the calibration.
-
-Share of 95 % intervals that hold the truth:
-
-{table(head, rows)}
-
-Share of the calibrations whose p-value is below 0.05, with the fit of 4 h and of the longest position:
-
-{table(["noise besides N", "fit of 4 h", "fit of the longest position"], checks)}
-"""
-    publish(text, options.results, options.quick)
-
-
-if __name__ == "__main__":
-    main()

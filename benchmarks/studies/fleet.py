@@ -1,15 +1,21 @@
-"""A fleet of recordings on one and on two workers, with a killed worker, a corrupt file and a second run.
+"""Which units of a fleet are marked as outlying, does a fleet use its workers, and survive the death of one?
 
-    python benchmarks/studies/fleet.py [--recordings 200] [--samples 60000] [--results PATH]
+Outlying units: simulated values and their intervals, without fits. Units are alike up to a log-normal
+scatter, of the unit or of each of its axes; each estimate has an error of 1 to 10 % that its interval tells.
+Constants of the rule were set on other seeds. False alarms: six coefficients on three axes, of which B and K
+scatter once or three times as much as white noise (aim: any mark in at most 1 % of the fleets). Power: two
+coefficients, a bad unit at so many times the others on all axes of one, or on one axis alone. Grades: fleets
+of several grades, each 4, 7 or 10 times the one before, one unit of each at 2 to 4 times its grade; of one
+sensor, whose bad units may lie among the other grade's and cannot be told then, or of two, of which one has
+the bad units.
 
-Six axes at 100 Hz a recording, Parquet, terms chosen by the fit. Every run is a process of its own with a
-local cluster of its own, started and closed within the time given. Programs are compiled before the first
-run, by a fleet of two recordings, whose time says what that costs.
+Workers: recordings of six axes at 100 Hz, Parquet, terms chosen by the fit; every run is a process of its own
+with a local cluster of its own, started and closed within the time. Programs are compiled before the first
+run, by a fleet of two recordings.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import signal
@@ -17,135 +23,232 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
-import paths
 
-from benchmarks.common.machine import PACKAGES, describe
-from benchmarks.common.report import publish, table
+from allanjax.fleet.summary import judged
+from allanjax.fleet.table import table_of
+from benchmarks.common.study import run_tasks, share, table
 
+PACKAGES = ("pandas", "dask", "distributed")
+QUICK: dict[str, Any] = {"fleets": 4, "powers": 1, "units": (4,), "grades": 1, "recordings": 0}
+SCATTERS, BEYOND, ERRORS, FACTORS = (0.0, 0.05, 0.10, 0.15), (0.2, 0.3), (0.01, 0.03, 0.10), (1.5, 2.0, 4.0)
+COEFFICIENTS = ("angle_random_walk", "bias_instability", "rate_random_walk")
+SIZES = ((4, 8), (8, 4), (6, 6), (3, 9), (4, 4, 4), (6, 18))
+RATIOS = (4.0, 7.0, 10.0)
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
-# White noise and random walk a sample, deg/s and g; units scatter by 10 %, and one has five times the walk.
-WHITE = np.repeat([0.35, 4e-3], 3)
-WALK = np.repeat([2e-3, 2e-5], 3)
-ODD = 5.0
-POLL_SECONDS = 0.05
+
+Estimates = tuple[np.ndarray, np.ndarray]
 
 
-def simulate(folder: Path, recordings: int, samples: int) -> None:
+def run(
+    *,
+    fleets: int = 400,
+    powers: int = 12,
+    units: tuple[int, ...] = (3, 4, 6, 12, 24),
+    grades: int = len(SIZES),
+    recordings: int = 200,
+    samples: int = 60_000,
+    seed: int = 3,
+) -> Iterator[str]:
+    widths = (0.0, *BEYOND)
+    tasks = [(seed, m, b, fleets if b == 0.0 else max(fleets // 4, 1)) for m in units for b in widths]
+    alarms = dict(zip(((m, b) for _, m, b, _ in tasks), run_tasks(false_alarms, tasks), strict=True))
+    rows = [
+        [m, *(share(alarms[m, 0.0][:, c]) for c in (0, 1)), *(share(alarms[m, b][:, 0]) for b in BEYOND)]
+        for m in units
+    ]
+    head = ["units", "any mark", "groups seen", *(f"any mark, scatter {100 * b:.0f} %" for b in BEYOND)]
+    yield f"## False alarms: {fleets} fleets of like units\n\n{table(head, rows)}"
+    tasks = [(seed, m, f, w, e, powers) for m in units for f in FACTORS for w in SCATTERS for e in ERRORS]
+    found = run_tasks(power, tasks)
+    rows = []
+    for m in units:
+        for f in FACTORS:
+            of = {
+                w: np.concatenate([x for x, t in zip(found, tasks, strict=True) if t[1:4] == (m, f, w)])
+                for w in SCATTERS
+            }
+            cells = [f"{x[:, 0].mean():.2f} {x[:, 1].mean():.2f}" for x in of.values()]
+            rows.append([m, f"{f:g}", *cells, f"{np.mean([x[:, 2].mean() for x in of.values()]):.2f}"])
+    head = ["units", "bad by", *(f"scatter {100 * w:.0f} %" for w in SCATTERS), "one bad axis, and no other"]
+    yield "## Power: one bad unit, marked on all axes, on any\n\n" + table(head, rows)
+    tasks = [
+        (seed, sizes, ratio, w, sensors, max(powers // 4, 1))
+        for sizes in SIZES[:grades]
+        for ratio in RATIOS
+        for w in (0.05, 0.15)
+        for sensors in (1, 2)
+    ]
+    found = run_tasks(graded, tasks)
+    rows = []
+    for sizes in SIZES[:grades]:
+        for sensors in (1, 2):
+            of = [x for x, t in zip(found, tasks, strict=True) if (t[1], t[4]) == (sizes, sensors)]
+            means = np.concatenate(of).mean(axis=0)
+            rows.append([" + ".join(map(str, sizes)), sensors, *(f"{x:.3f}" for x in means)])
+    head = ["units", "sensors", "groups said", "half a grade marked", "a good unit marked", "bad units found"]
+    yield "## Grades, without `--group` and with it\n\n" + table(
+        [*head, "good, --group", "bad, --group"], rows
+    )
+    if recordings:
+        yield f"## Workers: {recordings} recordings of six axes × {samples:,} samples"
+        with tempfile.TemporaryDirectory() as folder:
+            os.environ["ALLANJAX_CACHE"] = str(Path(folder) / "cache")
+            yield from workers(Path(folder), recordings, samples)
+
+
+# --- Outlying units ----------------------------------------------------------------------------------------
+
+
+def drawn(
+    rng: np.random.Generator, units: int, scatter: float, error: float | None, of_unit: bool
+) -> Estimates:
+    """ln of the estimates [units, axes] of like units, and their errors (0.01 to 0.1 each, if not given)."""
+    x = scatter * rng.standard_normal((units, 1 if of_unit else 3)) * np.ones(3)
+    s = rng.uniform(0.01, 0.1, x.shape) if error is None else np.full(x.shape, error)
+    return x + s * rng.standard_normal(x.shape), s
+
+
+def rows_of(sensor: str, coefficient: str, of: Estimates, group: np.ndarray | None = None) -> list[dict]:
+    """As rows of a fleet's table."""
+    x, s = of
+    same = {"file": "", "sensor": sensor, "coefficient": coefficient, "unit": "", "warnings": ""}
+    same |= {"detected": True, "measured": True, "outlying": False}
+    return [
+        same
+        | {"recording": f"{u:03}", "group": "" if group is None else str(group[u]), "axis": f"{sensor}_{k}"}
+        | {"value": np.exp(x[u, k]), "std": s[u, k] * np.exp(x[u, k])}
+        | {"lower_95": np.exp(x[u, k] - 1.96 * s[u, k]), "upper_95": np.exp(x[u, k] + 1.96 * s[u, k])}
+        for u, k in np.ndindex(x.shape)
+    ]
+
+
+def marked(rows: list[dict]) -> tuple[np.ndarray, bool]:
+    """Marks of all rows, and whether groups are seen."""
+    result, notes = judged(table_of(rows))
+    return result["outlying"].to_numpy(), any("groups" in note for note in notes)
+
+
+def false_alarms(seed: int, units: int, beyond: float, fleets: int) -> np.ndarray:
+    """Fleets of like units: any mark, any group seen [fleets, 2]."""
+    rng, found = np.random.default_rng([seed, units, int(1000 * beyond)]), np.zeros((fleets, 2), bool)
+    for k in range(fleets):
+        scatter, drift, of_unit = beyond or rng.choice(SCATTERS), rng.choice([1.0, 3.0]), bool(k % 2)
+        rows = []
+        for sensor in ("gyro", "accel"):
+            for coefficient in COEFFICIENTS:
+                width = scatter * (1.0 if coefficient == "angle_random_walk" else drift)
+                rows += rows_of(sensor, coefficient, drawn(rng, units, width, None, of_unit))
+        marks, groups = marked(rows)
+        found[k] = marks.any(), groups
+    return found
+
+
+def power(seed: int, units: int, factor: float, scatter: float, error: float, fleets: int) -> np.ndarray:
+    """Fleets with a bad unit: all its axes marked, any; a bad axis marked, and no other [fleets, 3]."""
+    rng = np.random.default_rng([seed, units, int(100 * factor), int(1000 * scatter), int(1000 * error)])
+    found = np.zeros((fleets, 3), bool)
+    for k in range(fleets):
+        (x, s), other = (drawn(rng, units, scatter, error, bool(k % 2)) for _ in range(2))
+        one = x.copy()
+        x[0] += np.log(factor)
+        one[0, 0] += np.log(factor)
+        more = rows_of("accel", "angle_random_walk", other)
+        marks, axis = (marked(rows_of("gyro", "angle_random_walk", (y, s)) + more)[0][:3] for y in (x, one))
+        found[k] = marks.all(), marks.any(), axis[0] and not axis[1:].any()
+    return found
+
+
+def graded(
+    seed: int, sizes: tuple[int, ...], ratio: float, scatter: float, sensors: int, fleets: int
+) -> np.ndarray:
+    """Fleets of several grades with a bad unit in each [fleets, 6], without groups and with them."""
+    rng = np.random.default_rng([seed, *sizes, int(10 * ratio), int(1000 * scatter), sensors])
+    grade, bad = np.repeat(np.arange(len(sizes)), sizes), np.cumsum([0, *sizes[:-1]])
+    good = ~np.isin(np.arange(len(grade)), bad)
+    found = np.zeros((fleets, 6))
+    for k in range(fleets):
+        error, parts = rng.uniform(0.01, 0.1), []
+        for _ in range(sensors):
+            x, s = drawn(rng, len(grade), scatter, error, bool(k % 2))
+            parts.append((x + np.log(ratio) * grade[:, None], s))
+        parts[0][0][bad] += np.log(rng.uniform(2.0, 4.0, len(bad)))[:, None]
+        of = []
+        for group in (None, grade):
+            kinds = zip(("gyro", "accel"), parts, strict=False)
+            rows = [
+                row for sensor, part in kinds for row in rows_of(sensor, "angle_random_walk", part, group)
+            ]
+            marks, groups = marked(rows)
+            of.append((marks.reshape(sensors, len(grade), 3).any(axis=(0, 2)), groups))
+        (without, groups), (named, _) = of
+        whole = max(without[(grade == g) & good].mean() for g in range(len(sizes)))
+        found[k] = (
+            groups,
+            whole >= 0.5,
+            without[good].any(),
+            without[bad].mean(),
+            named[good].any(),
+            named[bad].mean(),
+        )
+    return found
+
+
+# --- Workers -----------------------------------------------------------------------------------------------
+
+
+def workers(folder: Path, recordings: int, samples: int) -> Iterator[str]:
+    logs, every = folder / "logs", str(folder / "logs" / "*.parquet")
+    simulated(logs, recordings, samples)
+    first = fleet(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
+    times = {"two recordings, nothing compiled yet": first}
+    times |= {f"{n} worker{'s' if n > 1 else ''}": fleet(every, folder / str(n), n) for n in (1, 2)}
+    times["2 workers, one killed half-way"] = fleet(every, folder / "killed", 2, kill_after=recordings // 2)
+    yield table(["run", "seconds"], [[run, f"{s:.1f}"] for run, s in times.items()])
+    tables = [pd.read_parquet(folder / out / "fleet.parquet") for out in ("2", "killed")]
+    same = [json.loads(t.sort_index().to_json()) for t in tables]
+    marks = tables[0].loc[tables[0]["outlying"], ["recording", "axis", "coefficient"]].drop_duplicates()
+    yield (
+        f"With one killed half-way (SIGKILL) the table {'is' if same[0] == same[1] else 'IS NOT'} "
+        f"the same as without. Outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}; put "
+        f"in: unit_{recordings // 2:03d} gyro_x with five times the random walk."
+    )
+
+
+def simulated(folder: Path, recordings: int, samples: int) -> None:
+    """White noise and a random walk, deg/s and g; units scatter by 10 %, and one has five times the walk."""
     folder.mkdir()
     for k in range(recordings):
         rng = np.random.default_rng(k)
-        white, walk = (scale * np.exp(0.1 * rng.standard_normal(6)) for scale in (WHITE, WALK))
-        if k == recordings // 2:
-            walk[0] *= ODD
-        values = rng.standard_normal((samples, 6)) * white
-        values += np.cumsum(rng.standard_normal((samples, 6)), axis=0) * walk
-        pd.DataFrame(values, columns=AXES).to_parquet(folder / f"unit_{k:03d}.parquet")
+        white, walk = (
+            np.repeat(x, 3) * np.exp(0.1 * rng.standard_normal(6)) for x in ([0.35, 4e-3], [2e-3, 2e-5])
+        )
+        walk[0] *= 5.0 if k == recordings // 2 else 1.0
+        x = (
+            rng.standard_normal((samples, 6)) * white
+            + np.cumsum(rng.standard_normal((samples, 6)), axis=0) * walk
+        )
+        pd.DataFrame(x, columns=AXES).to_parquet(folder / f"unit_{k:03d}.parquet")
 
 
-def command(pattern: str, out: Path, workers: int) -> list[str]:
-    program = [str(Path(sys.executable).with_name("allanjax")), "fleet", pattern, "--out", str(out)]
-    return [*program, "--workers", str(workers), "--rate", "100", "--gyro-unit", "deg/s", "--accel-unit", "g"]
-
-
-def run(pattern: str, out: Path, workers: int, kill_after: int | None = None) -> tuple[float, int]:
-    """Seconds and exit code; a worker is killed once so many recordings are done."""
-    start = time.perf_counter()
-    process = subprocess.Popen(
-        command(pattern, out, workers), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+def fleet(pattern: str, out: Path, workers: int, kill_after: int | None = None) -> float:
+    """Seconds; the worker that computed most is killed once so many recordings are done."""
+    options = {"--out": out, "--workers": workers, "--rate": 100, "--gyro-unit": "deg/s", "--accel-unit": "g"}
+    command = [str(Path(sys.executable).with_name("allanjax")), "fleet", pattern]
+    command += [str(part) for option in options.items() for part in option]
+    begun = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     if kill_after is not None:
-        while process.poll() is None and len(done(out)) < kill_after:
-            time.sleep(POLL_SECONDS)
-        os.kill(busiest_worker(process.pid), signal.SIGKILL)
-    code = process.wait()
-    return time.perf_counter() - start, code
+        import psutil
 
-
-def busiest_worker(pid: int) -> int:
-    """The descendant that has computed most: a worker, and not a helper of multiprocessing."""
-    import psutil
-
-    return max(psutil.Process(pid).children(recursive=True), key=lambda child: child.cpu_times().user).pid
-
-
-def done(out: Path) -> dict[str, int]:
-    """Results that are there, with the time of their writing."""
-    return {path.name: path.stat().st_mtime_ns for path in (out / "recordings").glob("*.json")}
-
-
-def same(one: Path, other: Path) -> bool:
-    """Whether two runs found the same."""
-    tables = [json.loads(pd.read_parquet(out / "fleet.parquet").to_json()) for out in (one, other)]
-    return tables[0] == tables[1]
-
-
-def measured(folder: Path, recordings: int, samples: int) -> tuple[list[list[str]], list[str]]:
-    """Rows of the table, and what the runs show beyond times."""
-    logs = folder / "logs"
-    simulate(logs, recordings, samples)
-    everything = str(logs / "*.parquet")
-    cold, _ = run(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
-    one, _ = run(everything, folder / "one", 1)
-    two, _ = run(everything, folder / "two", 2)
-    killed, killed_code = run(everything, folder / "killed", 2, kill_after=recordings // 2)
-    (logs / "corrupt.parquet").write_bytes((logs / "unit_000.parquet").read_bytes()[:1000])
-    before = done(folder / "two")
-    again, again_code = run(everything, folder / "two", 2)
-    errors = pd.read_csv(folder / "two" / "errors.csv")
-    kept = sum(before[name] == written for name, written in done(folder / "two").items())
-    found = pd.read_parquet(folder / "two" / "fleet.parquet")
-    marks = found.loc[found["outlying"], ["recording", "axis", "coefficient"]].drop_duplicates()
-    rows = [
-        ["two recordings, nothing compiled yet, 2 workers", f"{cold:.1f}", ""],
-        ["1 worker", f"{one:.1f}", "1.00"],
-        ["2 workers", f"{two:.1f}", f"{one / two:.2f}"],
-        ["2 workers, one killed half-way", f"{killed:.1f}", f"{one / killed:.2f}"],
-        ["second run, with a corrupt file added", f"{again:.1f}", f"{one / again:.2f}"],
-    ]
-    whole = len(done(folder / "killed"))
-    remarks = [
-        f"Worker killed half-way (SIGKILL): {whole} of {recordings} recordings have a result, exit code "
-        f"{killed_code}; the table {'is' if same(folder / 'two', folder / 'killed') else 'IS NOT'} the "
-        "same as without.",
-        f"Second run: {kept} of {recordings} results kept as they were; exit code {again_code}; "
-        f"{len(errors)} error: {'; '.join(errors['message'])}.",
-        f"Marked as outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}. Put in: "
-        f"unit_{recordings // 2:03d} gyro_x with {ODD:g} times the random walk.",
-    ]
-    return rows, remarks
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--recordings", type=int, default=200)
-    parser.add_argument("--samples", type=int, default=60_000)
-    parser.add_argument("--results", type=Path, default=paths.RESULTS / "fleet.md")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["ALLANJAX_CACHE"] = str(Path(folder) / "cache")
-        rows, remarks = measured(Path(folder), arguments.recordings, arguments.samples)
-    text = "\n".join(
-        [
-            "# Fleets",
-            "",
-            describe((*PACKAGES, "dask", "distributed")),
-            "",
-            f"{arguments.recordings} recordings of six axes × {arguments.samples:,} samples, Parquet, terms",
-            "chosen by the fit; from the command to the last file written, the local cluster's start and end",
-            "included.",
-            "",
-            table(["run", "seconds", "speed-up over 1 worker"], rows),
-            "",
-            *(f"- {remark}" for remark in remarks),
-            "",
-        ]
-    )
-    publish(text, arguments.results)
-
-
-if __name__ == "__main__":
-    main()
+        while process.poll() is None and len(list((out / "recordings").glob("*.json"))) < kill_after:
+            time.sleep(0.05)
+        children = psutil.Process(process.pid).children(recursive=True)
+        os.kill(max(children, key=lambda child: child.cpu_times().user).pid, signal.SIGKILL)
+    process.wait()
+    return time.perf_counter() - begun

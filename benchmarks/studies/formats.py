@@ -1,34 +1,51 @@
-"""Which files are read, which are refused and why, and how long a million samples take.
+"""Which files are read, what is said of half of one, and how long do a million samples take?
 
-    python benchmarks/studies/formats.py [--samples 1000000] [--data FOLDER] [--results PATH]
-
-A small file of every format is written, read, and read again when it is cut in half; so are the real logs in
-the folder that is given or named by ALLANJAX_DATA. Then a file of many samples is read of each kind of log.
+A small file of every format, 200 samples of six axes at 100 Hz, is written, read, and read again when it is
+cut in half; so are real logs, where ALLANJAX_DATA has them. Then a file of many samples is read of each kind
+of log: the samples must come back exactly.
 """
 
 from __future__ import annotations
 
-import argparse
 import resource
 import struct
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import paths
 from flight_logs import structured, write_dataflash, write_ulog
-from mutated_files import SIX, sample_files
 
 import allanjax as aj
-from benchmarks.common.machine import describe
-from benchmarks.common.report import publish, table
+from benchmarks.common.damaged_files import SIX, sample_files
+from benchmarks.common.study import UnavailableError, data, table
 
-REAL = ("phidgets_imu.bag", "sparkfun_razor.bag", "px4_small.ulg", "ardupilot_test.bin")
-REAL += ("euroc_slice.csv", "xio_sensor_data.csv")
+PACKAGES = ("pandas", "pyarrow", "h5py", "rosbags", "pyulog", "nptdms")
+QUICK: dict[str, Any] = {"samples": 1000}
+REAL = ("phidgets_imu.bag", "sparkfun_razor.bag", "px4_small.ulg", "ardupilot_test.bin", "euroc_slice.csv")
+REAL += ("xio_sensor_data.csv",)
 RATE = 400.0
-PACKAGES = ("numpy", "pandas", "pyarrow", "scipy", "h5py", "rosbags", "pyulog", "nptdms", "allanjax")
+
+
+def run(*, samples: int = 1_000_000) -> Iterator[str]:
+    with tempfile.TemporaryDirectory() as name:
+        folder, small = Path(name), []
+        for kind, sample in sample_files(folder).items():
+            whole, content = told(sample.path, **sample.options), sample.part.read_bytes()
+            sample.part.write_bytes(content[: len(content) // 2])
+            small.append([kind, whole, told(sample.path, **sample.options)])
+        yield "## A small file of each, and half of it"
+        yield table(["format", "whole", "cut in half"], small)
+        try:
+            real = [[log, told(data(log))] for log in REAL]
+            yield "## Real logs\n\n" + table(["file", "what comes of it"], real)
+        except UnavailableError as reason:
+            yield f"No real logs: {reason}."
+        yield f"## {samples:,} samples\n\nThe memory is the largest of the process so far."
+        head = ["format", "size [MB]", "time [s]", "µs a sample", "memory [MB]"]
+        yield table(head, many_samples(folder, samples))
 
 
 def told(path: Path, **options: object) -> str:
@@ -38,25 +55,6 @@ def told(path: Path, **options: object) -> str:
     except aj.AllanjaxError as error:
         return "refused: " + str(error).removeprefix(f"{path}: ").replace("|", "\\|")
     return f"{recording.n} samples of {len(recording.axes)} axes at {recording.rate:.6g} Hz"
-
-
-def small_files(folder: Path) -> list[list[str]]:
-    """Rows of the table of small files: format, what is read, what is said of half of it."""
-    rows = []
-    for name, sample in sample_files(folder).items():
-        whole = told(sample.path, **sample.options)
-        content = sample.part.read_bytes()
-        sample.part.write_bytes(content[: len(content) // 2])
-        rows.append([name, whole, told(sample.path, **sample.options)])
-    return rows
-
-
-def real_files(data: Path | None) -> list[list[str]]:
-    """Rows of the table of real files, as far as they are there."""
-    return [[name, told(data / name)] for name in REAL if data and (data / name).is_file()]
-
-
-# --- Many samples ------------------------------------------------------------------------------------------
 
 
 def bag(kind: str) -> Callable[[Path, np.ndarray], Path]:
@@ -124,7 +122,6 @@ MANY: dict[str, Callable[[Path, np.ndarray], Path]] = {
 
 
 def many_samples(folder: Path, count: int) -> list[list[str]]:
-    """Rows of the table of large files: format, size, time, time a sample, largest memory so far."""
     values = (
         np.random.default_rng(0).normal([0, 0, 0, 0, 0, 9.81], 0.01, (count, 6)).astype("f4").astype(float)
     )
@@ -132,53 +129,12 @@ def many_samples(folder: Path, count: int) -> list[list[str]]:
     for name, write in MANY.items():
         path = write(folder, values)
         size = sum(x.stat().st_size for x in ([path] if path.is_file() else path.iterdir()))
-        begin = time.perf_counter()
+        begun = time.perf_counter()
         recording = aj.read(path)
-        seconds = time.perf_counter() - begin
+        seconds = time.perf_counter() - begun
         np.testing.assert_array_equal(recording[["gyro", "accel"]].values, values)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         rows.append(
             [name, f"{size / 1e6:.0f}", f"{seconds:.1f}", f"{seconds / count * 1e6:.1f}", f"{peak:.0f}"]
         )
     return rows
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--samples", type=int, default=10**6)
-    parser.add_argument("--data", type=Path, default=paths.DATA, help="by default $ALLANJAX_DATA")
-    parser.add_argument("--results", type=Path, default=paths.RESULTS / "formats.md")
-    args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        small = small_files(Path(folder))
-        real = real_files(args.data)
-        many = many_samples(Path(folder), args.samples)
-    report = f"""# Formats that are read
-
-Reproduce with `python benchmarks/studies/formats.py --samples {args.samples}`.
-
-{describe(PACKAGES)}
-
-## A small file of each, and half of it
-
-200 samples of six axes at 100 Hz. Cut in half, a file is refused, or what is left of it is read.
-
-{table(["format", "whole", "cut in half"], small)}
-
-## Real logs
-
-{table(["file", "what comes of it"], real) if real else "The folder of real recordings was not given."}
-
-## {args.samples} samples
-
-Written with the same samples, which are read exactly. The memory is the largest of the process so far.
-
-{table(["format", "size [MB]", "time [s]", "µs a sample", "memory [MB]"], many)}
-"""
-    publish(report, args.results, quick=args.samples < 10**6)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,29 +1,32 @@
 """Are coefficients of records with lost samples right, and their intervals, by each way of going on?
 
-    python benchmarks/studies/gaps.py [--pauses] [--first-seed 7000000] [--records 80] [--workers 2]
-
-Records of three gyros, made by NumPy and SciPy alone, of which one sample in twenty is lost, half of them
-singly and half in bursts of 0.2 to 2 s, or all of them in five pauses. `gaps="fill"` and "segments" beside
-what is done elsewhere, and beside the whole record.
+Recordings of three gyros, made by NumPy and SciPy alone: N = 1e-3 rad/√s and K = 1e-4 rad/√s³, plain or
+behind a Butterworth filter of second order at 22 Hz. Of the samples 5 % are lost, half of them singly and
+half in bursts of 0.2 to 2 s, or all of them in five pauses. The plain sensor is fitted with N + K, the
+filtered one by `fit` as it is; where samples are lost singly there are no stretches to fit. "Bias" is the
+mean of the estimate over the truth, less one; coverage the share of 95 % intervals with the truth, of a limit
+where there is no interval; "no measurement" the share whose fit says so itself, which counts for neither.
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
-import paths
 from scipy.signal import butter, sosfilt
 
-from benchmarks.common.machine import describe
-from benchmarks.common.report import publish, run_tasks, share, table
+import allanjax as aj
+from benchmarks.common.study import run_tasks, share, table
 
-RATE, N, SETTLED = 100.0, 40_000, 2000
-WHITE, WALK, BANDWIDTH = 1e-3, 1e-4, 22.0
-SENSORS = ("white noise and a walk", "the same behind a filter", "white noise and a walk, five pauses")
-# Stretches are of some use where gaps are few: a pause has so many samples.
-PAUSES, PAUSE = 5, N // 100
+QUICK: dict[str, Any] = {"recordings": 1, "samples": 8192, "sensors": ("pauses",)}
+RATE, SETTLED, WHITE, WALK, BANDWIDTH = 100.0, 2000, 1e-3, 1e-4, 22.0
+SENSORS = {
+    "plain": "white noise and a walk",
+    "filtered": "the same behind a filter",
+    "pauses": "white noise and a walk, five pauses",
+}
+PAUSES = 5
 WAYS = {
     "whole": "nothing lost",
     "fill": "gaps='fill'",
@@ -34,42 +37,52 @@ WAYS = {
     "held": "the last value in the gaps",
     "line": "a straight line across the gaps",
 }
-COMMAND = "python benchmarks/studies/gaps.py"
-ABOUT = """# Records with lost samples
-
-{count} records of each sensor, {n} samples at {rate:g} Hz in recordings of three gyros, from seed {seed} on:
-N = {white:g} rad/√s and K = {walk:g} rad/√s³, plain or behind a Butterworth filter of second order at
-{bandwidth:g} Hz. Of the samples 5 % are lost, half of them singly and half in bursts of 20 to 200, or all of
-them in five pauses of {pause}. The plain sensor is fitted with N + K, the filtered one by `fit` as it is.
-Where samples are lost singly there are no stretches to fit. "bias" is the mean of the estimate over the
-truth, less one, with its standard error; coverage the share of 95 % intervals with the truth, of a limit
-where there is no interval; "no measurement" the share whose fit says so itself, which counts for neither.
-Reproduce with `{command}`.
-
-{machine}
-
-{table}
-"""
 
 
-def record(seed: int, sensor: str) -> tuple[np.ndarray, np.ndarray]:
+def run(
+    *,
+    recordings: int = 80,
+    samples: int = 40_000,
+    sensors: tuple[str, ...] = tuple(SENSORS),
+    seed: int = 7_000_000,
+) -> Iterator[str]:
+    tasks = [(seed + k, sensor, samples) for sensor in sensors for k in range(recordings)]
+    found: dict[tuple[str, str, str], list[tuple[float, bool, bool]]] = {}
+    for task, result in zip(tasks, run_tasks(outcomes, tasks), strict=True):
+        for way, label, *numbers in result:
+            found.setdefault((task[1], way, label), []).append(tuple(numbers))
+    rows = []
+    for sensor, way in dict.fromkeys(key[:2] for key in found):
+        row, kept = [SENSORS[sensor], WAYS[way]], np.zeros(1)
+        for label in ("N", "K"):
+            ratio, inside, kept = (np.array(y) for y in zip(*found[sensor, way, label], strict=True))
+            good = ratio[kept]
+            error = good.std() / np.sqrt(max(len(good), 1))
+            bias = f"{100.0 * (good.mean() - 1.0):+.2f} ± {100.0 * error:.2f}" if len(good) else "–"
+            row += [bias, share(inside[kept])]
+        rows.append([*row, f"{1.0 - kept.mean():.2f}"])
+    head = ["sensor", "gaps", "bias of N [%]", "coverage of N", "bias of K [%]", "coverage of K"]
+    yield f"{3 * recordings} records of {samples:,} samples of each sensor, 100 Hz, seeds from {seed} on."
+    yield table([*head, "no measurement"], rows)
+
+
+def record(seed: int, sensor: str, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Samples [n, 3] of a sensor, and which of them are lost."""
-    rng = np.random.default_rng(seed)
-    h, n = 1.0 / RATE, N + SETTLED
-    walk = WALK * np.sqrt(h) * np.cumsum(rng.standard_normal((n, 3)), axis=0)
-    x = WHITE / np.sqrt(h) * rng.standard_normal((n, 3)) + walk
-    if sensor == SENSORS[1]:
+    rng, total = np.random.default_rng(seed), n + SETTLED
+    walk = WALK / np.sqrt(RATE) * np.cumsum(rng.standard_normal((total, 3)), axis=0)
+    x = WHITE * np.sqrt(RATE) * rng.standard_normal((total, 3)) + walk
+    if sensor == "filtered":
         x = sosfilt(butter(2, BANDWIDTH, fs=RATE, output="sos"), x, axis=0)
-    if sensor == SENSORS[2]:
-        lost = np.zeros(N, bool)
-        for first in rng.choice(np.arange(1, N // PAUSE - 1), PAUSES, replace=False) * PAUSE:
-            lost[first : first + PAUSE] = True
+    lost = np.zeros(n, bool)
+    if sensor == "pauses":
+        pause = n // 100
+        for first in rng.choice(np.arange(1, 99), PAUSES, replace=False) * pause:
+            lost[first : first + pause] = True
         return x[SETTLED:], lost
-    lost = rng.random(N) < 0.025
-    bursts = 0
-    while bursts < 0.025 * N:
+    lost, bursts = rng.random(n) < 0.025, 0
+    while bursts < 0.025 * n:
         length = int(rng.integers(20, 201))
-        first = int(rng.integers(1, N - length - 1))
+        first = int(rng.integers(1, n - length - 1))
         lost[first : first + length] = True
         bursts += length
     lost[0] = lost[-1] = False
@@ -78,115 +91,36 @@ def record(seed: int, sensor: str) -> tuple[np.ndarray, np.ndarray]:
 
 def answered(x: np.ndarray, lost: np.ndarray, way: str) -> np.ndarray:
     """The samples as they are fitted."""
-    there = np.flatnonzero(~lost)
-    if way == "whole":
-        return x
-    if way == "joined":
-        return x[there]
+    there, everywhere = np.flatnonzero(~lost), np.arange(len(x))
+    if way in ("whole", "joined"):
+        return x if way == "whole" else x[there]
     if way == "line":
-        return np.column_stack([np.interp(np.arange(len(x)), there, y[there]) for y in x.T])
-    filled = x.copy()
+        return np.column_stack([np.interp(everywhere, there, y[there]) for y in x.T])
     if way == "held":
-        last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(x))))
-        return x[last]
-    filled[lost] = np.nan if way in ("fill", "segments", "longest") else x[there].mean(axis=0)
-    return filled
+        return x[np.maximum.accumulate(np.where(lost, 0, everywhere))]
+    return np.where(lost[:, None], x[there].mean(axis=0) if way == "mean" else np.nan, x)
 
 
-def outcomes(seed: int, sensor: str) -> list[tuple[str, str, float, bool, bool]]:
+def outcomes(seed: int, sensor: str, n: int) -> list[tuple[str, str, float, bool, bool]]:
     """Of every way, axis and coefficient: estimate over truth, whether it is covered and measured."""
-    import allanjax as aj
-
-    x, lost = record(seed, sensor)
+    x, lost = record(seed, sensor, n)
     found = []
     for way in WAYS:
         in_stretches = way in ("segments", "longest")
-        if in_stretches and sensor != SENSORS[2]:
+        if in_stretches and sensor != "pauses":
             continue
-        values = answered(x, lost, way)
         gaps = "segments" if in_stretches else "fill"
-        recording = aj.Recording.from_array(values, RATE, gyro_unit="rad/s", gaps=gaps)
+        recording = aj.Recording.from_array(answered(x, lost, way), RATE, gyro_unit="rad/s", gaps=gaps)
         if way == "longest":
             recording = recording.between(0.0, recording.duration)
-        model = None if sensor == SENSORS[1] else "N + K"
-        fit = aj.fit(recording, model, as_is=True)
-        for result in fit.results:
+        for result in aj.fit(recording, None if sensor == "filtered" else "N + K", as_is=True).results:
             for label, truth in (("N", WHITE), ("K", WALK)):
                 if not (result.converged and result.measured):
                     found.append((way, label, np.nan, False, False))
                     continue
                 c = result[label]
-                low, high = c.interval
-                inside = low <= truth <= high
-                if not np.isfinite(low):
+                inside = c.interval[0] <= truth <= c.interval[1]
+                if not np.isfinite(c.interval[0]):
                     inside = c.upper_limit is not None and truth <= c.upper_limit
                 found.append((way, label, c.value / truth, bool(inside), True))
     return found
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--first-seed", type=int, default=7_000_000)
-    parser.add_argument("--records", type=int, default=80, help="recordings of three gyros, of each sensor")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--pauses", action="store_true", help="only records with pauses, to gaps_pauses.md")
-    parser.add_argument("--quick", action="store_true", help="few records, to see that all of it runs")
-    parser.add_argument("--results", type=Path, default=None)
-    options = parser.parse_args()
-    if options.quick:
-        options.records = 2
-    seeds = range(options.first_seed, options.first_seed + options.records)
-    sensors = SENSORS[2:] if options.pauses else SENSORS
-    results = options.results or paths.RESULTS / ("gaps_pauses.md" if options.pauses else "gaps.md")
-    tasks = [(seed, sensor) for sensor in sensors for seed in seeds]
-    found: dict[tuple[str, str, str], list[tuple[float, bool, bool]]] = {}
-    for done, (task, result, _) in enumerate(run_tasks(outcomes, tasks, options.workers), 1):
-        for way, label, *numbers in result:
-            found.setdefault((task[1], way, label), []).append(tuple(numbers))
-        if done % 10 == 0:
-            print(f"{done} of {len(tasks)} recordings", flush=True)
-    rows = []
-    for sensor in sensors:
-        for way, words in WAYS.items():
-            if (sensor, way, "N") not in found:
-                continue
-            row = [sensor, words]
-            for label in ("N", "K"):
-                ratio, inside, measured = (np.array(y) for y in zip(*found[sensor, way, label], strict=True))
-                kept = measured.astype(bool)
-                if not kept.any():
-                    row += ["–", "–"]
-                    continue
-                good = ratio[kept]
-                error = good.std() / np.sqrt(len(good))
-                row += [f"{100.0 * (good.mean() - 1.0):+.2f} ± {100.0 * error:.2f}", share(inside[kept])]
-            row.append(f"{1.0 - kept.mean():.2f}")
-            rows.append(row)
-    head = [
-        "sensor",
-        "gaps",
-        "bias of N [%]",
-        "coverage of N",
-        "bias of K [%]",
-        "coverage of K",
-        "no measurement",
-    ]
-    which = ["--pauses"] if options.pauses else []
-    text = ABOUT.format(
-        count=3 * options.records,
-        n=N,
-        rate=RATE,
-        seed=options.first_seed,
-        white=WHITE,
-        walk=WALK,
-        bandwidth=BANDWIDTH,
-        pause=PAUSE,
-        command=" ".join([COMMAND, *which, f"--records {options.records} --first-seed {options.first_seed}"]),
-        machine=describe(),
-        table=table(head, rows),
-    )
-    publish(text, results, options.quick)
-
-
-if __name__ == "__main__":
-    main()

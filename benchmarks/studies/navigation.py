@@ -1,26 +1,30 @@
-"""Do a resting navigator's errors grow as told, do the intervals hold, and which sample rate is needed?
+"""Do a resting navigator's errors grow as told, do the intervals hold, and is the bandwidth found?
 
-    python benchmarks/studies/navigation.py [--quick] [--craft 300] [--records 40] [--results PATH]
+Growth: navigators at rest of three grades, from a strapdown mechanization that is written here in NumPy
+(rotation matrices, the specific force resolved and integrated), on samples that the package simulates at 50
+Hz, less their means over 100 s before the start. Cells: the root mean square of the error over the standard
+deviation that `navigate` tells.
 
-The strapdown mechanization is written here, in NumPy: rotation matrices, the specific force resolved and
-integrated. It shares no code with the package, which makes its noise.
+Intervals: recordings of two hours at 10 Hz with three gyros and accelerometers of N + K: the share of 95 %
+intervals that hold the true standard deviation of the error; of the best azimuth, and of the time needed for
+1.5 times the best, of two gyros a recording.
+
+Sample rate: records of 15 min at 200 Hz behind filters of 10 Hz: bandwidths that were found, and the mean
+share of the level that is aliased when samples are picked at lower rates.
 """
 
 from __future__ import annotations
 
-import argparse
-import math
-from pathlib import Path
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
-import paths
 
 import allanjax as aj
-from benchmarks.common.machine import describe
-from benchmarks.common.report import publish, share, table
+from benchmarks.common.study import run_tasks, share, table
 
+QUICK: dict[str, Any] = {"craft": 4, "records": 1, "grades": ("consumer",)}
 RATE, CALIBRATION, TIMES = 50.0, 100.0, (1.0, 10.0, 100.0)
-SEED = 434_955_521
 GRAVITY = 9.80665
 SENSORS = {
     "navigation": ("N=0.002 deg/√h + B=0.003 deg/h", "N=0.005 m/s/√h + B=5 µg + Q=0.0001 m/s"),
@@ -34,6 +38,55 @@ SENSORS = {
     ),
 }
 QUANTITIES = ("attitude", "velocity", "position")
+
+
+def run(
+    *, craft: int = 300, records: int = 40, grades: tuple[str, ...] = tuple(SENSORS), seed: int = 434_955_521
+) -> Iterator[str]:
+    rows = [
+        r
+        for part in run_tasks(growth, [(g, craft, seed + 10_000 * k) for k, g in enumerate(grades)])
+        for r in part
+    ]
+    scatter = 1.0 / np.sqrt(2.0 * craft)
+    ratios = np.array([[float(x) for x in row[2:5]] for row in rows])
+    yield f"## Growth of errors, {craft} craft of each grade\n\nBy chance ratios scatter by {scatter:.3f}."
+    yield table(["sensor", "error", "1 s", "10 s", "100 s", "mostly from, at 100 s"], rows)
+    yield (
+        f"Of the {ratios.size} ratios, {np.mean(abs(ratios - 1.0) < 2.0 * scatter):.0%} are within two "
+        f"standard errors; mean {ratios.mean():.4f}, from {ratios.min():.3f} to {ratios.max():.3f}."
+    )
+    rows, aligned = [], []
+    for label in FITS:
+        found = run_tasks(held, [(label, seed + 50_000 + k) for k in range(records)])
+        for quantity in QUANTITIES:
+            hits = [h[quantity] for h, _ in found if quantity in h]
+            rows.append(
+                [
+                    label,
+                    quantity,
+                    *(share(np.concatenate([h[:, j] for h in hits])) for j in range(len(LATER))),
+                ]
+            )
+        each = np.array([axis for _, told in found for axis in told])
+        aligned.append([label, share(each[:, 0]), share(each[:, 1])])
+    yield f"## Intervals, {records} recordings\n\n" + table(
+        ["fit", "error", *(f"{t:g} s" for t in LATER)], rows
+    )
+    yield table(["fit", "best azimuth", "time for 1.5 times that"], aligned)
+    rows, count = [], max(records // 2, 1)
+    for j, name in enumerate(FILTERS):
+        results = run_tasks(bandwidth, [(name, seed + 90_000 + 100 * j + k) for k in range(count)])
+        known = [r.bandwidth for r in results if r.bandwidth is not None]
+        hits = [b.interval[0] <= 10.0 <= b.interval[1] for b in known]
+        mean = f"{np.mean([b.value for b in known]):.2f} Hz" if known else "–"
+        aliased = np.mean([r.aliased for r in results], axis=0)[1:]
+        rows.append(
+            [name, f"{len(known)} of {count}", mean, share(hits), *(f"{100.0 * x:.1f} %" for x in aliased)]
+        )
+    yield f"## Sample rate, {count} records\n\n" + table(
+        ["filter", "found", "bandwidth", "95 % interval holds 10 Hz", *RATES], rows
+    )
 
 
 def rotation(angle: np.ndarray) -> np.ndarray:
@@ -66,62 +119,48 @@ def strapdown(gyro: np.ndarray, accel: np.ndarray, h: float, at: list[int]) -> d
     return {name: np.stack(errors) for name, errors in found.items()}
 
 
-def growth(craft: int) -> tuple[list[list[str]], list[float]]:
-    """Rows of measured over told standard deviations, and all of these ratios."""
+def growth(name: str, craft: int, seed: int) -> list[list[str]]:
+    """Rows of a grade: measured over told standard deviations."""
     before, n = round(CALIBRATION * RATE), round(TIMES[-1] * RATE)
-    at = [round(t * RATE) for t in TIMES]
-    rows, ratios = [], []
-    for j, (name, (gyro, accel)) in enumerate(SENSORS.items()):
-        models = {f"{s}_{x}": m for s, m in (("gyro", gyro), ("accel", accel)) for x in "xyz"}
-        z = np.empty((craft, before + n, 6))
-        for k in range(craft):
-            recording = aj.simulate_recording(models, before + n, RATE, SEED + 10_000 * j + k)
-            z[k] = recording.values
-        z = z[:, before:] - z[:, :before].mean(axis=1, keepdims=True)
-        errors = strapdown(z[..., :3], z[..., 3:], 1.0 / RATE, at)
-        told = aj.navigate(models, TIMES, rate=RATE, calibration=CALIBRATION, gravity=GRAVITY)
-        for quantity in QUANTITIES:
-            ratio = np.sqrt((errors[quantity] ** 2).mean(axis=1)).T / told[quantity].error
-            ratios += list(ratio.ravel())
-            for c, channel in enumerate(told[quantity].channels):
-                largest = told[quantity].largest(channel)[-1]
-                rows.append([name, f"{quantity} {channel}", *(f"{x:.3f}" for x in ratio[c]), largest])
-    return rows, ratios
+    models = {f"{s}_{x}": m for s, m in zip(("gyro", "accel"), SENSORS[name], strict=True) for x in "xyz"}
+    z = np.stack([aj.simulate_recording(models, before + n, RATE, seed + k).values for k in range(craft)])
+    z = z[:, before:] - z[:, :before].mean(axis=1, keepdims=True)
+    errors = strapdown(z[..., :3], z[..., 3:], 1.0 / RATE, [round(t * RATE) for t in TIMES])
+    told = aj.navigate(models, TIMES, rate=RATE, calibration=CALIBRATION, gravity=GRAVITY)
+    rows = []
+    for quantity in QUANTITIES:
+        ratio = np.sqrt((errors[quantity] ** 2).mean(axis=1)).T / told[quantity].error
+        for c, channel in enumerate(told[quantity].channels):
+            largest = told[quantity].largest(channel)[-1]
+            rows.append([name, f"{quantity} {channel}", *(f"{x:.3f}" for x in ratio[c]), largest])
+    return rows
 
 
 TRUTH = {"gyro": "N=0.1 deg/√h + K=2 deg/h/√h", "accel": "N=0.03 m/s/√h + K=0.3 m/s/h/√h"}
 RATES = ("100 Hz", "40 Hz", "20 Hz", "10 Hz", "4 Hz")
 LATER = (1.0, 10.0, 100.0, 1000.0)
+FITS = {"terms given": "N + K", "terms chosen by the fit": None}
 
 
-def coverage(records: int) -> tuple[list[list[str]], list[list[str]]]:
-    """Shares of 95 % intervals that hold the truth, of errors and of the alignment."""
+def held(label: str, seed: int) -> tuple[dict[str, np.ndarray], list[tuple[bool, bool]]]:
+    """Whether the intervals of a recording hold the truth: of errors, of best azimuth and needed time."""
     models = {f"{s}_{x}": m for s, m in TRUTH.items() for x in "xyz"}
     truth = aj.navigate(models, LATER, rate=10.0, calibration=300.0)
     best = aj.align(models, 51.0, rate=10.0)["gyro_x"].best
     level = aj.align(models, 51.0, 1.5 * best, rate=10.0)
-    rows, aligned = [], []
-    for label, terms in (("terms given", "N + K"), ("terms chosen by the fit", None)):
-        hits: dict[str, list[np.ndarray]] = {name: [] for name in QUANTITIES}
-        told: dict[str, list[bool]] = {"best": [], "needed": []}
-        for k in range(records):
-            recording = aj.simulate_recording(models, 72_000, 10.0, SEED + 50_000 + k)
-            fit = aj.fit(recording, terms, as_is=True)
-            found = aj.navigate(fit, LATER, calibration=300.0)
-            for quantity in QUANTITIES:
-                own, true = found[quantity], truth[quantity].error
-                if own.error.shape == true.shape:
-                    hits[quantity].append((own.lower <= true) & (true <= own.upper))
-            for axis in ("gyro_x", "gyro_y"):
-                result = aj.align(fit, 51.0, 1.5 * best)[axis]
-                for name in told:
-                    low, high = getattr(result, f"{name}_interval")
-                    told[name].append(low <= getattr(level[axis], name) <= high)
-        for quantity in QUANTITIES:
-            cells = [share(np.concatenate([h[:, j] for h in hits[quantity]])) for j in range(len(LATER))]
-            rows.append([label, quantity, *cells])
-        aligned.append([label, *(share(np.array(told[name])) for name in told)])
-    return rows, aligned
+    fit = aj.fit(aj.simulate_recording(models, 72_000, 10.0, seed), FITS[label], as_is=True)
+    found, hits, told = aj.navigate(fit, LATER, calibration=300.0), {}, []
+    for quantity in QUANTITIES:
+        own, true = found[quantity], truth[quantity].error
+        if own.error.shape == true.shape:
+            hits[quantity] = (own.lower <= true) & (true <= own.upper)
+    for axis in ("gyro_x", "gyro_y"):
+        result = aj.align(fit, 51.0, 1.5 * best)[axis]
+        ends = [
+            (getattr(result, f"{name}_interval"), getattr(level[axis], name)) for name in ("best", "needed")
+        ]
+        told.append(tuple(low <= true <= high for (low, high), true in ends))
+    return hits, told
 
 
 FILTERS = {
@@ -131,89 +170,5 @@ FILTERS = {
 }
 
 
-def rates(records: int) -> list[list[str]]:
-    """Rows of bandwidths, coverage, and aliased shares by rate."""
-    rows = []
-    for j, (name, model) in enumerate(FILTERS.items()):
-        results = [
-            aj.sample_rates(model, rate=200.0, duration=900.0, seed=SEED + 90_000 + 100 * j + k)["gyro"]
-            for k in range(records)
-        ]
-        known = [r.bandwidth for r in results if r.bandwidth is not None]
-        hits = np.array([b.interval[0] <= 10.0 <= b.interval[1] for b in known])
-        aliased = np.mean([r.aliased for r in results], axis=0)
-        rows.append(
-            [
-                name,
-                f"{len(known)} of {records}",
-                f"{np.mean([b.value for b in known]):.2f} Hz",
-                share(hits),
-                *(f"{100.0 * x:.1f} %" for x in aliased[1:]),
-            ]
-        )
-    return rows
-
-
-def report(craft: int, records: int) -> str:
-    grown, ratios = growth(craft)
-    held, aligned = coverage(records)
-    sampled = rates(max(records // 2, 2))
-    scatter = 1.0 / math.sqrt(2.0 * craft)
-    off = (np.array(ratios) - 1.0) / scatter
-    kinds = "; ".join(f"*{k}*: gyros {g}, accelerometers {a}" for k, (g, a) in SENSORS.items())
-    return f"""# What noise does to a navigator
-
-Reproduce with `python benchmarks/studies/navigation.py`.
-
-{describe()}
-
-## Growth of errors
-
-{craft} navigators at rest of each of three grades, from a mechanization in NumPy (rotation matrices,
-specific force resolved, integrated) on simulated samples at {RATE:g} Hz, less their means over
-{CALIBRATION:g} s before the start. The columns are the root mean square of the error over the standard
-deviation that `navigate` tells, after 1, 10 and 100 s; by chance it scatters by {scatter:.3f}.
-{kinds}.
-
-{table(["sensor", "error", "1 s", "10 s", "100 s", "mostly from, at 100 s"], grown)}
-
-Of the {len(ratios)} ratios, {np.mean(np.abs(off) < 2.0):.0%} are within two of these standard errors; mean
-{np.mean(ratios):.4f}, from {min(ratios):.3f} to {max(ratios):.3f}. They are not independent of each other:
-the times and directions of a craft share their noise.
-
-## Intervals
-
-{records} records of two hours at 10 Hz with three gyros ({TRUTH["gyro"]}) and three accelerometers
-({TRUTH["accel"]}): the share of 95 % intervals that hold the true standard deviation of the error.
-
-{table(["fit", "error", "1 s", "10 s", "100 s", "1,000 s"], held)}
-
-Best azimuth, and the time needed for 1.5 times the best, of two gyros a record:
-
-{table(["fit", "best azimuth", "time for 1.5 times that"], aligned)}
-
-## Sample rate
-
-{max(records // 2, 2)} records of 15 min at 200 Hz behind filters of 10 Hz: bandwidths that were found,
-their mean, the share of 95 % intervals that hold 10 Hz, and the mean share of the level that is aliased when
-samples are picked at lower rates.
-
-{table(["filter", "found", "bandwidth", "95 % interval holds", *RATES], sampled)}
-"""
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--quick", action="store_true", help="few records of each")
-    parser.add_argument("--craft", type=int, default=300)
-    parser.add_argument("--records", type=int, default=40)
-    parser.add_argument("--results", type=Path, default=paths.RESULTS / "navigation.md")
-    options = parser.parse_args()
-    craft, records = (20, 2) if options.quick else (options.craft, options.records)
-    publish(report(craft, records), options.results, options.quick)
-
-
-if __name__ == "__main__":
-    main()
+def bandwidth(name: str, seed: int) -> Any:
+    return aj.sample_rates(FILTERS[name], rate=200.0, duration=900.0, seed=seed)["gyro"]

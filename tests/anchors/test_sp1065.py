@@ -54,8 +54,8 @@ def assert_printed(found: np.ndarray, expected: list[float], digits: int) -> Non
     np.testing.assert_array_less(abs(found - expected), 1.01 * last)
 
 
-# Table 30. "Hadamard" is of overlapping clusters there; the other one, at m = 2, is of table II of Riley's "The
-# Calculation of Time Domain Frequency Stability".
+# Table 30. "Hadamard" is of overlapping clusters there; the other one, at m = 2, is of table II of Riley's
+# "The Calculation of Time Domain Frequency Stability".
 TABLE_30 = {
     "adev": [91.22945, 115.8082],
     "oadev": [91.22945, 85.95287],

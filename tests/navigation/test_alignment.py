@@ -1,26 +1,39 @@
-"""Leveling and gyro-compassing: against closed forms, a simulation of two positions, and refusals."""
+"""Leveling and gyro-compassing: against closed forms, a simulation of two positions, draws, and refusals."""
 
+import dataclasses
 import math
 
+import bench
 import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.base.earth import EARTH_RATE
 
 DEG = math.pi / 180.0
 N, K = 6e-7, 2e-9
-EARTH = EARTH_RATE * math.cos(51.0 * DEG)
+WALKING = aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)
+EARTH = 7.292115e-5 * math.cos(51.0 * DEG)
+#: The least error of white noise and a walk, N·K/√3 of the variance.
+LEAST = math.sqrt(N * K / math.sqrt(3.0)) / EARTH
 
 
 def test_white_noise_takes_the_time_of_the_thesis():
     """(2.53): T = [N/(ω_e cos φ dA)]², between two times of the grid, where a power law is exact."""
     found = aj.align({"gyro_x": aj.AngleRandomWalk(N)}, 51.0, "0.1 deg", rate=100.0)["gyro_x"]
+    assert found.wanted == pytest.approx(0.1 * DEG)
     assert found.needed == pytest.approx((N / (EARTH * 0.1 * DEG)) ** 2, rel=1e-9)
     assert found.white_time == pytest.approx(found.needed, rel=1e-9)
     np.testing.assert_allclose(found.error, N / EARTH / np.sqrt(found.time), rtol=1e-9)
+    assert found.time[[0, 1]] == pytest.approx([0.02, 0.04])
+    assert 0.9 * 1e5 < found.time[-1] <= 1e5
+    assert found.best == found.error[-1]
+    # Within 1 % of the least: the last time.
+    assert found.best_time == found.time[-1]
     assert found.falling
     assert found.out_of_reach == 0.0
+    assert np.isnan(
+        [*found.needed_interval, *found.best_interval, *found.best_time_interval, *found.lower]
+    ).all()
 
 
 def test_a_walk_makes_an_optimum():
@@ -28,120 +41,171 @@ def test_a_walk_makes_an_optimum():
 
     It is within 2 % of the least at 0.82 of that time, hence T within 10 % (a step of the grid) of it.
     """
-    models = {"gyro_x": aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)}
-    least = math.sqrt(N * K / math.sqrt(3.0)) / EARTH
-    found = aj.align(models, 51.0, 1.5 * least, rate=10.0)["gyro_x"]
-    assert found.best == pytest.approx(least, rel=1e-3)
+    models = {"gyro_x": WALKING}
+    found = aj.align(models, 51.0, 1.5 * LEAST, rate=10.0)["gyro_x"]
+    np.testing.assert_allclose(
+        found.error * EARTH, np.sqrt(N**2 / found.time + K**2 * found.time / 12.0), rtol=1e-6
+    )
+    assert found.best == pytest.approx(LEAST, rel=1e-3)
     assert found.best_time == pytest.approx(0.82 * math.sqrt(12.0) * N / K, rel=0.1)
     # The smaller root of N²/T + K²T/12 = wanted².
-    wanted = (1.5 * least * EARTH) ** 2
+    wanted = (1.5 * LEAST * EARTH) ** 2
     root = (wanted - math.sqrt(wanted**2 - N**2 * K**2 / 3.0)) / (K**2 / 6.0)
     assert found.needed == pytest.approx(root, rel=1e-3)
-    assert found.needed > found.white_time
-    beyond = aj.align(models, 51.0, 0.9 * least, rate=10.0)
-    assert math.isinf(beyond["gyro_x"].needed)
-    assert beyond["gyro_x"].out_of_reach == 1.0
-    assert not beyond["gyro_x"].falling
-    assert "is out of reach; white noise alone would take" in str(beyond)
+    assert found.white_time == pytest.approx(N**2 / wanted, rel=1e-6)
+    assert not found.falling
+    beyond = aj.align(models, 51.0, 0.9 * LEAST, rate=10.0)["gyro_x"]
+    assert math.isinf(beyond.needed)
+    assert beyond.out_of_reach == 1.0
+    assert "out of reach" in beyond.verdict()
 
 
 def test_half_the_difference_of_two_positions_is_as_accurate_as_told():
     """4,000 gyros by NumPy, turned half-way: a standard deviation scatters by 1.1 %, within 4 %."""
     rng = np.random.default_rng(5)
-    count, n, h = 4000, 400, 1.0
-    steps, bridge = rng.standard_normal((2, count, n)) * K * math.sqrt(h)
+    count, n = 4000, 400
+    steps, bridge = rng.standard_normal((2, count, n)) * K
     walk = np.cumsum(steps, axis=1) - steps / 2.0 + bridge / math.sqrt(12.0)
-    z = N / math.sqrt(h) * rng.standard_normal((count, n)) + walk + 1e-3 * rng.standard_normal((count, 1))
+    z = N * rng.standard_normal((count, n)) + walk + 1e-3 * rng.standard_normal((count, 1))
     azimuth = (z[:, : n // 2].mean(axis=1) - z[:, n // 2 :].mean(axis=1)) / 2.0 / EARTH
-    found = aj.align({"gyro_x": aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)}, 51.0, rate=1.0)["gyro_x"]
-    told = np.interp(n * h, found.time, found.error)
-    assert azimuth.std() == pytest.approx(told, rel=0.04)
-
-
-def test_tilt_is_an_accelerometers_error_over_gravity():
-    """(2.45): 100 µg that remain are 20.6 arcsec."""
-    models = {"accel_x": aj.AngleRandomWalk(1e-9)}
-    found = aj.align(models, 0.0, rate=10.0, accel_bias="100 µg")["accel_x"]
-    assert found.angle == "tilt"
-    assert found.best == pytest.approx(1e-4, rel=1e-6)
-
-
-@pytest.fixture(scope="module")
-def fit():
-    """Two gyros of a navigator, two hours at 2 Hz, of white noise and a walk."""
-    model = aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)
-    recording = aj.simulate_recording({"gyro_x": model, "gyro_y": model}, 14_400, 2.0, 4)
-    return aj.fit(recording, "N + K", as_is=True)
-
-
-def test_intervals_of_a_fit_hold_the_truth(fit):
-    """Best azimuth, its time and the time needed, of two gyros: of six intervals of 95 % one may miss."""
-    least = math.sqrt(N * K / math.sqrt(3.0)) / EARTH
-    exact = aj.align({"gyro_x": aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)}, 51.0, 1.5 * least, rate=2.0)
-    truth, found = exact["gyro_x"], aj.align(fit, 51.0, 1.5 * least)
-    hits = []
-    for result in found.values():
-        for name in ("best", "best_time", "needed"):
-            low, high = getattr(result, f"{name}_interval")
-            hits.append(low <= getattr(truth, name) <= high)
-            assert low <= getattr(result, name) <= high
-            assert high < 10.0 * low
-        assert result.out_of_reach < 0.05
-    assert sum(hits) >= 5
-
-
-def test_an_azimuth_at_the_edge_may_be_out_of_reach(fit):
-    least = aj.align(fit, 51.0)["gyro_x"].best
-    found = aj.align(fit, 51.0, least * 1.001)["gyro_x"]
-    assert 0.1 < found.out_of_reach < 0.9
-    assert math.isinf(found.needed_interval[1])
-    assert "out of reach with probability" in found.verdict()
-    assert "never" in found.verdict()
-
-
-def test_the_table_frame_and_document(fit):
-    found = aj.align(fit, 51.0, "1 deg")
-    text = str(found)
-    for words in ("at 51° of latitude", "best azimuth", "deg", "within 1 % of it", "white noise alone"):
-        assert words in text
-    frame, document = found.to_dataframe(), found.to_dict()
-    assert frame[frame.axis == "gyro_x"].error.min() == document["axes"][0]["best"]
-
-
-def test_the_title_names_what_the_sensors_do():
-    gyro, accel = {"gyro_x": aj.AngleRandomWalk(N)}, {"accel_x": aj.AngleRandomWalk(N)}
-    told = [str(aj.align(of, 51.0, rate=1.0)) for of in (gyro, accel, gyro | accel)]
-    assert told[0].startswith("gyro-compassing at 51°")
-    assert told[1].startswith("leveling at 51°")
-    assert told[2].startswith("leveling and gyro-compassing at 51°")
-    assert not any("interval" in text for text in told)
-
-
-def test_a_gyro_that_cannot_find_north_says_so(small_fit):
-    found = aj.align(small_fit, 51.0)
-    assert "gyro_x" in found
-    assert "gyro_z" not in found
-    assert "azimuth not found: its error is never below" in str(found)
+    found = aj.align({"gyro_x": WALKING}, 51.0, rate=1.0)["gyro_x"]
+    assert azimuth.std() == pytest.approx(np.interp(n, found.time, found.error), rel=0.04)
 
 
 @pytest.mark.parametrize(
-    ("latitude", "azimuth", "options", "message"),
+    ("axis", "angle", "options", "expected"),
     [
-        (90.0, None, {}, "no horizontal part to tell north by"),
-        (-89.5, None, {}, "below 89 deg"),
-        (91.0, None, {}, "the latitude must be from -90 to 90"),
-        (math.nan, None, {}, "the latitude must be from"),
-        (51.0, "0.1 m", {}, "cannot convert"),
-        (51.0, 0.0, {}, "give one that is positive"),
-        (51.0, -1.0, {}, "azimuth must be finite and not negative"),
-        (51.0, None, {"gravity": -1.0}, "gravity must be positive"),
+        # (2.45): 100 µg that remain are 20.6 arcsec; with another gravity they are more.
+        ("accel_x", "tilt", {"accel_bias": "100 µg"}, 1e-4),
+        ("accel_y", "tilt", {"accel_bias": "100 µg", "gravity": 9.8}, 1e-4 * 9.80665 / 9.8),
+        ("gyro_y", "azimuth", {"gyro_bias": "0.01 deg/h"}, 0.01 * DEG / 3600.0 / EARTH),
     ],
 )
-def test_what_is_wrong_is_refused(latitude, azimuth, options, message):
-    with pytest.raises(aj.AllanjaxError, match=message):
+def test_biases_that_remain_are_angles(axis, angle, options, expected):
+    found = aj.align({axis: aj.AngleRandomWalk(1e-10)}, 51.0, 1e-3, rate=10.0, **options)[axis]
+    assert found.angle == angle
+    np.testing.assert_allclose(found.error[-1], expected, rtol=1e-5)
+    assert (found.wanted is None) == (angle == "tilt")
+
+
+# ------------------------------------------------------------------------------------------------- intervals
+def quantiles(values):
+    return [np.quantile(values, q, method="nearest") for q in (0.025, 0.975)]
+
+
+def test_intervals_of_a_posterior_are_those_of_its_draws():
+    """Each variance is linear in the powers of the terms: all numbers by their definition from 400 draws."""
+    posterior, latitude, bias = bench.posterior("small", ("gyro_x", "accel_z")), -40.0, 1e-9
+    earth = 7.292115e-5 * math.cos(latitude * DEG)
+    best = aj.align(posterior, latitude, gyro_bias=bias)["gyro_x"].best
+    found = aj.align(posterior, latitude, 1.02 * best, gyro_bias=bias)["gyro_x"]
+    at, half = found.time, found.time / 2.0
+    models = posterior["gyro_x"].models(400)
+    white, flicker = (
+        np.array([m.values[k] for m in models]) for k in ("angle_random_walk", "bias_instability")
+    )
+    # Allan variances of N and B at half of the time, by themselves of amplitude one; that of the flicker
+    # noise's means over a sample interval is below 2 ln 2/π at the first clusters.
+    of_flicker = np.array(aj.BiasInstability(1.0).sampled(100.0).allan_variance(half))
+    variance = (np.outer(white**2, 1.0 / half) + np.outer(flicker**2, of_flicker)) / 2.0
+    np.testing.assert_allclose(of_flicker[-8:], 2.0 * math.log(2.0) / math.pi, rtol=1e-3)
+    errors = np.sqrt(variance + bias**2) / earth
+    np.testing.assert_allclose(found.error, np.sqrt(variance.mean(axis=0) + bias**2) / earth, rtol=1e-6)
+    ends = np.sqrt(np.quantile(variance, [0.025, 0.975], axis=0) + bias**2) / earth
+    np.testing.assert_allclose([found.lower, found.upper], ends, rtol=1e-6)
+    least = errors.min(axis=1)
+    np.testing.assert_allclose(found.best_interval, quantiles(least), rtol=1e-6)
+    np.testing.assert_allclose(
+        found.best_time_interval, quantiles(at[np.argmax(errors <= 1.01 * least[:, None], axis=1)])
+    )
+    reached = []
+    for row in errors:
+        k = np.flatnonzero(row <= found.wanted)
+        logs = np.log(np.stack([row, at]))
+        cut = np.r_[k, 0][0] - 1
+        share = (logs[0, cut] - math.log(found.wanted)) / (logs[0, cut] - logs[0, cut + 1])
+        reached.append(
+            math.exp(logs[1, cut] + share * (logs[1, cut + 1] - logs[1, cut])) if len(k) else math.inf
+        )
+    np.testing.assert_allclose(found.needed_interval, quantiles(reached), rtol=1e-6)
+    assert found.out_of_reach == np.isinf(reached).mean()
+    assert 0.1 < found.out_of_reach < 0.9
+    assert math.isinf(found.needed_interval[1])
+    assert "never" in found.verdict()
+
+
+def test_intervals_of_a_fit_hold_the_truth():
+    """Best azimuth, its time and the time needed, of two gyros: of six intervals of 95 % one may miss."""
+    fit, truth = bench.fit("walk", "N + K"), bench.truth("walk").truth
+    hits = []
+    for name, own in truth.items():
+        values = own["angle_random_walk"], own["rate_random_walk"]
+        model = aj.AngleRandomWalk(values[0]) + aj.RateRandomWalk(values[1])
+        least = math.sqrt(values[0] * values[1] / math.sqrt(3.0)) / EARTH
+        exact = aj.align({name: model}, 51.0, 1.5 * least, rate=100.0)[name]
+        result = aj.align(fit, 51.0, 1.5 * least)[name]
+        for number in ("best", "best_time", "needed"):
+            low, high = getattr(result, f"{number}_interval")
+            hits.append(low <= getattr(exact, number) <= high)
+            assert low <= getattr(result, number) <= high
+            assert high < 3.0 * low
+        assert result.out_of_reach < 0.05
+        # Of half of the record in each position.
+        assert 0.9 * 163.84 < result.time[-1] <= 163.84
+    assert sum(hits) >= 5
+
+
+def test_only_level_axes_are_aligned_and_told():
+    found = aj.align(bench.fit("small"), 51.0)
+    assert list(found) == ["gyro_x", "gyro_y"]
+    # An error of more than 30 degrees is none.
+    assert "azimuth not found" in str(found)
+    with pytest.raises(aj.AllanjaxError, match="gyro_z"):
+        aj.align({"gyro_z": aj.AngleRandomWalk(N)}, 51.0, rate=1.0)
+
+
+def test_the_frame_and_document_have_the_numbers():
+    models = {"gyro_x": WALKING, "accel_y": aj.AngleRandomWalk(1e-4)}
+    found = aj.align(models, 51.0, "1 deg", rate=2.0)
+    frame, document = found.to_dataframe(), found.to_dict()
+    assert document["latitude_rad"] == pytest.approx(51.0 * DEG)
+    for axis, told in zip(found.values(), document["axes"], strict=True):
+        rows = frame[frame.axis == axis.axis.name]
+        np.testing.assert_array_equal(rows[["time", "error"]].T, [axis.time, axis.error])
+        assert set(rows.angle) == {axis.angle}
+        names = ("angle", "best", "best_time", "falling", "wanted")
+        assert [told[name] for name in names] == [getattr(axis, name) for name in names]
+        assert told["best_interval"] == [None, None]
+    assert [told["needed"] for told in document["axes"]] == [found["gyro_x"].needed, None]
+    rows = [
+        [cell.strip() for cell in line.split("│")[1:5]] for line in str(found).splitlines() if "best" in line
+    ]
+    assert float(rows[0][2].removesuffix("deg")) == pytest.approx(found["gyro_x"].best / DEG, rel=5e-3)
+    assert float(rows[1][2].removesuffix("deg")) == pytest.approx(found["accel_y"].best / DEG, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "azimuth", "options", "word"),
+    [
+        (90.0, None, {}, "north"),
+        (-89.5, None, {}, "89 deg"),
+        (91.0, None, {}, "latitude"),
+        (math.nan, None, {}, "latitude"),
+        (51.0, "0.1 m", {}, "convert"),
+        (51.0, 0.0, {}, "azimuth"),
+        (51.0, -1.0, {}, "azimuth"),
+        (51.0, None, {"gravity": -1.0}, "gravity"),
+        (51.0, None, {"gyro_bias": "x"}, "gyro_bias"),
+        (51.0, None, {"accel_bias": -1.0}, "accel_bias"),
+    ],
+)
+def test_what_is_wrong_is_refused(latitude, azimuth, options, word):
+    with pytest.raises(aj.AllanjaxError, match=word):
         aj.align({"gyro_x": aj.AngleRandomWalk(N)}, latitude, azimuth, rate=1.0, **options)
 
 
-def test_no_level_axis_is_refused():
-    with pytest.raises(aj.AllanjaxError, match="no level axis, x or y; there are gyro_z"):
-        aj.align({"gyro_z": aj.AngleRandomWalk(N)}, 51.0, rate=1.0)
+def test_too_short_a_record_is_refused():
+    fit = bench.fit("white", "N")
+    short = dataclasses.replace(fit, curve=dataclasses.replace(fit.curve, n=3))
+    with pytest.raises(aj.AllanjaxError, match="samples"):
+        aj.align(short, 51.0)

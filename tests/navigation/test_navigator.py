@@ -1,18 +1,18 @@
 """Growth of a navigator's errors: against dense covariances, a strapdown mechanization, and the thesis."""
 
 import dataclasses
+import functools
+import json
 import math
-import pickle
 
+import bench
 import numpy as np
 import pytest
 
 import allanjax as aj
-from allanjax.base.earth import EARTH_RADIUS
-from allanjax.navigation.growth import ErrorVariances, bias_response
 
 DEG = math.pi / 180.0
-RATE = 20.0
+RATE, RADIUS, G = 20.0, 6_371_000.0, 9.80665
 QUIET = aj.AngleRandomWalk(1e-12)
 
 
@@ -29,80 +29,131 @@ def test_the_thesis_numbers():
     np.testing.assert_allclose(by_gyro["attitude"].of("east"), rad * np.array([10.0, 1000.0]), rtol=1e-6)
 
 
-MODELS = [
-    aj.AngleRandomWalk(1e-3),
-    aj.RateRandomWalk(1e-4),
-    aj.Quantization(1e-5),
-    aj.Markov(1e-4, 3.0),
-    aj.Sinusoid(1e-3, 3.3),
-    aj.DriftRamp(1e-7),
-    aj.LowPass1(4.0) * (aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-4)),
-]
+MODELS = {
+    "N": aj.AngleRandomWalk(1e-3),
+    "K": aj.RateRandomWalk(1e-4),
+    "Q": aj.Quantization(1e-5),
+    "markov": aj.Markov(1e-4, 3.0),
+    "sinusoid": aj.Sinusoid(1e-3, 3.3),
+    "ramp": aj.DriftRamp(1e-7),
+    "filter": aj.LowPass1(4.0) * (aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-4)),
+}
+BEFORE, AFTER = 90, 60
 
 
-@pytest.mark.parametrize("stiffness", [0.0, 0.01, -0.01])
-@pytest.mark.parametrize("model", MODELS, ids=repr)
-def test_variances_are_those_of_a_dense_covariance(model, stiffness):
-    """States driven sample by sample: 60 samples after 90 of calibration, by the state space of the noise.
+def weights(stiffness):
+    """What the mean error of each sample does to φ, φ's integral and its double integral after 60 samples.
 
-    The loop is solved by the matrix exponential of its differential equation; a loop of 63 s makes the series
-    and the closed forms differ from polynomials. Rounding of G's cancelling parts allows 10⁻⁷.
+    φ' = ε − k·v, v' = φ, p' = v, by the matrix exponential of the differential equation; with the samples of
+    the calibration before, whose mean is taken out.
     """
     from scipy.linalg import expm
 
-    model = model if isinstance(model, aj.Model) else aj.Model((model,))
-    n, before, h = 60, 90, 1.0 / RATE
-    # Weights of the samples in the error of each order: integrators in a chain, with feedback.
-    space = model.state_space(RATE)
     A = np.zeros((4, 4))
-    # φ' = ε − k·v, v' = φ, p' = v; the error of orders 1, 2, 3; the last column is ε.
     A[0, 3], A[0, 1], A[1, 0], A[2, 1] = 1.0, -stiffness, 1.0, 1.0
-    step = expm(A * h)
-    weights, state = np.zeros((3, n)), step[:3, 3]
-    for k in range(n - 1, -1, -1):
-        weights[:, k] = state
+    step = expm(A / RATE)
+    after, state = np.zeros((3, AFTER)), step[:3, 3]
+    for k in range(AFTER - 1, -1, -1):
+        after[:, k] = state
         state = step[:3, :3] @ state
-    constant = weights.sum(axis=1)
-    whole = np.concatenate([np.repeat(-constant[:, None] / before, before, axis=1), weights], axis=1)
-    covariance = np.zeros((before + n, before + n))
-    P = space.P0
-    for i in range(before + n):
+    constant = after.sum(axis=1)
+    return np.concatenate([np.repeat(-constant[:, None] / BEFORE, BEFORE, axis=1), after], axis=1)
+
+
+def covariance_of_samples(model):
+    """Dense covariance of 150 samples, from the state space of the noise."""
+    space, n = model.state_space(RATE), BEFORE + AFTER
+    covariance, P = np.zeros((n, n)), space.P0
+    for i in range(n):
         row = space.H @ P
         covariance[i, i] = (row @ space.H.T).item() + space.R.item()
-        for j in range(i + 1, before + n):
+        for j in range(i + 1, n):
             row = row @ space.A.T
             covariance[i, j] = covariance[j, i] = (row @ space.H.T).item()
         P = space.A @ P @ space.A.T + space.Q
-    found = ErrorVariances((1, 2, 3), np.array([n]), before, RATE, stiffness)
-    np.testing.assert_allclose(found.of_bias[:, 0], constant, rtol=1e-10)
-    expected = np.einsum("ai,ij,aj->a", whole, covariance, whole)
-    np.testing.assert_allclose(found(model).sum(axis=0)[:, 0], expected, rtol=1e-7)
+    return covariance
+
+
+@pytest.mark.parametrize("schuler", [False, True])
+@pytest.mark.parametrize("name", MODELS)
+def test_errors_are_those_of_a_dense_covariance(name, schuler):
+    """A gravity of 0.01·R makes a loop of 63 s: series and closed forms differ from polynomials.
+
+    The tilt loop has ω² = g/R, the vertical channel −2g/R, the heading none. Rounding of G's cancelling parts
+    allows 10⁻⁷ of the variance.
+    """
+    model = MODELS[name] if isinstance(MODELS[name], aj.Model) else aj.Model((MODELS[name],))
+    gravity, k = 0.01 * RADIUS, 0.01 * schuler
+    axes = dict.fromkeys(("gyro_y", "gyro_z", "accel_x", "accel_z"), model)
+    found = aj.navigate(
+        axes, [AFTER / RATE], rate=RATE, calibration=BEFORE / RATE, gravity=gravity, schuler=schuler
+    )
+    C = covariance_of_samples(model)
+    level, vertical, heading = (
+        np.sqrt(np.einsum("ai,ij,aj->a", w, C, w)) for w in map(weights, (k, -2.0 * k, 0))
+    )
+    expected = {
+        ("attitude", "east"): level[0],
+        ("attitude", "down"): heading[0],
+        ("velocity", "north"): np.hypot(level[0], gravity * level[1]),
+        ("position", "north"): np.hypot(level[1], gravity * level[2]),
+        ("velocity", "down"): vertical[0],
+        ("position", "down"): vertical[1],
+    }
+    for (quantity, channel), error in expected.items():
+        assert found[quantity].of(channel)[0] == pytest.approx(error, rel=1e-7), (quantity, channel)
+    assert found["attitude"].channels == ("east", "down")
+    by_gyro, by_accel = (
+        sum(
+            part[0] ** 2
+            for cause, part in found["position"].causes["north"].items()
+            if cause.startswith(axis)
+        )
+        for axis in ("gyro_y", "accel_x")
+    )
+    assert np.sqrt(by_gyro) == pytest.approx(gravity * level[2], rel=1e-7)
+    assert np.sqrt(by_accel) == pytest.approx(level[1], rel=1e-7)
 
 
 def test_flicker_noise_is_that_of_its_closed_form():
     """Attitude after t from a calibration of the same length is 2t² times the Allan variance, 2 ln 2/π·B²."""
-    found = ErrorVariances((1,), np.array([400]), 400, RATE)
-    B = aj.Model((aj.BiasInstability(2e-4),))
-    np.testing.assert_allclose(found(B)[0, 0], 2.0 * 20.0**2 * 2.0 * np.log(2.0) / np.pi * 4e-8, rtol=1e-9)
+    found = aj.navigate({"gyro_x": aj.BiasInstability(2e-4)}, [20.0], rate=RATE, calibration=20.0)
+    expected = math.sqrt(2.0 * 20.0**2 * 2.0 * math.log(2.0) / math.pi) * 2e-4
+    assert found["attitude"].of("north")[0] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
-@pytest.mark.parametrize("stiffness", [1.54e-6, -3.1e-6])
-def test_responses_to_a_bias_are_exact_from_a_millisecond_to_two_days(order, stiffness):
-    """mpmath with 50 digits, on both sides of where the series ends."""
+@pytest.mark.parametrize(
+    ("rate", "times"), [(1000.0, [1e-3, 1.0]), (2.0, [0.5, 500, 805, 806, 807, 5000, 2e4])]
+)
+def test_responses_to_a_bias_are_exact_from_a_millisecond_to_hours(rate, times):
+    """mpmath with 50 digits, on both sides of 806 s, where the series ends; a bias by itself."""
     mpmath = pytest.importorskip("mpmath")
-    times = np.array([1e-3, 1.0, 500.0, 805.0, 806.0, 5000.0, 2e4])
-    with mpmath.workdps(50):
-        k = mpmath.mpf(stiffness)
-        w = mpmath.sqrt(k)
+    models = {"gyro_y": QUIET, "accel_x": QUIET, "accel_z": QUIET}
+    found = aj.navigate(models, times, rate=rate, schuler=True, gyro_bias=3e-6, accel_bias=2e-3)
 
-        def exact(t):
-            t = mpmath.mpf(t)
-            sine = mpmath.sin(w * t) / w
-            return mpmath.re([sine, (1 - mpmath.cos(w * t)) / k, (t - sine) / k][order - 1])
+    def exact(order, k):
+        with mpmath.workdps(50):
+            k = mpmath.mpf(k)
+            w = mpmath.sqrt(k)
 
-        expected = [float(exact(t)) for t in times]
-    np.testing.assert_allclose(bias_response(times, order, stiffness), expected, rtol=2e-12)
+            def response(t):
+                sine = mpmath.sin(w * t) / w
+                return mpmath.re([sine, (1 - mpmath.cos(w * t)) / k, (t - sine) / k][order - 1])
+
+            return np.array([float(response(mpmath.mpf(t))) for t in times])
+
+    level, vertical = G / RADIUS, -2.0 * G / RADIUS
+    for quantity, channel, cause, size, order, k in (
+        ("attitude", "east", "gyro_y bias", 3e-6, 1, level),
+        ("velocity", "north", "gyro_y bias", 3e-6 * G, 2, level),
+        ("position", "north", "gyro_y bias", 3e-6 * G, 3, level),
+        ("velocity", "north", "accel_x bias", 2e-3, 1, level),
+        ("position", "north", "accel_x bias", 2e-3, 2, level),
+        ("velocity", "down", "accel_z bias", 2e-3, 1, vertical),
+        ("position", "down", "accel_z bias", 2e-3, 2, vertical),
+    ):
+        got = found[quantity].causes[channel][cause]
+        np.testing.assert_allclose(got, np.abs(size * exact(order, k)), rtol=3e-12)
 
 
 def strapdown(gyro, accel, gravity, h, radius=None):
@@ -123,15 +174,11 @@ def strapdown(gyro, accel, gravity, h, radius=None):
         if radius is not None:
             carried = np.stack([v[:, 1], -v[:, 0], np.zeros(count)], axis=1) / radius
             C = np.einsum("cij,cjk->cik", turned(-carried * h), C)
-        force = np.einsum("cij,cj->ci", middle, accel[:, k] - down)
-        push = force + down
+        push = np.einsum("cij,cj->ci", middle, accel[:, k] - down) + down
         p += h * v + h**2 / 2.0 * push
         v += h * push
-    angles = np.stack(
-        [np.arctan2(C[:, 2, 1], C[:, 2, 2]), -np.arcsin(C[:, 2, 0]), np.arctan2(C[:, 1, 0], C[:, 0, 0])],
-        axis=1,
-    )
-    return angles, v, p
+    angles = [np.arctan2(C[:, 2, 1], C[:, 2, 2]), -np.arcsin(C[:, 2, 0]), np.arctan2(C[:, 1, 0], C[:, 0, 0])]
+    return np.stack(angles, axis=1), v, p
 
 
 def turned(rotation):
@@ -146,220 +193,192 @@ def turned(rotation):
 def drawn(rng, shape, h, white, walk):
     """White noise and the means of a random walk over intervals, from NumPy."""
     steps, bridge = rng.standard_normal((2, *shape)) * walk * math.sqrt(h)
-    return white / math.sqrt(h) * rng.standard_normal(shape) + (
-        np.cumsum(steps, axis=1) - steps / 2.0 + bridge / math.sqrt(12.0)
-    )
+    walked = np.cumsum(steps, axis=1) - steps / 2.0 + bridge / math.sqrt(12.0)
+    return white / math.sqrt(h) * rng.standard_normal(shape) + walked
 
 
-NOISES = {"gyro": (2e-4, 5e-5), "accel": (3e-3, 4e-4)}
+@pytest.mark.parametrize(("schuler", "gravity", "push"), [(False, 9.8, 1.0), (True, 1600.0, 160.0)])
+def test_errors_are_those_of_a_strapdown_mechanization(schuler, gravity, push):
+    """800 navigators: a standard deviation scatters by 1/√1600 = 2.5 %, and eight are within 10 %.
 
-
-@pytest.mark.parametrize("radius", [None, 4e4])
-def test_errors_are_those_of_a_strapdown_mechanization(radius, monkeypatch):
-    """1,500 navigators: a standard deviation scatters by 1/√3000 = 1.8 %, seven are within 7 %.
-
-    On a sphere of 40 km the Schuler period is 400 s, and 60 s are a good part of it. Angles stay below 0.01,
-    so that terms beyond the linear ones are below 10⁻⁴.
+    With a gravity of 1,600 m/s² the Schuler period is 400 s, and 60 s are a good part of it. Angles stay
+    below 0.01, so that terms beyond the linear ones are below 10⁻⁴. On the sphere no vertical is simulated.
     """
-    count, before, n, h, gravity = 1500, 200, 600, 0.1, 9.8
-    rng = np.random.default_rng(11)
-    samples = {}
-    for sensor, (white, walk) in NOISES.items():
+    count, before, n, h = 800, 100, 300, 0.2
+    noises = {"gyro": (2e-4, 5e-5), "accel": (3e-3 * push, 4e-4 * push)}
+    rng, samples, models = np.random.default_rng(11), {}, {}
+    for sensor, (white, walk) in noises.items():
         z = drawn(rng, (count, before + n, 3), h, white, walk)
         samples[sensor] = z[:, before:] - z[:, :before].mean(axis=1, keepdims=True)
-    angles, v, p = strapdown(samples["gyro"], samples["accel"], gravity, h, radius)
-    models = {}
-    for sensor, (white, walk) in NOISES.items():
-        model = aj.AngleRandomWalk(white) + aj.RateRandomWalk(walk)
-        models |= {f"{sensor}_{letter}": model for letter in "xyz"}
-    if radius is not None:
-        monkeypatch.setattr("allanjax.navigation.navigator.EARTH_RADIUS", radius)
-    found = aj.navigate(
-        models, [n * h], rate=1.0 / h, calibration=before * h, gravity=gravity, schuler=radius is not None
-    )
-    horizontal = slice(0, 3) if radius is None else slice(0, 2)
-    for quantity, errors in (("attitude", angles), ("velocity", v), ("position", p)):
-        seen = errors.std(axis=0)
-        kept = slice(0, 3) if quantity == "attitude" else horizontal
-        np.testing.assert_allclose(found[quantity].error[kept, 0], seen[kept], rtol=0.07)
+        models |= {f"{sensor}_{a}": aj.AngleRandomWalk(white) + aj.RateRandomWalk(walk) for a in "xyz"}
+    errors = strapdown(samples["gyro"], samples["accel"], gravity, h, RADIUS if schuler else None)
+    options = {"rate": 1.0 / h, "calibration": before * h, "gravity": gravity, "schuler": schuler}
+    found = aj.navigate(models, [n * h], **options)
+    for quantity, seen in zip(found, errors, strict=True):
+        kept = slice(0, 2 if schuler and quantity != "attitude" else 3)
+        np.testing.assert_allclose(found[quantity].error[kept, 0], seen.std(axis=0)[kept], rtol=0.1)
 
 
+# ------------------------------------------------------------------------------------------------- intervals
 @pytest.fixture(scope="module")
-def result(small_fit):
-    return aj.navigate(small_fit, calibration=50.0)
+def result():
+    return aj.navigate(bench.fit("small"), calibration=50.0, gyro_bias="2 deg/h", accel_bias=1e-3)
 
 
-def test_a_fit_has_intervals_that_hold_its_own_errors(result, small_fit):
+def test_a_fit_has_intervals_that_hold_the_truth(result):
+    """Of the one record: the true model with the same biases, at 1 s and at 100 s, in each direction."""
+    truth = bench.truth("small").truth
+    terms = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
+    units = {"gyro": {"N": "rad/√s", "B": "rad/s"}, "accel": {"N": "m/s/√s", "K": "m/s²/√s"}}
+    models = {
+        name: " + ".join(f"{terms[k]}={x} {units[name.split('_')[0]][terms[k]]}" for k, x in of.items())
+        for name, of in truth.items()
+    }
+    time, options = result["attitude"].time, {"gyro_bias": "2 deg/h", "accel_bias": 1e-3}
+    exact = aj.navigate(models, time, rate=100.0, calibration=50.0, **options)
     assert list(result) == ["attitude", "velocity", "position"]
-    assert result["attitude"].channels == ("north", "east", "down")
-    # There is an accelerometer along z only: north and east have tilt alone.
-    assert result["velocity"].channels == ("north", "east", "down")
-    for growth in result.values():
-        assert np.all(growth.lower <= growth.error)
-        assert np.all(growth.error <= growth.upper)
-    # At first a gyro's white noise dominates, which a fit of 200 s knows to some 10 %.
-    assert np.all(result["attitude"].upper[:, 0] < 1.5 * result["attitude"].lower[:, 0])
+    assert time[[0, -1]] == pytest.approx([1.0, 1000.0])
+    for quantity, growth in result.items():
+        assert growth.channels == ("north", "east", "down")
+        assert np.all((growth.lower < growth.error) & (growth.error < growth.upper))
+        at = [0, 12]
+        assert np.all(growth.lower[:, at] <= exact[quantity].error[:, at])
+        assert np.all(exact[quantity].error[:, at] <= growth.upper[:, at])
+        assert np.isnan(exact[quantity].lower).all()
+        for k, channel in enumerate(growth.channels):
+            parts = growth.causes[channel]
+            np.testing.assert_allclose(sum(p**2 for p in parts.values()), growth.error[k] ** 2, rtol=1e-9)
+            largest = [max(parts, key=lambda name, j=j: parts[name][j]) for j in range(len(time))]
+            assert growth.largest(channel) == largest
+    # There is an accelerometer along z only.
+    assert any("velocity and position north" in note for note in result.notes)
 
 
-def test_results_are_equal_by_value_and_told_in_a_line(result):
-    again = pickle.loads(pickle.dumps(result))
-    assert again == result
-    assert hash(again) == hash(result)
-    assert repr(result["attitude"]).startswith("<ErrorGrowth attitude after 1,000 s: north ")
-    with pytest.raises(aj.AllanjaxError, match="no error of 'height'; there are attitude"):
-        result["height"]
-    with pytest.raises(aj.AllanjaxError, match="no error up; there are north, east, down"):
-        result["position"].of("up")
+def test_the_interval_of_one_term_is_that_of_its_coefficient():
+    """Angles of white noise: N² (t + t²/C) + b² t²; draws scatter the ends by a sixth of N's deviation."""
+    fit = bench.fit("white", "N")
+    N, t, bias = fit["gyro_x"]["angle_random_walk"], np.array([1.0, 10.0]), 3e-6
+    found = aj.navigate(fit, t, calibration=50.0, gyro_bias=bias)["attitude"]
+    for row, value in ((found.error, N.value), (found.lower, N.interval[0]), (found.upper, N.interval[1])):
+        white = np.sqrt(row[0] ** 2 - (bias * t) ** 2) / np.sqrt(t + t**2 / 50.0)
+        np.testing.assert_allclose(white, value, atol=0.5 * N.std)
 
 
-def test_causes_add_up_to_the_error(result):
-    for growth in result.values():
-        for channel in growth.channels:
-            total = sum(part**2 for part in growth.causes[channel].values())
-            np.testing.assert_allclose(np.sqrt(total), growth.of(channel), rtol=1e-9)
+def test_intervals_of_a_posterior_are_those_of_its_draws():
+    """Each variance is linear in the powers of the terms: quantiles of 400 draws, and biases beside them."""
+    posterior = bench.posterior("small", ("gyro_x", "accel_z"))
+    t, options = [1.0, 10.0, 60.0], {"calibration": 40.0}
+    biases = {"gyro_bias": 3e-6, "accel_bias": 2e-4}
+    found = aj.navigate(posterior, t, **options, **biases)
+    for name, quantity, channel, power, bias in (
+        ("gyro_x", "attitude", "north", 1.0, 3e-6),
+        ("accel_z", "velocity", "down", 1.0, 2e-4),
+        ("accel_z", "position", "down", 2.0, 2e-4 / 2.0),
+    ):
+        variances = []
+        for model in posterior[name].models(400):
+            amplitudes = [getattr(term, term.amplitude_parameter().name) for term in model.terms]
+            unit = [
+                unit_error(name, type(term).__name__, quantity, channel, tuple(t)) for term in model.terms
+            ]
+            variances.append(sum((a * u) ** 2 for a, u in zip(amplitudes, unit, strict=True)))
+        variances = np.array(variances) + (bias * np.array(t) ** power) ** 2
+        growth = found[quantity]
+        k = growth.channels.index(channel)
+        np.testing.assert_allclose(growth.error[k], np.sqrt(variances.mean(axis=0)), rtol=1e-9)
+        ends = np.sqrt(np.quantile(variances, [0.025, 0.975], axis=0))
+        np.testing.assert_allclose([growth.lower[k], growth.upper[k]], ends, rtol=1e-9)
 
 
-def test_the_interval_holds_the_truth(result):
-    """Of the one record that was simulated with these models, at 1 s and at 100 s."""
-    truth = aj.navigate(
-        {"gyro_x": "N=0.2 deg/√h + B=20 deg/h", "accel_z": "N=0.05 m/s/√h + K=200 m/s/h/√h"},
-        result["attitude"].time,
-        rate=100.0,
-        calibration=50.0,
-    )
-    at = [0, 12]
-    for quantity, channel in (("attitude", "north"), ("velocity", "down"), ("position", "down")):
-        k = result[quantity].channels.index(channel)
-        assert np.all(result[quantity].lower[k, at] <= truth[quantity].of(channel)[at])
-        assert np.all(truth[quantity].of(channel)[at] <= result[quantity].upper[k, at])
+@functools.cache
+def unit_error(axis, term, quantity, channel, t):
+    """Error of a term of amplitude one by itself."""
+    found = aj.navigate({axis: getattr(aj, term)(1.0)}, t, rate=100.0, calibration=40.0)
+    return found[quantity].of(channel)
 
 
+# ------------------------------------------------------------------------------------------ words and figures
 def test_the_table_the_frame_and_the_document_tell_the_same(result):
-    text = str(result)
-    for words in ("1 s", "10 s", "100 s", "1,000 s", "attitude north", "gyro_x", "deg", "95 % interval"):
-        assert words in text
-    assert "velocity and position north are those of the gyro's tilt alone" in text
-    assert "beyond half the record, 100 s, extrapolate the model" in text
-    frame, document = result.to_dataframe(), result.to_dict()
-    row = frame[(frame.quantity == "position") & (frame.channel == "down")].iloc[-1]
-    assert row.error == document["errors"]["position"]["channels"]["down"]["error"][-1]
-    assert row.error == result["position"].of("down")[-1]
+    frame, document = result.to_dataframe(), json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    for quantity, growth in result.items():
+        for k, channel in enumerate(growth.channels):
+            rows = frame[(frame.quantity == quantity) & (frame.channel == channel)]
+            told = document["errors"][quantity]["channels"][channel]
+            for column, values in (
+                ("error", growth.error),
+                ("lower_95", growth.lower),
+                ("upper_95", growth.upper),
+            ):
+                np.testing.assert_array_equal(rows[column], values[k])
+                np.testing.assert_array_equal(told[column], values[k])
+            assert set(rows.unit) == {{"attitude": "rad", "velocity": "m/s", "position": "m"}[quantity]}
+    assert (document["calibration_s"], document["rate_hz"], document["gravity_m_s2"]) == (50.0, 100.0, G)
+    attitude = result["attitude"]
+    told = [line.split("│")[1:6] for line in str(result).splitlines() if line.startswith("│")][:4]
+    assert [row[1].strip() for row in told] == ["1 s", "10 s", "100 s", "1,000 s"]
+    for row, at in zip(told, (0, 6, 12, 18), strict=True):
+        numbers = [float(x) for x in f"{row[2]} {row[3]}".replace("deg", "").replace("…", "").split()]
+        expected = np.array([attitude.error[0, at], attitude.lower[0, at], attitude.upper[0, at]]) / DEG
+        np.testing.assert_allclose(numbers, expected, rtol=6e-3)
 
 
-def test_a_table_of_exact_models_has_no_interval_and_tells_the_times_nearest_to_decades():
+def test_exact_models_have_no_interval_and_are_told_at_decades():
     """Neighbouring ones of 30 times between 0.7 s and 2,000 s are 0.12 decades apart."""
-    result = aj.navigate({"gyro_x": QUIET}, np.geomspace(0.7, 2000.0, 30), rate=RATE)
-    text = str(result)
+    text = str(aj.navigate({"gyro_x": QUIET}, np.geomspace(0.7, 2000.0, 30), rate=RATE))
     assert "interval" not in text
     rows = [line.split("│") for line in text.splitlines() if line.startswith("│")]
     told = [float(row[2].replace(",", "").removesuffix(" s ")) for row in rows[:5]]
     np.testing.assert_allclose(np.log10(told), [0, 1, 2, 3, np.log10(2000.0)], atol=0.07)
 
 
-def test_intervals_of_a_posterior_are_those_of_its_draws():
-    """Angles of white noise: N² (t + t²/C), so that the interval is that of N but for the choice of draws.
-
-    400 of 1,000 or more draws scatter the ends by a tenth of their distance.
-    """
-    recording = aj.simulate_recording({"gyro_x": aj.AngleRandomWalk(1e-3)}, 20_000, RATE, 1)
-    fit = aj.fit(recording, "N", as_is=True)
-    posterior = aj.sample(fit, seed=1)
-    attitude = aj.navigate(posterior, [1.0, 10.0], calibration=50.0)["attitude"]
-    N, grown = posterior["gyro_x"]["angle_random_walk"], np.sqrt([1.0 + 1.0 / 50.0, 10.0 + 100.0 / 50.0])
-    np.testing.assert_allclose(attitude.of("north"), N.value * grown, rtol=0.1 * N.std / N.value)
-    for found, end in zip((attitude.lower, attitude.upper), N.interval, strict=True):
-        np.testing.assert_allclose(found[0], end * grown, rtol=0.4 * N.std / N.value)
-    tilted = aj.align(posterior, 45.0)["gyro_x"]
-    assert tilted.lower[-1] < tilted.error[-1] < tilted.upper[-1]
-
-
-def test_draws_of_a_posterior_have_their_own_correlation_times():
-    model = aj.AngleRandomWalk(1e-3) + aj.Markov(1e-3, 5.0)
-    recording = aj.simulate_recording({"gyro_x": model}, 20_000, RATE, 1)
-    fit = aj.fit(recording, "N + markov", as_is=True)
-    posterior = aj.sample(fit, seed=1)
-    found = aj.navigate(posterior, [10.0], calibration=50.0)["attitude"]
-    of_draws = [
-        aj.navigate({"gyro_x": model}, [10.0], rate=RATE, calibration=50.0)["attitude"].of("north")[0]
-        for model in posterior["gyro_x"].models(100)
-    ]
-    # The central 95 % of 100 draws end between the third and fourth from either side.
-    ordered, slack = np.sort(of_draws), 1.0 + 1e-9
-    assert ordered[2] / slack <= found.lower[0, 0] <= slack * ordered[3]
-    assert ordered[96] / slack <= found.upper[0, 0] <= slack * ordered[97]
-
-
-@pytest.mark.usefixtures("no_windows")
-def test_the_picture_has_a_panel_an_error_with_its_causes(result, tmp_path):
-    figure = result.plot(tmp_path / "a.png")
-    titles = [panel.get_title(loc="left") for panel in figure.axes]
-    assert titles[0] == "attitude north [deg]"
-    assert len(titles) == 9
-    panel = figure.axes[titles.index("position down [m]")]
-    model = next(line for line in panel.lines if line.get_label() == "model")
-    np.testing.assert_allclose(model.get_ydata(), result["position"].of("down"))
-    shown = {line.get_label() for line in panel.lines} - {"model"}
-    assert set(result["position"].largest("down")) <= shown <= set(result["position"].causes["down"])
-    assert (tmp_path / "a.png").stat().st_size > 1000
-
-
-@pytest.mark.usefixtures("no_windows")
-def test_no_two_causes_look_alike():
-    """Eight causes for six colours and six dashes."""
-    models = {
-        "gyro_y": "N=1 deg/√h + B=10 deg/h + K=20 deg/h/√h + Q=50 arcsec",
-        "accel_x": "N=0.1 m/s/√h + B=100 µg + K=1 m/s/h/√h + Q=0.01 m/s",
-    }
-    figure = aj.navigate(models, np.geomspace(0.05, 1000.0, 20), rate=RATE).plot()
-    styles = {
-        line.get_label(): (line.get_color(), str(line._dash_pattern))
-        for line in figure.legends[0].get_lines()
-    }
-    assert len(styles) >= 7
-    assert len(set(styles.values())) == len(styles)
-
-
-def test_the_loop_holds_errors_back_and_its_absence_is_told():
-    """A constant tilt rate makes R(t − sin ωt/ω): after half a Schuler period less than a third."""
-    models, times = {"gyro_y": QUIET, "accel_x": QUIET}, [10.0, 1266.0, 2533.0]
-    options = {"rate": 1.0, "gyro_bias": "0.01 deg/h"}
-    short = aj.navigate(models, times, **options)
-    loop = aj.navigate(models, times, schuler=True, **options)
-    assert "hold up to 21.1 min, a quarter of the Schuler period" in str(short)
-    assert "hold up to" not in str(loop)
-    w = math.sqrt(short.gravity / EARTH_RADIUS)
-    t = loop["position"].time
-    expected = 0.01 * DEG / 3600.0 * EARTH_RADIUS * (t - np.sin(w * t) / w)
-    np.testing.assert_allclose(loop["position"].of("north"), expected, rtol=1e-5)
-    assert short["position"].of("north")[0] == pytest.approx(loop["position"].of("north")[0], rel=1e-4)
-    assert short["position"].of("north")[2] > 1.5 * loop["position"].of("north")[2]
+def test_what_a_result_is_good_for_is_noted():
+    """A quarter of the Schuler period, half of the record, axes without a measurement."""
+    models, times = {"gyro_y": QUIET, "accel_x": QUIET}, [10.0, 1266.0, 1268.0]
+    assert aj.navigate(models, times, rate=1.0).quarter_period == pytest.approx(1266.05, abs=0.1)
+    for last, schuler, word in (
+        (1266.0, False, ""),
+        (1267.0, False, "schuler=True"),
+        (1267.0, True, "unstable"),
+    ):
+        notes = aj.navigate(models, [last], rate=1.0, schuler=schuler).notes
+        assert " ".join(notes).count(word) == 1 if word else notes == ()
+    first, *others = bench.fit("small").results
+    bad = dataclasses.replace(first, converged=False, reason="no start")
+    fit = dataclasses.replace(bench.fit("small"), results=(bad, *others))
+    # The record has 163.84 s.
+    for time, words in ((20.0, ["gyro_x"]), (23.0, ["gyro_x", "extrapolate"])):
+        notes = " ".join(aj.navigate(fit, [time], calibration=60.0).notes)
+        assert ("extrapolate" in notes) == ("extrapolate" in words)
+        assert "gyro_x is left out" in notes
+    with pytest.raises(aj.FitError, match="measurement"):
+        aj.navigate(dataclasses.replace(fit, results=(bad,)))
 
 
 @pytest.mark.parametrize(
-    ("data", "options", "message"),
+    ("data", "options", "word"),
     [
-        ({"gyro_x": QUIET}, {}, "models need the sample rate"),
-        ({}, {"rate": 1.0}, "give a fit, a posterior, or models by axis"),
-        ({"temperature": QUIET}, {"rate": 1.0}, "'temperature' is no axis"),
-        ({"gyro_x": QUIET}, {"rate": 1.0, "times": [0.1]}, "times must be finite and at least a sample"),
-        ({"gyro_x": QUIET}, {"rate": 1.0, "calibration": 0.0}, "calibration must be finite"),
-        ({"gyro_x": QUIET}, {"rate": 1e4, "times": [1e3]}, "times may be up to 210 s"),
-        ({"gyro_x": QUIET}, {"rate": 1.0, "gyro_bias": -1.0}, "gyro_bias must be finite and not negative"),
-        ({"gyro_x": QUIET}, {"rate": 1.0, "gyro_bias": "much"}, "cannot read 'much'"),
+        ({"gyro_x": QUIET}, {}, "rate"),
+        ({}, {"rate": 1.0}, "models"),
+        ({"temperature": QUIET}, {"rate": 1.0}, "temperature"),
+        ({"gyro_q": QUIET}, {"rate": 1.0}, "gyro_q"),
+        ({"gyro_x": QUIET}, {"rate": 1.0, "times": [0.1]}, "times"),
+        ({"gyro_x": QUIET}, {"rate": 1.0, "calibration": 0.0}, "calibration"),
+        ({"gyro_x": QUIET}, {"rate": 1e4, "times": [1e3]}, "210 s"),
+        ({"gyro_x": QUIET}, {"rate": 1.0, "gyro_bias": -1.0}, "gyro_bias"),
+        ({"gyro_x": QUIET}, {"rate": 1.0, "accel_bias": "much"}, "accel_bias"),
         ({"gyro_x": QUIET}, {"rate": 1.0, "gyro_bias": "1 m/s²"}, "m/s²"),
-        ({"gyro_x": QUIET}, {"rate": 1.0, "gravity": 0.0}, "gravity must be positive"),
+        ({"gyro_x": QUIET}, {"rate": 1.0, "gravity": 0.0}, "gravity"),
     ],
 )
-def test_what_is_wrong_is_refused(data, options, message):
-    with pytest.raises(aj.AllanjaxError, match=message):
+def test_what_is_wrong_is_refused(data, options, word):
+    with pytest.raises(aj.AllanjaxError, match=word):
         aj.navigate(data, **options)
 
 
-def test_an_axis_without_a_measurement_is_left_out_by_name(small_fit):
-    first, *others = small_fit.results
-    bad = dataclasses.replace(first, converged=False, reason="no start")
-    fit = dataclasses.replace(small_fit, results=(bad, *others))
-    assert "gyro_x is left out: no result: no start" in str(aj.navigate(fit, [1.0]))
-    fit = dataclasses.replace(small_fit, results=(bad,))
-    with pytest.raises(aj.FitError, match="no axis has a measurement"):
-        aj.navigate(fit)
+def test_a_fit_has_its_own_rate_and_an_unknown_error_is_named(result):
+    with pytest.raises(aj.AllanjaxError, match="rate"):
+        aj.navigate(bench.fit("small"), rate=100.0)
+    with pytest.raises(aj.AllanjaxError, match="height"):
+        result["height"]
+    with pytest.raises(aj.AllanjaxError, match="up"):
+        result["position"].of("up")

@@ -1,146 +1,207 @@
-"""Recordings in memory."""
+"""Recordings in memory, and as data frames and files that give them again."""
 
-import math
+import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
+from imu_columns import DEG, G0, SIX, UNITS, write_text
+from IPython.core.formatters import HTMLFormatter
 
-from allanjax.base.errors import RecordingError, UnitError
-from allanjax.record.recording import Recording
+import allanjax as aj
 
-DEG = math.pi / 180
-G0 = 9.80665
-
-
-@pytest.fixture
-def noise():
-    return np.random.default_rng(0).normal(size=(100, 6))
+N = 2000
+NOISE = np.random.default_rng(0).normal((0.1, 0.2, 0.3, 0.4, 0.5, 9.8), size=(N, 6))
 
 
-@pytest.fixture
-def recording(noise):
-    temperature = np.linspace(20, 30, 100)
-    return Recording.from_array(
-        noise, 50.0, gyro_unit="deg/s", accel_unit="g", auxiliary={"temperature": temperature}, name="unit"
+@pytest.fixture(scope="module")
+def recording():
+    """Six axes, of which one is dead; numbers of three decimals, and a rate that no stamps give exactly."""
+    values = np.round(NOISE * 3.0, 3)
+    values[:, 4] = 7.0
+    auxiliary = {"temperature": np.linspace(20.0, 30.0, N), "time": np.arange(N), "count": np.arange(N)}
+    return aj.Recording.from_array(
+        values, 123.4567, gyro_unit="deg/s", accel_unit="mg", auxiliary=auxiliary, name="unit 1"
     )
 
 
-def test_six_columns_are_gyro_then_accel(recording, noise):
-    assert recording.names == ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-    assert any("column order taken as gyro_x" in note for note in recording.notes)
-    np.testing.assert_allclose(recording.values[:, :3], noise[:, :3] * DEG)
-    np.testing.assert_allclose(recording.values[:, 3:], noise[:, 3:] * G0)
-    np.testing.assert_allclose(recording.own_values, noise)
-    assert [axis.unit for axis in recording.axes] == ["deg/s"] * 3 + ["g"] * 3
-    assert (recording.n, recording.rate, recording.duration) == (100, 50.0, 2.0)
-    np.testing.assert_allclose(recording.time[[0, 1, -1]], [0.0, 0.02, 1.98])
+def test_six_columns_are_gyro_then_accel():
+    made = aj.Recording.from_array(NOISE, 50.0, **UNITS, name="unit")
+    assert (made.names, made.name) == (SIX, "unit")
+    assert [axis.sensor for axis in made.axes] == 3 * ["gyro"] + 3 * ["accel"]
+    assert [axis.unit for axis in made.axes] == 3 * ["deg/s"] + 3 * ["g"]
+    np.testing.assert_allclose(made.values, NOISE * [*3 * [DEG], *3 * [G0]], rtol=1e-14)
+    np.testing.assert_allclose(made.own_values, NOISE, rtol=1e-14)
+    np.testing.assert_array_equal(made.own_values * made.own_scales, made.values)
+    assert (made.n, made.rate, made.duration) == (N, 50.0, N / 50.0)
+    np.testing.assert_allclose(made.time[[0, 1, -1]], [0.0, 0.02, (N - 1) / 50.0])
+    assert any("gyro_x" in note for note in made.notes)
+    assert made.jitter is made.missing is None
+    assert made.dead == made.others == ()
 
 
-@pytest.mark.parametrize(
-    ("count", "units", "names"),
-    [
-        (3, {"gyro_unit": "rad/s"}, ("gyro_x", "gyro_y", "gyro_z")),
-        (3, {"accel_unit": "m/s²"}, ("accel_x", "accel_y", "accel_z")),
+def test_names_follow_from_the_units():
+    for count, units, names in (
+        (3, {"gyro_unit": "rad/s"}, SIX[:3]),
+        (3, {"accel_unit": "m/s²"}, SIX[3:]),
         (1, {"gyro_unit": "rad/s"}, ("gyro",)),
         (1, {"accel_unit": "m/s²"}, ("accel",)),
-    ],
-)
-def test_default_names(noise, count, units, names):
-    recording = Recording.from_array(noise[:, :count], 1.0, **units)
-    assert recording.names == names
-    assert recording.notes
-
-
-def test_one_dimensional_array(noise):
-    recording = Recording.from_array(noise[:, 0], 1.0, gyro_unit="rad/s")
-    np.testing.assert_array_equal(recording.values, noise[:, :1])
-
-
-def test_increments_are_multiplied_by_the_rate(noise):
-    recording = Recording.from_array(
-        noise[:, :2], 200.0, names=["gyro_z", "accel_x"], gyro_unit="arcsec", accel_unit="mm/s"
+    ):
+        made = aj.Recording.from_array(NOISE[:, :count], 1.0, **units)
+        assert made.names == names
+        assert made.notes
+    np.testing.assert_array_equal(
+        aj.Recording.from_array(NOISE[:, 0], 1.0, gyro_unit="rad/s").values, NOISE[:, :1]
     )
-    np.testing.assert_allclose(recording.values[:, 0], noise[:, 0] * 200 * DEG / 3600)
-    np.testing.assert_allclose(recording.values[:, 1], noise[:, 1] * 0.2)
-    np.testing.assert_allclose(recording.own_values, noise[:, :2])
-    assert "increments multiplied by the rate: gyro_z, accel_x" in recording.notes
 
 
-def test_select(recording):
-    assert recording.select("accel").names == ("accel_x", "accel_y", "accel_z")
-    assert recording["gyro_z"].names == ("gyro_z",)
-    assert recording["accel_y", "gyro"].names == ("accel_y", "gyro_x", "gyro_y", "gyro_z")
-    np.testing.assert_array_equal(recording["accel_y"].values[:, 0], recording.values[:, 4])
-    assert "temperature" in recording["gyro"].auxiliary
-    with pytest.raises(RecordingError, match=r"no axis 'mag'.*gyro_x"):
-        recording.select("mag")
+def test_axes_are_chosen_by_name_or_sensor(recording):
+    assert recording.select("accel").names == ("accel_x", "accel_z")
+    chosen = recording["accel_z", "gyro", "gyro_x"]
+    assert chosen.names == ("accel_z", "gyro_x", "gyro_y", "gyro_z")
+    np.testing.assert_array_equal(chosen.values, recording.values[:, [4, 0, 1, 2]])
+    assert chosen.auxiliary.keys() == recording.auxiliary.keys()
+    assert [d.axis.name for d in recording["accel"].dead] == ["accel_y"]
+    assert recording["gyro"].dead == ()
+    with pytest.raises(aj.RecordingError, match="accel_y was left out"):
+        recording["accel_y"]
 
 
-def test_between(recording):
-    part = recording.between(0.5, 1.5)
-    np.testing.assert_array_equal(part.values, recording.values[25:75])
-    np.testing.assert_array_equal(part.auxiliary["temperature"], recording.auxiliary["temperature"][25:75])
-    assert part.notes[-1] == "samples 25 to 74 of 100 taken"
-    assert recording.between(stop=1.0).n == 50
-    with pytest.raises(RecordingError, match=r"unit: too short: 5 samples.*start="):
-        recording.between(1.9)
+def test_a_dead_axis_is_left_out_and_told():
+    x = NOISE.copy()
+    x[:, 0], x[:, 4] = np.nan, -0.25
+    made = aj.Recording.from_array(x, 50.0, **UNITS)
+    assert made.names == ("gyro_y", "gyro_z", "accel_x", "accel_z")
+    assert [d.axis.name for d in made.dead] == ["gyro_x", "accel_y"]
+    assert "number" in made.dead[0].reason
+    assert "-0.25 g" in made.dead[1].reason
+    np.testing.assert_allclose(made.own_values, x[:, [1, 2, 3, 5]], rtol=1e-14)
+    # Dead in a part alone.
+    x = NOISE.copy()
+    x[:100, 2] = 1.5
+    part = aj.Recording.from_array(x, 50.0, **UNITS).between(stop=2.0)
+    assert [d.axis.name for d in part.dead] == ["gyro_z"]
+    assert "1.5 deg/s" in part.dead[0].reason
 
 
-def test_display(recording):
-    assert repr(recording).startswith("<Recording 'unit': gyro_x [deg/s], ")
-    assert "100 samples at 50 Hz, 2 s" in repr(recording)
-    table = recording._repr_html_().replace(" style='text-align:left'", "")
-    mean = recording.own_values[:, 3].mean()
-    assert f"<td>accel_x</td><td>accel</td><td>g</td><td>{mean:.6g}</td>" in table
-    assert "column order" in table
+def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
+    part = recording.between(500 / recording.rate, 1500 / recording.rate)
+    np.testing.assert_array_equal(part.values, recording.values[500:1500])
+    np.testing.assert_array_equal(part.auxiliary["count"], np.arange(500, 1500))
+    assert "500 to 1499 of 2000" in part.notes[-1]
+    between = recording.between(500.4 / recording.rate, 1500.4 / recording.rate)
+    np.testing.assert_array_equal(between.auxiliary["count"], np.arange(501, 1501))
+    assert recording.between(stop=8.0).n == np.ceil(8.0 * 123.4567)
+    assert recording.between(-3.0, 1e9).n == N
 
 
-def _bad(noise, value):
-    values = noise.copy()
-    values[[7, 9], 1] = value
-    return values
+def test_it_is_shown_with_its_axes_and_means(recording):
+    for word in (
+        "unit 1",
+        "gyro_x [deg/s]",
+        "accel_z [mg]",
+        "2000 samples",
+        "123.457 Hz",
+        "16.2 s",
+        "accel_y",
+    ):
+        assert word in repr(recording)
+    own = recording.own_values[:, 3]
+    cells = (f">{own.mean():.6g}<", f">{own.std():.6g}<", ">mg<")
+    assert all(cell in HTMLFormatter()(recording) for cell in cells)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda x: {"values": _bad(x, np.nan)}, ["'gyro_y'", "2 values", "row 7", "nan", "start="]),
-        (lambda x: {"values": _bad(x, np.inf)}, ["'gyro_y'", "2 values", "row 7", "inf", "start="]),
-        (lambda x: {"values": 0.0 * x}, ["'gyro_x'", "constant", "columns="]),
-        (lambda x: {"values": x[:15]}, ["too short: 15 samples", "16", "longer"]),
-        (lambda x: {"values": x[:20].T[:, :3][:0]}, ["shape", "values.T"]),
-        (lambda x: {"values": x.T}, ["(6, 100)", "transposed", "values.T"]),
-        (lambda x: {"values": x[None]}, ["(1, 100, 6)", "reshape"]),
-        (lambda x: {"values": x[:, :4]}, ["4 columns without names", "names="]),
-        (lambda x: {"values": x[:, :3]}, ["3 columns without names", "gyro_unit= and accel_unit=", "names="]),
-        (lambda x: {"names": ["gyro_x"]}, ["1 names for 6 columns", "names="]),
-        (lambda x: {"names": ["gx", "gy", "gz", "ax", "ay", "mag"]}, ["'mag'", "auxiliary="]),
-        (lambda x: {"names": ["gx", "gyro_x", "gz", "ax", "ay", "az"]}, ["'gx' and 'gyro_x'", "both gyro_x"]),
-        (lambda x: {"auxiliary": {"temperature": np.ones(3)}}, ["'temperature'", "(3,)", "(100,)"]),
-        *((lambda x, rate=rate: {"rate": rate}, ["positive", "rate="]) for rate in (0, -1.0, np.nan, np.inf)),
-    ],
-)
-@pytest.mark.usefixtures("unchecked_shapes")
-def test_bad_arrays(noise, change, said):
-    arguments = {"values": noise, "rate": 50.0, "gyro_unit": "deg/s", "accel_unit": "g", "name": "unit 7"}
-    with pytest.raises(RecordingError) as caught:
-        Recording.from_array(**(arguments | change(noise)))
-    assert str(caught.value).startswith("unit 7: ")
-    for text in said:
-        assert text in str(caught.value)
+# --- Data frames --------------------------------------------------------------------------------------------
 
 
-def test_missing_and_unknown_units(noise):
-    names = ["gyro_x", "accel_x"]
-    with pytest.raises(UnitError, match=r"'accel_x' has no unit; pass accel_unit= \(--accel-unit\)"):
-        Recording.from_array(noise[:, :2], 1.0, names=names, gyro_unit="deg/s")
-    with pytest.raises(UnitError, match=r"'gyro_x': unknown unit 'g' for a gyro.*accelerometer"):
-        Recording.from_array(noise[:, :2], 1.0, names=names, gyro_unit="g", accel_unit="g")
-    with pytest.raises(UnitError, match="increments"):
-        Recording.from_array(noise[:, 0], 1.0, names=["delta_angle_x"], gyro_unit="deg/s")
+@pytest.mark.parametrize("si", [False, True])
+def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
+    """Values to the last digit and all else, by Parquet, too."""
+    frame = recording.to_dataframe(si=si)
+    units = ("rad/s", "m/s²") if si else ("deg/s", "mg")
+    assert [*frame.columns[1:4]] == [f"gyro_{k} [{units[0]}]" for k in "xyz"]
+    assert [*frame.columns[4:6]] == [f"accel_{k} [{units[1]}]" for k in "xz"]
+    np.testing.assert_array_equal(frame["time [s]"], recording.time)
+    frame.to_parquet(tmp_path / "imu.parquet")
+    for each in (frame, pd.read_parquet(tmp_path / "imu.parquet")):
+        back = aj.Recording.from_dataframe(each)
+        assert back == recording
+        assert (back.name, back.dead, back.notes) == (recording.name, recording.dead, recording.notes)
 
 
-@pytest.mark.parametrize("rate", [None, "100", np.array([100.0]), np.nan, np.inf, 1j, 0, -1.0])
-def test_a_rate_that_is_no_positive_number_is_refused(rate):
-    with pytest.raises(RecordingError, match="sample rate must be a positive number of Hz"):
-        Recording.from_array(np.arange(100.0), rate, names=["gyro_x"], gyro_unit="rad/s")
+def test_samples_in_si_come_back_wherever_they_come_from(recording):
+    """Of samples that are no multiples of their unit, its numbers round once more."""
+    made = dataclasses.replace(recording["gyro"], values=NOISE[:, :3])
+    exact = aj.Recording.from_dataframe(made.to_dataframe(si=True))
+    assert exact == made
+    assert {axis.unit for axis in exact.axes} == {"deg/s"}
+    rounded = aj.Recording.from_dataframe(made.to_dataframe()).values
+    assert (abs(rounded - made.values) <= np.spacing(abs(made.values))).all()
+
+
+def test_rows_at_the_ends_and_columns_may_be_left_out(recording):
+    frame = recording.to_dataframe()
+    part = aj.Recording.from_dataframe(frame[100:1100].drop(columns=["count", "gyro_y [deg/s]"]))
+    np.testing.assert_array_equal(part.values, recording.values[100:1100, [0, 2, 3, 4]])
+    assert (part.rate, part.names) == (123.4567, ("gyro_x", "gyro_z", "accel_x", "accel_z"))
+    assert [*part.auxiliary] == ["temperature", "time"]
+
+
+def test_a_frame_that_was_changed_is_read_by_its_columns(recording):
+    """Thinned out, renamed or joined, what was stated of it does not hold."""
+    frame = recording["gyro"].to_dataframe().drop(columns="time")
+    thin = aj.Recording.from_dataframe(frame[::2])
+    assert thin.rate == pytest.approx(123.4567 / 2.0, rel=1e-9)
+    assert thin.name == ""
+    renamed = aj.Recording.from_dataframe(frame.rename(columns={"gyro_x [deg/s]": "gyro_x [rad/s]"}))
+    np.testing.assert_array_equal(renamed.values[:, 0], frame["gyro_x [deg/s]"])
+    with pytest.raises(aj.RecordingError, match="gap"):
+        aj.Recording.from_dataframe(frame.drop(index=range(500, 600)))
+    frame.loc[5, "gyro_x [deg/s]"] = np.nan
+    with pytest.raises(aj.RecordingError, match="gyro_x"):
+        aj.Recording.from_dataframe(frame)
+
+
+def test_frames_mappings_and_texts_of_ones_own():
+    frame = pd.DataFrame(NOISE[:, :3], columns=list(SIX[:3]))
+    made = aj.Recording.from_dataframe(frame, 50.0, gyro_unit="deg/s")
+    np.testing.assert_allclose(made.values, np.deg2rad(NOISE[:, :3]), rtol=1e-14)
+    # Times may be the index; an option counts, also of a frame that states its own.
+    timed = frame.set_index(pd.Index(np.arange(N) / 40.0, name="time [s]"))
+    assert aj.Recording.from_dataframe(timed, gyro_unit="deg/s").rate == pytest.approx(40.0)
+    dated = frame.set_index(pd.Timestamp("2024-05-01") + pd.to_timedelta(np.arange(N) * 20, "ms"))
+    assert aj.Recording.from_dataframe(dated, gyro_unit="deg/s").rate == pytest.approx(50.0)
+    chosen = aj.Recording.from_dataframe(made.to_dataframe(), names=["time", "gyro_z"])
+    assert chosen.names == ("gyro_z",)
+    # What functions take: the Allan deviations of all are those of the recording.
+    expected = aj.allan_deviation(made)
+    for given in (frame, {name: frame[name] for name in frame}):
+        np.testing.assert_array_equal(
+            aj.allan_deviation(given, 50.0, gyro_unit="deg/s").deviation, expected.deviation
+        )
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_a_written_recording_is_read_without_arguments(tmp_path, suffix):
+    made = aj.Recording.from_array(
+        NOISE[:, [0, 2, 3]],
+        100.0 / 3.0,
+        names=["gyro_x", "gyro_1", "accel_z"],
+        gyro_unit="arcsec",
+        accel_unit="µg",
+        auxiliary={"temperature": NOISE[:, 5]},
+    )
+    aj.write(made, tmp_path / f"imu{suffix}")
+    again = aj.read(tmp_path / f"imu{suffix}")
+    assert again.axes == made.axes
+    assert again.rate == pytest.approx(made.rate, rel=1e-12)
+    np.testing.assert_allclose(again.values, made.values, rtol=1e-12)
+    np.testing.assert_array_equal(again.auxiliary["temperature"], NOISE[:, 5])
+
+
+def test_numbers_of_a_file_are_those_of_its_frame(tmp_path):
+    numbers = np.round(NOISE[:, :3], 2)
+    header = [f"gyro_{k} [deg/s]" for k in "xyz"]
+    recording = aj.read(write_text(tmp_path / "imu.csv", header, numbers), rate=100)
+    np.testing.assert_allclose(recording.to_dataframe()[header], numbers, rtol=3e-16, atol=0.0)
+    assert aj.Recording.from_dataframe(recording.to_dataframe()) == recording

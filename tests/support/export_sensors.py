@@ -10,7 +10,7 @@ RATE = 200.0
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 
 
-def recording(bias, axes=AXES, n=100_000, name="bench"):
+def recording(bias, axes=AXES, n=16_384, name="bench"):
     """White noise and a bias of each axis, which `bias` makes of a generator and the scale of a sensor."""
     rng = np.random.default_rng(11)
     columns = []

@@ -1,7 +1,7 @@
 """Phase covariances G of unit coefficients as theory has them, and what follows from them by dense matrices.
 
-G(t) of the running integral of the rate is known up to a constant and a multiple of t², which no difference of
-cluster averages sees. Nothing here is taken from the package.
+G(t) of the running integral of the rate is known up to a constant and a multiple of t², which no difference
+of cluster averages sees. Nothing here is taken from the package.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ def mixed(*parts: tuple[float, Law]) -> Law:
 
 
 def autocovariance(law: Law, n: int, rate: float) -> np.ndarray:
-    """Of means over sample intervals at lags 0 … n−1, −δ²G/h²; right for filters whose weights sum to zero."""
+    """Of means over sample intervals at lags 0 … n−1, −δ²G/h²; right for filters that sum to zero."""
     g = law(np.arange(n + 1) / rate)
     g = np.append(g[1], g)
     return -(g[2:] - 2.0 * g[1:-1] + g[:-2]) * rate**2
@@ -46,6 +46,10 @@ def autocovariance(law: Law, n: int, rate: float) -> np.ndarray:
 def dense(law: Law, n: int, rate: float) -> np.ndarray:
     """Covariance of n samples."""
     return toeplitz(autocovariance(law, n, rate))
+
+
+# Weights of phases in a second difference.
+_SECOND = np.array([1.0, -2.0, 1.0])
 
 
 def allan_filter(m: int) -> np.ndarray:
@@ -69,15 +73,18 @@ def allan_covariance(
 ) -> np.ndarray:
     """Covariance of Allan variances, pair of differences by pair: mean of 2(C² − C_repeated²)/4."""
     G, G_repeated = (np.zeros(n + 1) if g is None else g(np.arange(n + 1) / rate) for g in (law, repeated))
-    A = np.array([1.0, -2.0, 1.0])
+    s = np.arange(1 - n, n)
+    starts = [
+        (np.arange(n) % stride == 0) & (np.arange(n) <= n - 2 * m)
+        for m, stride in zip(sizes, strides, strict=True)
+    ]
     V = np.empty((len(sizes), len(sizes)))
-    for i, (mi, si) in enumerate(zip(sizes, strides, strict=True)):
-        for j, (mj, sj) in enumerate(zip(sizes, strides, strict=True)):
-            a, b = np.arange(0, n - 2 * mi + 1, si), np.arange(0, n - 2 * mj + 1, sj)
-            s, pairs = np.unique(np.subtract.outer(a, b), return_counts=True)
-            lag = np.abs(s[:, None, None] + np.arange(3)[:, None] * mi - np.arange(3) * mj)
-            C, C_repeated = (np.einsum("p,q,spq->s", A, A, g[lag]) for g in (G, G_repeated))
-            V[i, j] = (
-                2.0 * pairs @ (C**2 - C_repeated**2) / (len(a) * len(b) * 4.0 * (mi * mj / rate**2) ** 2)
-            )
+    for i, mi in enumerate(sizes):
+        for j, mj in enumerate(sizes[: i + 1]):
+            pairs = np.correlate(starts[i].astype(float), starts[j].astype(float), "full")
+            used = pairs > 0
+            lag = abs(s[used] + np.arange(3)[:, None, None] * mi - np.arange(3)[:, None] * mj)
+            C, C_repeated = (np.einsum("p,q,pqs->s", *(_SECOND,) * 2, g[lag]) for g in (G, G_repeated))
+            scale = 4.0 * (mi * mj / rate**2) ** 2 * pairs.sum()
+            V[i, j] = V[j, i] = 2.0 * pairs[used] @ (C**2 - C_repeated**2) / scale
     return V

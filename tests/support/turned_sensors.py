@@ -1,8 +1,10 @@
-"""Sensors at rest in several orientations, simulated in NumPy from (2.22) and (2.23), without allanjax."""
+"""Sensors at rest in several orientations, by NumPy from (2.22) and (2.23), and their dense least squares."""
 
 from typing import NamedTuple
 
 import numpy as np
+
+import allanjax as aj
 
 G = 9.8118
 EARTH_RATE_DEG_H = 15.041067
@@ -10,6 +12,9 @@ EARTH_RATE_DEG_H = 15.041067
 SIX = {
     f"{a} {way}": s * np.eye(3)[i] for i, a in enumerate("xyz") for way, s in (("up", 1.0), ("down", -1.0))
 }
+_DIAGONALS = np.array([[1, 1, 0], [1, 0, 1], [0, 1, 1], [1, -1, 0], [1, 0, -1], [0, 1, -1]]) / np.sqrt(2.0)
+#: The six, and twelve between them.
+EIGHTEEN = np.concatenate([np.stack(list(SIX.values())), _DIAGONALS, -_DIAGONALS])
 
 
 class Errors(NamedTuple):
@@ -24,28 +29,56 @@ class Errors(NamedTuple):
         return f + self.b + f @ self.SN.T + self.S2 * f**2
 
 
-ERRORS = Errors(
-    SN=1e-6 * np.array([[1200.0, 350.0, -240.0], [110.0, -640.0, 420.0], [-70.0, 90.0, 800.0]]),
-    b=np.array([0.012, -0.021, 0.033]),
-    S2=np.zeros(3),
-)
+SN = 1e-6 * np.array([[1200.0, 350.0, -240.0], [110.0, -640.0, 420.0], [-70.0, 90.0, 800.0]])
+BIAS = np.array([0.012, -0.021, 0.033])
+ERRORS = Errors(SN, BIAS, np.zeros(3))
 
 
-def white_noise(rng: np.random.Generator, n: int, N: float, rate: float) -> np.ndarray:
-    """Samples of white noise of density N², three axes side by side."""
-    return N * np.sqrt(rate) * rng.standard_normal((n, 3))
+def at_rest(
+    means, n: int, rate: float, unit: str = "m/s²", name: str = "", axes: str = "xyz"
+) -> aj.Recording:
+    """A recording that has exactly these means of its axes, and a scatter that nothing depends on."""
+    scatter = np.tile([1.0, -1.0], n)[:n, None] * np.arange(1.0, n + 1.0)[:, None] % 7.0
+    values = np.asarray(means, float) + 1e-6 * np.abs(means).max() * (scatter - scatter.mean())
+    sensor = "accel" if unit.startswith("m") else "gyro"
+    units = {f"{sensor}_unit": unit}
+    return aj.Recording.from_array(values, rate, names=[f"{sensor}_{a}" for a in axes], name=name, **units)
 
 
-def random_walk(rng: np.random.Generator, n: int, K: float, rate: float) -> np.ndarray:
-    """Samples of a random walk of K [per √s], three axes side by side."""
-    return np.cumsum(K / np.sqrt(rate) * rng.standard_normal((n, 3)), axis=0)
+def dense(kernel, start, length, step: float, contrast: bool) -> np.ndarray:
+    """Covariance of means over stretches from that of the rate at times t and s, over all pairs of midpoints.
+
+    With `contrast` of the deviations from the mean over all of the time.
+    """
+    start, length = np.asarray(start, float), np.asarray(length, float)
+    time = np.arange(step / 2.0, (start + length).max(), step)
+    rows = np.stack([(time >= a) & (time < a + d) for a, d in zip(start, length, strict=True)]).astype(float)
+    rows /= rows.sum(axis=1, keepdims=True)
+    if contrast:
+        rows -= 1.0 / len(time)
+    return rows @ kernel(time[:, None], time[None, :]) @ rows.T
 
 
-def markov_noise(rng: np.random.Generator, n: int, sigma: float, time: float, rate: float) -> np.ndarray:
-    """Samples of a first-order Gauss–Markov process of this standard deviation, stationary; three axes."""
-    from scipy.signal import lfilter
+class Dense(NamedTuple):
+    """Generalized least squares by the textbook: values, covariance, residuals with theirs, χ²."""
 
-    a = np.exp(-1.0 / (rate * time))
-    draws = sigma * np.sqrt(1.0 - a**2) * rng.standard_normal((n, 3))
-    draws[0] /= np.sqrt(1.0 - a**2)
-    return lfilter([1.0], [1.0, -a], draws, axis=0)
+    values: np.ndarray
+    covariance: np.ndarray
+    residuals: np.ndarray
+    residual_covariance: np.ndarray
+    chi2: float
+
+
+def least_squares(X: np.ndarray, y: np.ndarray, C: np.ndarray) -> Dense:
+    """y = X·β + e with e of covariance C: β by the normal equations with the inverse of C."""
+    P = np.linalg.inv(C)
+    covariance = np.linalg.inv(X.T @ P @ X)
+    values = covariance @ X.T @ P @ y
+    left = y - X @ values
+    return Dense(values, covariance, left, C - X @ covariance @ X.T, float(left @ P @ left))
+
+
+def jacobian(function, at: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Derivatives of a vector by central differences."""
+    columns = [(function(at + s) - function(at - s)) / (2.0 * s.sum()) for s in np.diag(step)]
+    return np.stack(columns, axis=-1)

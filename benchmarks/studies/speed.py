@@ -1,0 +1,208 @@
+"""How fast are Allan deviations, fits and posteriors, beside other packages, and what costs another length?
+
+White noise at octaves of the cluster time, all in one process in turn, round after round: medians over the
+rounds, and ratios as medians of each round's ratio, so that a busy machine slows both sides. Exact estimates
+are overlapping Allan variances. Programs are compiled before, but for the recordings of growing length, each
+of another rate, six axes, fitted one after the other by a process without a cache.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import allanjax as aj
+from benchmarks.common.study import process, seconds_of, table
+
+PACKAGES = ("allantools", "allan-variance", "avar")
+QUICK: dict[str, Any] = {
+    "lengths": (10_000,),
+    "repeats": 1,
+    "likelihood": (2048,),
+    "units": 20,
+    "unit_samples": 2048,
+    "recordings": 0,
+}
+REFERENCE, ONE_PASS = "allantools oadev", "np.sum"
+MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
+TRUTH = aj.AngleRandomWalk(1e-2) + aj.BiasInstability(4e-3) + aj.RateRandomWalk(7e-4)
+
+
+def run(
+    *,
+    lengths: tuple[int, ...] = (100_000, 1_000_000, 10_000_000),
+    repeats: int = 7,
+    likelihood: tuple[int, ...] = (16384, 1_000_000, 10_000_000),
+    units: int = 1000,
+    unit_samples: int = 16384,
+    recordings: int = 20,
+) -> Iterator[str]:
+    yield "## Allan deviations [ms], one axis"
+    yield allan_table(lengths, repeats)
+    yield "## Fits and posteriors of N + B + K [ms], one axis"
+    head = ["samples", "np.sum", "Whittle fit", "Allan fit", "posterior", "the posterior converged"]
+    yield table(head, [posterior_row(n) for n in likelihood])
+    model = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5) + aj.Markov(1e-4, 100.0)
+    record = np.random.default_rng(1).standard_normal(max(lengths[0], likelihood[0]))[:, None]
+    states = aj.Recording.from_array(record, 100.0, gyro_unit="rad/s", names=["gyro"])
+    times = [seconds_of(lambda s=s: aj.kalman_filter(states, model, smooth=s), 2) for s in (False, True)]
+    yield (
+        f"A Kalman filter of {len(record):,} samples under N + K + Markov, all states told: "
+        f"{times[0]:.2f} s; with the smoother {times[1]:.2f} s."
+    )
+    yield (
+        f"## Fits in bulk: {units:,} units of N + B + K, {unit_samples:,} samples\n\nTheir Allan deviations "
+        'at octaves are not in the times. "One by one" is `fit_many` of a single unit; log-log least squares '
+        "is SciPy's, unweighted and without any uncertainty."
+    )
+    yield table(["", "fits a second", "fit_many is faster by"], bulk_rows(unit_samples, units, repeats))
+    if recordings:
+        yield f"## {recordings} recordings of 10⁴ to 10⁶ samples in one process, `fit` of N + B + K"
+        yield growth(recordings)
+
+
+def with_numpy(x: np.ndarray) -> np.ndarray:
+    """Overlapping Allan variances as fast as NumPy allows: one running sum, slices, no new arrays."""
+    n, sizes = len(x), 2 ** np.arange((len(x) // 2).bit_length())
+    phases, work, variances = np.zeros(n + 1), np.empty(n), np.empty(len(sizes))
+    np.cumsum(x - x.mean(), out=phases[1:])
+    for k, m in enumerate(sizes):
+        d = np.subtract(phases[2 * m :], phases[m:-m], out=work[: n + 1 - 2 * m])
+        d -= phases[m:-m]
+        d += phases[: -2 * m]
+        variances[k] = np.dot(d, d) / len(d) / (2.0 * m**2)
+    return variances
+
+
+def ways() -> dict[str, Callable[[np.ndarray], object]]:
+    import allantools
+    import avar
+    from allan_variance import compute_avar
+
+    def by_avar(x: np.ndarray) -> None:
+        with contextlib.redirect_stdout(io.StringIO()):
+            avar.variance(x, 2 ** np.arange((len(x) // 2).bit_length()))
+
+    def by_allan_variance(x: np.ndarray) -> None:
+        octaves = (len(x) // 2).bit_length()
+        compute_avar(x, 1.0, tau_max=2.0 ** (octaves - 1), n_clusters=octaves)
+
+    return {
+        "allanjax, exact": lambda x: aj.allan_deviation(x, 1.0),
+        "allanjax, pyramid": lambda x: aj.allan_deviation(x, 1.0, estimator="pyramid"),
+        REFERENCE: lambda x: allantools.oadev(x, 1.0, data_type="freq", taus="octave"),
+        "NumPy by hand": with_numpy,
+        "allan-variance": by_allan_variance,
+        "avar": by_avar,
+        ONE_PASS: np.sum,
+    }
+
+
+def in_turn(runs: dict[str, Callable[[], object]], repeats: int) -> dict[str, np.ndarray]:
+    """Seconds of each, [repeats], in turn; one more round before that compiles and is not counted."""
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(repeats + 1):
+        for name, call in runs.items():
+            begun = time.perf_counter()
+            call()
+            times[name].append(time.perf_counter() - begun)
+    return {name: np.array(taken[1:]) for name, taken in times.items()}
+
+
+def allan_table(lengths: tuple[int, ...], repeats: int) -> str:
+    rows = []
+    for n in lengths:
+        x = np.random.default_rng(0).normal(size=n)
+        # That they compute the same.
+        exact, pyramid = (aj.allan_deviation(x, 1.0, estimator=e) for e in ("exact", "pyramid"))
+        np.testing.assert_allclose(exact.variance[:, 0], with_numpy(x), rtol=1e-8)
+        np.testing.assert_allclose(pyramid.variance[:4], exact.variance[:4], rtol=1e-8)
+        times = in_turn({name: lambda x=x, f=f: f(x) for name, f in ways().items()}, repeats)
+        for name, taken in times.items():
+            ratios = np.median(times[REFERENCE] / taken), np.median(taken / times[ONE_PASS])
+            told = [
+                f"{1e3 * np.median(taken):.3g}",
+                f"{1e3 * taken.min():.3g}",
+                *(f"{r:.1f}" for r in ratios),
+            ]
+            rows.append([f"{n:,}", name, *told])
+    return table(["samples", "", "median", "least", f"faster than {REFERENCE} by", "passes of np.sum"], rows)
+
+
+def posterior_row(n: int) -> list[str]:
+    x = np.asarray(aj.simulate(TRUTH, n, 100.0, 1))
+    recording = aj.Recording.from_array(x[:, None], 100.0, gyro_unit="rad/s", names=["gyro_x"])
+    fit = aj.fit(recording, MODEL, "whittle", as_is=True)
+    times = [
+        seconds_of(lambda: np.sum(x)),
+        seconds_of(lambda: aj.fit(recording, MODEL, "whittle", as_is=True), 2),
+        seconds_of(lambda: aj.fit(recording, MODEL, "allan", as_is=True), 2),
+        seconds_of(lambda: aj.sample(fit, progress=False), 2),
+    ]
+    settled = aj.sample(fit, progress=False)["gyro_x"].converged
+    return [f"{n:,}", *(f"{1e3 * t:.3g}" for t in times), "yes" if settled else "no"]
+
+
+def bulk_rows(n: int, units: int, repeats: int) -> list[list[str]]:
+    """Ten records are simulated and repeated to make up the units."""
+    parts = [aj.allan_deviation(np.asarray(aj.simulate(TRUTH, n, 100.0, k)), 100.0) for k in range(10)]
+    record = np.arange(units) % 10
+    many = {
+        key: np.concatenate([getattr(p, key) for p in parts], axis=1)[:, record]
+        for key in ("deviation", "edf")
+    }
+    curve = dataclasses.replace(parts[0], **many)
+    terms = aj.AngleRandomWalk(1.0), aj.BiasInstability(1.0), aj.RateRandomWalk(1.0)
+    shapes = np.stack([term.allan_variance(curve.cluster_time) for term in terms], axis=1)
+    measured = np.log(parts[0].variance[:, 0])
+
+    def jacobian(u: np.ndarray) -> np.ndarray:
+        powers = shapes * np.exp(u)
+        return powers / powers.sum(axis=1, keepdims=True)
+
+    def log_log() -> None:
+        start = measured.min() - np.log(shapes.max(axis=0))
+        least_squares(lambda u: np.log(shapes @ np.exp(u)) - measured, start, jacobian, method="lm")
+
+    runs = {
+        "fit_many": (lambda: aj.fit_many(curve, MODEL), units),
+        "one by one": (lambda: aj.fit_many(parts[0], MODEL), 1),
+        "log-log least squares": (log_log, 1),
+    }
+    times = in_turn({name: call for name, (call, _) in runs.items()}, repeats)
+    rates = {name: runs[name][1] / taken for name, taken in times.items()}
+    own = rates["fit_many"]
+    return [[name, f"{np.median(r):,.0f}", f"{np.median(own / r):.3g}"] for name, r in rates.items()]
+
+
+GROWING = """
+import sys, time, numpy as np, jax, allanjax as aj
+compiled = [0]
+def count(event, seconds, **_):
+    compiled[0] += event == "/jax/core/compile/backend_compile_duration"
+jax.monitoring.register_event_duration_secs_listener(count)
+names = [f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"]
+for k, n in enumerate(np.rint(np.geomspace(1e4, 1e6, 20)).astype(int)[:int(sys.argv[1])]):
+    white, drift = np.random.default_rng(k).standard_normal((2, n, 6))
+    x = 1e-3 * white + np.cumsum(1e-6 * drift, axis=0)
+    recording = aj.Recording.from_array(x, 50.0 + 10.0 * k, gyro_unit="rad/s", accel_unit="m/s²", names=names)
+    compiled[0], begun, used = 0, time.perf_counter(), time.process_time()
+    aj.fit(recording, "N + B + K")
+    print(n, time.perf_counter() - begun, time.process_time() - used, compiled[0])
+"""
+
+
+def growth(count: int) -> str:
+    printed, *_ = process(GROWING, count, ALLANJAX_CACHE="off", JAX_ENABLE_COMPILATION_CACHE="false")
+    found = [[float(x) for x in line.split()] for line in printed.splitlines()]
+    rows = [[f"{n:,.0f}", f"{s:.2f}", f"{cpu:.2f}", f"{c:.0f}"] for n, s, cpu, c in found]
+    _, seconds, processors, compiled = np.sum(found[1:], axis=0)
+    rows.append(["all but the first", f"{seconds:.1f}", f"{processors:.1f}", f"{compiled:.0f}"])
+    return table(["samples", "seconds", "processor seconds", "programs compiled"], rows)

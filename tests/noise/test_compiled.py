@@ -1,0 +1,127 @@
+"""One compiled program of all terms and responses: NumPy's values, derivatives by each parameter, no NaN."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from compilations import compilations
+from noise_terms import OTHER_VALUES, RATE, RESPONSES, TERMS, rounds
+
+import allanjax as aj
+
+# Clusters about the times of the terms; frequencies up to half the rate.
+T, F = np.array([1.0, 7.0, 330.0]) / RATE, np.array([0.013, 1.7, 17.0])
+# As a fit has them: its likelihoods take the spectrum after a response.
+INNER = aj.AngleRandomWalk(1e-3) + aj.Markov(1e-3, 0.7)
+MODELS = {
+    **{name: aj.Model((term,)).sampled(RATE) for name, term in TERMS.items()},
+    **{f"{name}, continuous": aj.Model((TERMS[name],)) for name in ("line", "resonance", "low pass")},
+    **{name: (filter_ * INNER).sampled(RATE) for name, filter_ in RESPONSES.items()},
+}
+# Without a curve that compiles: eleven oscillators, and G after a filter, which has parts of its own for each
+# kind of noise; of these two are enough.
+DENSITY_ONLY = {"wandering resonance", *RESPONSES} - {"two poles", "mean of 3.7"}
+# A pole at zero, where G (not the power) is that of one moved by 10⁻⁵; a kink of the power at whole samples.
+KINKED = "mean of 5"
+
+
+def finite(model):
+    """Values that a fit may change."""
+    return {name: float(x) for name, x in model.values.items() if math.isfinite(x)}
+
+
+def values_of(name, values, times, frequencies):
+    """Allan variances, where they are compiled, densities of samples, and what the ends of a record add."""
+    model, slot = MODELS[name].with_values(**values), OTHER_VALUES.get(name, name)
+    found = [] if slot in DENSITY_ONLY else [model.allan_variance(times)]
+    found += [model.sampled_psd(frequencies, RATE)]
+    found += [term.end_effect(frequencies, RATE) for term in model.terms if name == "quantization"]
+    return (jnp if isinstance(times, jax.Array) else np).concatenate(found)
+
+
+@jax.jit
+def compiled(values, directions, times, frequencies):
+    """Values of all models and their derivatives along directions, in the logarithms of the parameters."""
+
+    def along(name):
+        def of_logs(step):
+            moved = {k: x * jnp.exp(step * directions[name][k]) for k, x in values[name].items()}
+            return values_of(name, moved, times, frequencies)
+
+        return jax.jvp(of_logs, (0.0,), (1.0,))
+
+    return {name: along(name) for name in values}
+
+
+def run(values, directions, times):
+    """Results by name, of as many runs of the one program as its slots have models."""
+    found = {}
+    for of_slot in rounds(MODELS):
+        data = [{slot: given[name] for slot, name in of_slot.items()} for given in (values, directions)]
+        results = jax.device_get(compiled(*data, times, F))
+        found |= {name: results[slot] for slot, name in of_slot.items()}
+    return found
+
+
+@functools.cache
+def found():
+    """Directions in the parameters' logarithms, and values and slopes of the compiled program."""
+    rng = np.random.default_rng(3)
+    directions = {n: {k: rng.uniform(0.3, 1.0) for k in finite(m)} for n, m in MODELS.items()}
+    return directions, run({name: finite(model) for name, model in MODELS.items()}, directions, T)
+
+
+def by_numpy(name, step=0.0):
+    directions = found()[0][name]
+    moved = {k: x * math.exp(step * directions[k]) for k, x in finite(MODELS[name]).items()}
+    return values_of(name, moved, T, F)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_values_are_numpys_and_derivatives_those_of_differences(name):
+    """Central differences of NumPy's values err by the square of the step, and by rounding over it."""
+    value, slope = found()[1][name]
+    expected = by_numpy(name)
+    assert isinstance(expected, np.ndarray)
+    np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-13 * abs(expected).max())
+    step = 2e-5
+    difference = (by_numpy(name, step) - by_numpy(name, -step)) / (2.0 * step)
+    if name != KINKED:
+        np.testing.assert_allclose(slope, difference, rtol=5e-6, atol=1e-7 * abs(expected).max())
+
+
+def test_values_and_derivatives_are_finite_at_the_edges():
+    """Far below and above every characteristic time, where G has other formulas; and at no noise at all."""
+    directions = {name: dict.fromkeys(finite(model), 0.7) for name, model in MODELS.items()}
+    values = {name: finite(model) for name, model in MODELS.items()}
+    for times in ([1e-9] * 3, [1e-3] * 3, [1e3] * 3, [1.003e7] * 3, [1e-9, 1.0, 1.003e7]):
+        for name, (value, slope) in run(values, directions, np.array(times)).items():
+            assert np.isfinite(value).all(), (name, times)
+            assert np.isfinite(slope).all(), (name, times)
+    for name, model in MODELS.items():
+        for p in model.parameters:
+            if p.parameter.is_amplitude:
+                values[name][p.label], directions[name][p.label] = 0.0, 1.0
+    for name, (value, slope) in run(values, directions, T).items():
+        assert not np.any(value), name
+        assert not np.any(slope), name
+
+
+def test_derivatives_by_a_cutoff_are_right_at_extremes():
+    """(4.39): σ² = (2B²/π)·I(x), x = πf0·T, so that dσ²/d ln f0 = (2B²/π)·sin⁴x/x², by NumPy's values."""
+    for f0, step in ((1e-3, 1e-4), (0.31, 1e-5), (97.0, 1e-7)):
+        either = [float(aj.BiasInstability(2.0, f0 * math.exp(s)).allan_variance(1.0)) for s in (-step, step)]
+        x = math.pi * f0
+        expected = 8.0 / math.pi * math.sin(x) ** 4 / x**2
+        assert (either[1] - either[0]) / (2.0 * step) == pytest.approx(expected, rel=1e-4, abs=1e-8)
+
+
+def test_numbers_of_numpy_compile_nothing():
+    with compilations() as names:
+        for name, model in MODELS.items():
+            assert isinstance(by_numpy(name), np.ndarray)
+            assert isinstance(model.hadamard_variance(T), np.ndarray)
+    assert names == []

@@ -1,0 +1,153 @@
+"""Responses: their power by SciPy's filters, noise after them by dense covariances, and a user's own."""
+
+import dense
+import numpy as np
+import pytest
+from noise_terms import RANDOM, RATE, RESPONSES
+from scipy import signal
+
+import allanjax as aj
+
+F = np.linspace(0.0, RATE / 2.0, 41)
+# What may pass a filter: terms that have parts of each kind, white, differences, walks, poles, pairs of poles.
+PASSING = ["quantization", "white", "walk", "flicker", "markov", "short markov", "resonance"]
+PASSING += ["wandering resonance"]
+# A pole at zero, a quarter of the rate: G is that of one moved by 10⁻⁵.
+MOVED = "butterworth 3"
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+def test_power_is_that_of_the_pulse(name):
+    """The cosine sum of the pulse's autocorrelation; its rounding is what the deepest stop band shows."""
+    r = dense.pulse_autocorrelation(RESPONSES[name], RATE)
+    d = np.arange(len(r))
+    expected = (np.where(d > 0, 2.0, 1.0) * r) @ np.cos(2.0 * np.pi * np.outer(d, F) / RATE)
+    np.testing.assert_allclose(RESPONSES[name].power(F, RATE), expected, rtol=1e-9, atol=1e-13)
+    assert RESPONSES[name].power(0.0, RATE) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_digital_filters_are_those_that_scipy_designs():
+    """Deep in the stop band, at low and high bandwidths; Bessel's of two poles has Q = 1/√3."""
+    f = np.linspace(0.0, 0.499 * RATE, 60)
+    for share in (2e-4, 0.1, 0.25, 0.47):
+        for order in (1, 2, 3, 4):
+            H = signal.freqz_sos(signal.butter(order, share * RATE, fs=RATE, output="sos"), f, fs=RATE)[1]
+            found = aj.Butterworth(share * RATE, order).power(f, RATE)
+            np.testing.assert_allclose(found, abs(H) ** 2, rtol=1e-8, atol=1e-24)
+        sos = signal.bessel(2, share * RATE, fs=RATE, output="sos", norm="phase")
+        found = aj.Biquad(share * RATE, 1.0 / np.sqrt(3.0)).power(f, RATE)
+        np.testing.assert_allclose(
+            found, abs(signal.freqz_sos(sos, f, fs=RATE)[1]) ** 2, rtol=1e-8, atol=1e-24
+        )
+    # From 0.995 of half the rate on the filter is that of 0.995.
+    largest = aj.Butterworth(0.995 * RATE / 2.0, 3).power(f, RATE)
+    np.testing.assert_allclose(aj.Butterworth(0.999 * RATE / 2.0, 3).power(f, RATE), largest, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+def test_g_after_a_filter_is_that_of_the_dense_covariance(name):
+    """The autocovariance of a term is convolved with that of the pulse: nothing of the closed forms."""
+    m = np.array([1, 2, 5, 31])
+    for inner in PASSING:
+        model = RESPONSES[name] * RANDOM[inner] + aj.AngleRandomWalk(1e-9)
+        C = dense.covariance(model, 62, RATE)
+        expected = [dense.allan_variance(C, k) for k in m]
+        found = model.sampled(RATE).allan_variance(m / RATE)
+        tolerance = 1e-4 if name == MOVED else 1e-7
+        np.testing.assert_allclose(found, expected, rtol=tolerance, err_msg=inner)
+
+
+def test_the_density_is_the_product_and_what_comes_after_is_left_alone():
+    terms, after = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(5e-3), aj.Resonance(2e-3, 7.0, 6.0)
+    f = F[1:-1]
+    for filter_ in RESPONSES.values():
+        model = (after + filter_ * terms).sampled(RATE)
+        later = after.sampled(RATE).sampled_psd(f, RATE)
+        expected = filter_.power(f, RATE) * terms.sampled_psd(f, RATE) + later
+        np.testing.assert_allclose(model.sampled_psd(f, RATE), expected, rtol=1e-12)
+        expected = filter_.power(f, RATE) * terms.psd(f) + after.psd(f)
+        np.testing.assert_allclose(model.psd(f), expected, rtol=1e-12)
+
+
+def test_bandwidths_halve_the_power_of_an_analog_filter():
+    """|1/(1 − x² + ix/Q)|² = 1/2 of two poles; sinc² = 1/2 of a mean, here of many samples."""
+    for filter_ in (aj.LowPass1(0.01), aj.LowPass2(0.01, 2.3), aj.Biquad(0.01, 0.8), aj.Butterworth(0.01, 3)):
+        assert filter_.power(filter_.half_power, RATE) == pytest.approx(0.5, rel=2e-3)
+    x2 = (aj.Biquad(0.01, 0.8).half_power / 0.01) ** 2
+    assert (1.0 - x2) ** 2 + x2 / 0.8**2 == pytest.approx(2.0, rel=1e-9)
+    mean = aj.MovingAverage.of(60.0 / RATE)
+    assert mean.power(mean.bandwidth, RATE) == pytest.approx(0.5, rel=1e-3)
+    assert np.sinc(mean.half_power * mean.duration) ** 2 == pytest.approx(0.5, rel=1e-12)
+    assert mean.duration == pytest.approx(1.5)
+
+
+def test_a_mean_of_a_broken_number_of_samples_has_all_aliases_of_an_integrator():
+    """sinc²((f + k·rate)τ) summed over k, over the sum at 0; beyond ±K it falls off as 2/(π²K·samples²)."""
+    k = np.arange(-200_000, 200_001)
+    for samples in (1.0, 1.2, 20.5):
+        folded = np.array([np.sum(np.sinc((x / RATE + k) * samples) ** 2) for x in F[::4]])
+        found = aj.MovingAverage.of(samples / RATE).power(F[::4], RATE)
+        np.testing.assert_allclose(found, folded / folded[0], atol=1e-5)
+
+
+class Echo(aj.Response):
+    """Half of what came in one sample before and half of now, as a user would write it."""
+
+    bandwidth: float | None = aj.parameter("f_c", "frequency")
+
+    def power(self, frequency, rate):
+        return np.cos(np.pi * np.asarray(frequency) / rate) ** 2
+
+    def phase_covariance(self, process, lag, rate):
+        G = process.phase_covariance(abs(np.asarray(lag)[..., None] + np.array([-1.0, 0.0, 1.0]) / rate))
+        return G @ np.array([0.25, 0.5, 0.25])
+
+    def filtered(self, x, rate):
+        return (x + np.concatenate([[0.0], x[:-1]])) / 2.0
+
+    def transfer(self, rate):
+        return np.array([0.5, 0.5]), np.ones(1)
+
+
+def test_a_users_response_works_as_the_packages_own():
+    model = (Echo(3.0) * RANDOM["walk"] + RANDOM["white"]).sampled(RATE)
+    C, T = dense.covariance(model, 40, RATE), np.array([1, 2, 13])
+    expected = [dense.allan_variance(C, m) for m in T]
+    np.testing.assert_allclose(model.allan_variance(T / RATE), expected, rtol=1e-9)
+    np.testing.assert_allclose(model.state_space(RATE).allan_variance(T / RATE), expected, rtol=1e-9)
+    power = np.cos(np.pi * F[1:] / RATE) ** 2
+    expected = power * RANDOM["walk"].sampled_psd(F[1:], RATE) + 1.7e-4**2
+    np.testing.assert_allclose(model.sampled_psd(F[1:], RATE), expected, rtol=1e-12)
+    assert model.values["echo_bandwidth"] == 3.0
+
+
+WHITE = aj.AngleRandomWalk(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("attempt", "word"),
+    [
+        (lambda: aj.LowPass1(4.0) * (aj.LowPass2(5.0) * WHITE), "one response"),
+        (lambda: aj.Butterworth(4.0, 2) * WHITE + aj.Butterworth(4.0, 3) * WHITE, "one response"),
+        (lambda: aj.LowPass1(4.0) * aj.DriftRamp(1e-6), "drift_ramp"),
+        (lambda: (aj.LowPass1(4.0) * aj.Telegraph(1e-3, 2.0)).sampled(RATE).allan_variance(1.0), "Telegraph"),
+        (
+            lambda: (aj.LowPass1(4.0) * aj.BiasInstability(1.0, 2.0)).sampled(RATE).allan_variance(1.0),
+            "after",
+        ),
+        (lambda: (aj.LowPass1(4.0) * WHITE).allan_variance(1.0), "rate"),
+        (lambda: aj.LowPass1(0.0), "bandwidth"),
+        (lambda: aj.LowPass2(4.0, 0.5), "quality_factor"),
+        (lambda: aj.Biquad(4.0, 0.5), "quality_factor"),
+        *((lambda order=order: aj.Butterworth(4.0, order), "order") for order in (0, 5, 2.0, "2")),
+        (lambda: (aj.Butterworth(20.1) * WHITE).sampled(RATE), "bandwidth"),
+        (lambda: (aj.MovingAverage(0.27) * WHITE).sampled(RATE), "bandwidth"),
+        (lambda: (aj.MovingAverage(17.8) * WHITE).sampled(RATE), "bandwidth"),
+    ],
+)
+def test_what_cannot_be_is_refused(attempt, word):
+    with pytest.raises(aj.AllanjaxError, match=word):
+        attempt()
+    # The ends of what is possible.
+    assert (aj.Butterworth(20.0) * WHITE).sampled(RATE).rate == RATE
+    assert (aj.MovingAverage.of(64.0 / RATE) * WHITE).sampled(RATE).rate == RATE

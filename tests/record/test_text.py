@@ -1,0 +1,332 @@
+"""Text: delimiters, headers, comments, encodings, the meaning of columns, and time stamps."""
+
+import gzip
+
+import numpy as np
+import pandas as pd
+import pytest
+from imu_columns import DEG, G0, HEADER, SIX, UNITS, rows, write_text
+from places import DATA
+
+import allanjax as aj
+
+N, RATE = 50, 100.0
+NOISE = np.random.default_rng(1).normal(size=(N, 6)) + 0.2
+STEP = np.arange(N)
+EPOCH = 1_700_000_000
+SI = NOISE * [*3 * [DEG], *3 * [G0]]
+
+
+def check(recording, rate=RATE, close=1e-9):
+    """The recording is the noise, in its own units and in SI."""
+    assert recording.names == SIX
+    assert recording.rate == pytest.approx(rate, rel=close)
+    np.testing.assert_allclose(recording.own_values, NOISE, rtol=1e-14)
+    np.testing.assert_allclose(recording.values, SI, rtol=1e-14)
+
+
+@pytest.mark.parametrize("mark", [",", ", ", ";", "\t", " ", "   "])
+@pytest.mark.parametrize("header", [None, HEADER])
+def test_delimiters(tmp_path, mark, header):
+    """With a header and without, below comments and lines of names and values."""
+    path = tmp_path / "imu.txt"
+    lines = [mark.join(header), *rows(NOISE, mark=mark)] if header else rows(NOISE, mark=mark)
+    for before in ([], ["# recorded in the lab", "% static", ""]):
+        path.write_text("\n".join([*before, *lines, ""]), encoding="utf-8")
+        recording = aj.read(path, rate=RATE, **({} if header else UNITS))
+        check(recording)
+        assert recording.name == "imu"
+
+
+def _quoted(lines):
+    return [", ".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
+
+
+def _european(lines):
+    """As some spreadsheets write it; the first line tells the delimiter."""
+    return ["sep=;", lines[0].replace(",", ";"), *(x.replace(",", ";").replace(".", ",") for x in lines[1:])]
+
+
+# What is done to the lines of a file, and how they are written.
+LINES = {
+    "header in a comment": lambda x: ["# static test", f"# {x[0]}", *x[1:]],
+    "header in per cents": lambda x: [f"% {x[0]}", *x[1:]],
+    "a delimiter at the end": lambda x: [f"{line}," for line in x],
+    "comments amid data": lambda x: [*x[:9], "# paused", "", *x[9:]],
+    "names and values first": lambda x: ["Device,X9", "Serial,7", "Range,300", *x],
+    "quotes after spaces": _quoted,
+    "°": lambda x: [x[0].replace("deg/s", "°/s"), *x[1:]],
+    "decimal commas": _european,
+}
+
+
+@pytest.mark.parametrize("how", LINES)
+def test_lines(tmp_path, how):
+    path = tmp_path / "imu.csv"
+    content = "\r\n".join(LINES[how]([",".join(HEADER), *rows(NOISE)]))
+    for encoding in ("utf-8", "utf-8-sig", "latin-1", "utf-16"):
+        path.write_bytes(content.encode(encoding))
+        check(aj.read(path, rate=RATE))
+    zipped = tmp_path / "imu.csv.gz"
+    zipped.write_bytes(gzip.compress(content.encode()))
+    recording = aj.read(zipped, rate=RATE)
+    check(recording)
+    assert recording.name == "imu"
+
+
+@pytest.mark.parametrize("end", ["1.0,2.0", "1.0,2.", "1"])
+def test_a_file_that_ends_within_a_line(tmp_path, end):
+    lines, path = [",".join(HEADER), *rows(NOISE)], tmp_path / "imu.csv"
+    path.write_text("\n".join([*lines, end]))
+    recording = aj.read(path, rate=RATE)
+    check(recording)
+    assert any(repr(end) in note for note in recording.notes)
+    assert np.array_equal(np.concatenate([*aj.read_chunks(path, rate=RATE, chunk=N)]), recording.values)
+    # One that is whole is read; one that is short though it ended is an error.
+    path.write_text("\n".join(lines))
+    check(aj.read(path, rate=RATE))
+    path.write_text("\n".join([*lines, end, ""]))
+    with pytest.raises(aj.RecordingError, match=f"line {N + 2}"):
+        aj.read(path, rate=RATE)
+
+
+# --- Columns ------------------------------------------------------------------------------------------------
+
+# Labels, the axis that each is, its unit and factor to SI.
+AXES = {
+    "gyro_x gyrox GyroX Gyr_X gx wx omega_x xgyro angular_velocity.x angular_rate_x": (
+        "gyro_x",
+        "deg/s",
+    ),
+    "angular_velocity.y .angular_velocity.y w_RS_S_y gyroscope_y imu0_gyro_y": ("gyro_y", "deg/s"),
+    "accel_z acc_z AccZ az linear_acceleration.z zacc a_RS_S_z specific_force_z": ("accel_z", "g"),
+    "gyro_x_dps gyro_x[dps] gyro_x(deg/s)": ("gyro_x", "deg/s"),
+    "gyro_x_radps gyro_x[rad/s]": ("gyro_x", "rad/s"),
+    "accel_x_mg": ("accel_x", "mg"),
+    "accel_x_ms2 accel_x_mps2": ("accel_x", "m/s²"),
+    "dtheta_z delta_angle_z delta_theta_z": ("gyro_z", "deg"),
+    "dv_z delta_velocity_z dvel_z delta_v_z": ("accel_z", "m/s"),
+}
+NO_AXES = (
+    "mag_x gyro_bias_x gyro_temp temperature max quat_x p bias_gyro_x gyro/bias/omega_y std_accel_z "
+    "Sigma.AccX cov_gyro_1 angular_velocity_covariance[0] linear_acceleration_covariance_0"
+)
+
+
+@pytest.mark.parametrize("labels", AXES)
+def test_axes_are_recognised_by_their_labels(tmp_path, labels):
+    name, unit = AXES[labels]
+    told = {f"{name.split('_')[0]}_unit": unit}
+    for label in labels.split():
+        stated = label.endswith(("dps", "s]", "s)", "radps", "mg", "ms2", "mps2"))
+        recording = aj.read(
+            write_text(tmp_path / "imu.csv", [label], NOISE[:, 0]), rate=RATE, **({} if stated else told)
+        )
+        assert (recording.names, recording.axes[0].unit) == ((name,), unit), label
+
+
+def test_what_is_no_axis_is_kept_beside(tmp_path):
+    labels = NO_AXES.split()
+    others = np.arange(N)[:, None] * 10.0 + np.arange(len(labels))
+    path = write_text(tmp_path / "imu.csv", ["gx [deg/s]", *labels], NOISE[:, 0], others)
+    recording = aj.read(path, rate=RATE)
+    assert recording.names == ("gyro_x",)
+    assert [*recording.auxiliary] == labels
+    np.testing.assert_array_equal(np.column_stack([*recording.auxiliary.values()]), others)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_stretch_of_all_columns(tmp_path, timed):
+    """Temperatures are cut as the axes are, and text is left out; the sample at the stop is not in it."""
+    columns, header = ([9.0 + STEP / RATE], ["time [s]"]) if timed else ([], [])
+    path = write_text(tmp_path / "imu.csv", [*header, *HEADER, "temp [degC]"], *columns, NOISE, 20.0 + STEP)
+    recording = aj.read(path, rate=RATE, start=0.1, stop=0.4)
+    np.testing.assert_allclose(recording.own_values, NOISE[10:40])
+    np.testing.assert_array_equal(recording.auxiliary["temp"], 20.0 + STEP[10:40])
+    assert any("10 to 39 of 50" in note for note in recording.notes)
+    # What is between two samples begins at the later one.
+    np.testing.assert_allclose(aj.read(path, rate=RATE, start=0.101, stop=0.4001).own_values, NOISE[11:41])
+
+
+def test_columns_are_chosen_by_name_or_by_position(tmp_path):
+    timed = write_text(tmp_path / "a.csv", ["time [s]", *HEADER], STEP / RATE, NOISE)
+    for choice in ("gyro_z,accel_x", ["gyro_z [deg/s]", "accel_x"], "GYRO_Z,ACCEL_X"):
+        recording = aj.read(timed, columns=choice)
+        assert recording.names == ("gyro_z", "accel_x")
+        assert recording.rate == pytest.approx(RATE)
+        np.testing.assert_allclose(recording.own_values, NOISE[:, [2, 3]])
+    bare = tmp_path / "b.csv"
+    bare.write_text("\n".join(rows(STEP / RATE, NOISE)))
+    recording = aj.read(bare, columns="time [s],gyro_z [deg/s],-,_,ax,-,temp", accel_unit="g")
+    assert recording.names == ("gyro_z", "accel_x")
+    np.testing.assert_allclose(recording.own_values, NOISE[:, [0, 3]])
+    np.testing.assert_array_equal(recording.auxiliary["temp"], NOISE[:, 5])
+    # The unit of a column that gets a name is that of its header, not of the one beside it.
+    named = write_text(tmp_path / "c.csv", ["c0 [ms]", "p [deg/s]", "q [rad/s]", *"rstu"], STEP, NOISE)
+    recording = aj.read(named, columns="-,gx,gy,-,-,-,-", rate=RATE)
+    np.testing.assert_allclose(recording.values, NOISE[:, :2] * [DEG, 1.0], rtol=1e-14)
+
+
+def test_increments_are_multiplied_by_the_rate(tmp_path):
+    header = [f"delta_angle_{a} [µrad]" for a in "xyz"] + [f"delta_velocity_{a} [mm/s]" for a in "xyz"]
+    recording = aj.read(write_text(tmp_path / "imu.csv", header, NOISE), rate=80.0)
+    assert recording.names == SIX
+    np.testing.assert_allclose(recording.values, NOISE * [*3 * [8e-5], *3 * [0.08]], rtol=1e-14)
+    assert any("gyro_x" in note and "increments" in note for note in recording.notes)
+
+
+# --- Time stamps --------------------------------------------------------------------------------------------
+
+# Labels, stamps, and options; the rate is 100 Hz unless the options say another.
+STAMPS = {
+    "time [s]": (STEP / RATE, {}),
+    "time (ms)": (STEP * 10 + 7, {}),
+    "time_us": (STEP * 10_000, {}),
+    "timestamp_ns": (STEP * 10_000_000, {}),
+    "t": (STEP * 10.0, {"time_unit": "ms"}),
+    "stamp": (STEP * 10_000, {"time_unit": "µs"}),
+    "Time": (STEP * 10, {"rate": 100.4}),
+    "time": (3.0 + STEP / RATE, {}),
+    "timestamp": (EPOCH + STEP / RATE, {}),
+    "time_stamp": (EPOCH * 1000 + STEP * 10, {}),
+    "%time": (EPOCH * 10**9 + STEP * 10**7, {}),
+    "field.header.stamp": (EPOCH * 10**9 + STEP * 10**7 + 123, {}),
+    "clock": (STEP / RATE, {"time": "clock", "time_unit": "s"}),
+    "clock [ms]": (STEP * 10, {"time": "clock"}),
+}
+
+
+@pytest.mark.parametrize("label", STAMPS)
+def test_units_of_stamps(tmp_path, label):
+    stamps, options = STAMPS[label]
+    recording = aj.read(write_text(tmp_path / "imu.csv", [label, *HEADER], stamps, NOISE), **options)
+    # Seconds since 1970 as floats are 0.24 µs apart, of 0.49 s.
+    check(recording, options.get("rate", RATE), 1e-6 if label == "timestamp" else 1e-9)
+    assert not recording.auxiliary
+    assert recording.jitter == pytest.approx(0.0, abs=1e-7)
+
+
+def test_the_rate_is_that_of_all_intervals_and_the_jitter_their_scatter(tmp_path):
+    """Nanoseconds keep their digits: floats of this size are 256 ns apart, and the intervals alternate."""
+    stamps = EPOCH * 10**9 + STEP * 10**7 + np.where(STEP % 2, 50, -50)
+    recording = aj.read(write_text(tmp_path / "imu.csv", ["timestamp_ns", *HEADER], stamps, NOISE))
+    assert recording.jitter == pytest.approx(np.std(np.diff(stamps)) * 1e-9, rel=1e-6)
+    assert recording.rate == pytest.approx(49e9 / (stamps[-1] - stamps[0]), rel=1e-12)
+
+
+@pytest.mark.parametrize("names", ["header.stamp.secs header.stamp.nsecs", "secs nsecs", "sec nanosec"])
+def test_seconds_and_nanoseconds(tmp_path, names):
+    stamps = 990_000_000 + STEP * 10**7
+    ros = [f"angular_velocity.{a}" for a in "xyz"] + [f"linear_acceleration.{a}" for a in "xyz"]
+    path = tmp_path / "imu.csv"
+    write_text(path, [*names.split(), *ros], EPOCH + stamps // 10**9, stamps % 10**9, NOISE)
+    check(aj.read(path, **UNITS))
+
+
+def test_what_ros_exports(tmp_path):
+    """The stamp of the header is used, not that of arrival, and the frame is no channel."""
+    stamps = EPOCH * 10**9 + STEP * 10**7
+    columns = {"%time": stamps + 300_000 * (STEP % 3), "field.header.seq": STEP, "field.header.stamp": stamps}
+    columns |= {"field.header.frame_id": "imu_link", "field.orientation.w": 1.0}
+    columns |= {f"field.angular_velocity.{a}": NOISE[:, i] for i, a in enumerate("xyz")}
+    columns |= {"field.angular_velocity_covariance0": 0.0}
+    columns |= {f"field.linear_acceleration.{a}": NOISE[:, 3 + i] for i, a in enumerate("xyz")}
+    pd.DataFrame(columns).to_csv(tmp_path / "imu.csv", index=False)
+    recording = aj.read(tmp_path / "imu.csv", **UNITS)
+    check(recording)
+    assert recording.jitter < 1e-9
+    others = ("seq", "orientation.w", "angular_velocity_covariance0")
+    assert [*recording.auxiliary] == ["field.header.seq", *(f"field.{name}" for name in others[1:])]
+    for words in (("field.header.stamp", "%time"), ("field.header.frame_id", "imu_link", "line 2")):
+        assert any(all(word in note for word in words) for note in recording.notes)
+
+
+def test_dates(tmp_path):
+    frame = pd.DataFrame(
+        {"when": pd.to_datetime(EPOCH * 10**9 + STEP * 10**7)} | dict(zip(HEADER, NOISE.T, strict=True))
+    )
+    frame.to_csv(tmp_path / "imu.csv", index=False)
+    check(aj.read(tmp_path / "imu.csv", time="when"))
+    frame.to_parquet(tmp_path / "imu.parquet")
+    check(aj.read(tmp_path / "imu.parquet"))
+
+
+@pytest.mark.parametrize(("bits", "unit", "per_second"), [(16, "ms", 1e3), (32, "us", 1e6), (24, "us", 1e6)])
+def test_a_counter_that_starts_again_is_continued(tmp_path, bits, unit, per_second):
+    counts = np.round(np.arange(9000) / RATE * per_second).astype(int) + 2**bits - 12_345
+    path = write_text(
+        tmp_path / "imu.csv", [f"time [{unit}]", "gx [deg/s]"], counts % 2**bits, np.sin(counts)
+    )
+    recording = aj.read(path)
+    assert recording.rate == pytest.approx(RATE, rel=1e-9)
+    assert any("starts again" in note for note in recording.notes)
+
+
+# --- Logs of text -------------------------------------------------------------------------------------------
+
+EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
+EUROC += ",a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+
+
+@pytest.mark.parametrize("header", [EUROC, EUROC.replace("#", ""), EUROC.replace(",", " ")])
+def test_euroc(tmp_path, header):
+    times = 1_403_715_273_262_142_976 + 5_000_000 * STEP
+    (tmp_path / "imu.csv").write_text(
+        "\n".join([header, *rows(times, NOISE, mark=header[15] if header[15] in ", " else ","), ""])
+    )
+    recording = aj.read(tmp_path / "imu.csv")
+    assert recording.names == SIX
+    assert recording.rate == pytest.approx(200.0, rel=1e-12)
+    np.testing.assert_array_equal(recording.values, NOISE)
+    assert [axis.unit for axis in recording.axes] == [*3 * ["rad/s"], *3 * ["m/s²"]]
+
+
+def vectornav(kind, *before):
+    """Lines of a message with fields before its accelerations and angular rates, each with its check sum."""
+    lines = []
+    for row in NOISE.round(6):
+        body = ",".join([kind, *(f"{x:+.6f}" for x in (*before, *row[3:], *row[:3]))])
+        lines.append(f"${body}*{np.bitwise_xor.reduce(np.frombuffer(body.encode(), np.uint8)):02X}")
+    return lines
+
+
+@pytest.mark.parametrize("kind", ["VNYMR 6", "VNQMR 7", "VNMAR 3", "VNDTV 1"])
+def test_vectornav(tmp_path, kind):
+    kind, before = kind.split()
+    lines = vectornav(kind, *np.arange(int(before)))
+    # Cut within the first line, as when the log is begun; with other messages between.
+    lines = [lines[0][30:], *(text for x in lines for text in (x, "$VNRRG,05,+1.0*00", "# a comment", ""))]
+    (tmp_path / "imu.csv").write_text("\r\n".join(lines) + "\r\n")
+    recording = aj.read(tmp_path / "imu.csv", rate=40.0)[SIX]
+    scale, order = ([*3 * [1.0], *3 * [1.0]], slice(None))
+    if kind == "VNDTV":
+        # Increments of angles [deg] come first.
+        scale, order = [*3 * [40.0 * DEG], *3 * [40.0]], [3, 4, 5, 0, 1, 2]
+    np.testing.assert_allclose(recording.values, NOISE.round(6)[:, order] * scale, rtol=1e-12)
+    assert any(f"{N} lines of ${kind}" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("damage", ["a digit", "a field", "the beginning", "all of it"])
+def test_a_damaged_line_of_vectornav(tmp_path, damage):
+    lines = vectornav("VNMAR", 1.0, 2.0, 3.0)
+    whole = lines[40]
+    digit = whole.replace(whole[20], "9" if whole[20] != "9" else "8", 1)
+    lines[40] = {"a digit": digit, "a field": whole[:30], "the beginning": whole[15:], "all of it": "x"}[
+        damage
+    ]
+    (tmp_path / "imu.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(aj.RecordingError, match=r"line 41.*start="):
+        aj.read(tmp_path / "imu.csv", rate=40.0)
+    assert aj.read(tmp_path / "imu.csv", rate=40.0, stop=1.0).n == 40
+
+
+@pytest.mark.skipif(not (DATA / "euroc_slice.csv").is_file(), reason="the folder of ALLANJAX_DATA is absent")
+def test_real_text():
+    recording = aj.read(DATA / "euroc_slice.csv")
+    assert recording.names == SIX
+    assert recording.rate == pytest.approx(200.0, rel=1e-6)
+    assert np.linalg.norm(recording.values[:, 3:].mean(axis=0)) == pytest.approx(9.8, abs=0.5)
+    with pytest.raises(aj.RecordingError, match=r"10 gaps.*start=90.978, stop=116.188"):
+        aj.read(DATA / "xio_sensor_data.csv")
+    still = aj.read(DATA / "xio_sensor_data.csv", start=90.978, stop=116.188)
+    assert still.rate == pytest.approx(100.0, abs=0.1)

@@ -1,0 +1,34 @@
+"""All studies are listed, and each runs to its end with small numbers."""
+
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.common.study import UnavailableError, names, perform, question, settings
+
+pytestmark = pytest.mark.study
+
+
+def test_all_studies_are_listed_with_their_questions(capsys):
+    assert main(["--list"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed] == names()
+    assert all(question(name).endswith("?") for name in names())
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_study_runs(name, monkeypatch, tmp_path):
+    monkeypatch.setattr(settings, "workers", 1)
+    try:
+        text = perform(name, quick=True, results=tmp_path / "results.md")
+    except UnavailableError as reason:
+        pytest.skip(str(reason))
+    assert text.startswith(f"# {question(name)}\n")
+    assert " at commit " in text
+    assert (tmp_path / "results.md").read_text(encoding="utf-8") == text
+
+
+def test_options_are_the_keywords_of_a_study(capsys):
+    with pytest.raises(SystemExit):
+        main(["accuracy", "--rekords", "3"])
+    assert "--rekords" in capsys.readouterr().err
+    assert main(["mutants", "--count", "0", "--results", "/dev/null"]) == 0
