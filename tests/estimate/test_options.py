@@ -3,6 +3,7 @@
 import dataclasses
 
 import bench
+import golden_records as golden
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -222,8 +223,6 @@ def test_arrays_and_frames_are_recordings():
 
 def test_starts_are_used_and_held_shapes_stay():
     rng = np.random.default_rng(4)
-    import golden_records as golden
-
     x = golden.white(rng, 16_384, 1e-2) + golden.gauss_markov(rng, 16_384, 0.05, 0.3)
     asked = WHITE + aj.Markov(0.02, 0.5).hold("correlation_time")
     for objective in ("allan", "whittle"):
@@ -250,8 +249,6 @@ class PowerLaw(aj.NoiseTerm):
 
 def test_a_users_own_term_is_fitted():
     """S(f) ∝ f^(−1/2), drawn as a sum of Gauss–Markov processes: of a power law of exponent ½."""
-    import golden_records as golden
-
     rng, density = np.random.default_rng(11), 1e-5
     x = golden.white(rng, 16_384, 1e-3) + golden.power_law(rng, 16_384, density, 0.5)
     c = aj.fit(recording(x, RATE), WHITE + PowerLaw(), as_is=True, vibrating=True)["gyro_0"]["power_law"]

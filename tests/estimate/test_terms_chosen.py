@@ -1,6 +1,7 @@
 """Sets of terms by evidence: integrals over the documented prior, the rules, and what follows from them."""
 
 import bench
+import golden_records as golden
 import numpy as np
 import pytest
 from dense_fits import Spectrum, drawn, recording
@@ -270,8 +271,6 @@ def test_a_slow_term_that_may_be_another_is_not_called_detected():
     Twelve records of 164 s, in which white noise and flicker of these sizes meet at 16 s.
     """
     rng = np.random.default_rng(500)
-    import golden_records as golden
-
     x = np.stack([golden.sensor(rng, 2048, RATE, **golden.crossing(0.1, B=16.0)) for _ in range(12)], axis=1)
     found, told = aj.fit(recording(x, RATE), as_is=True, vibrating=True), 0
     for result in found.results:

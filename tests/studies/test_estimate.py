@@ -1,5 +1,7 @@
 """Fits and posteriors over many draws, and of terms whose programs take long to compile."""
 
+import bench
+import golden_records as golden
 import numpy as np
 import pytest
 from dense_fits import Spectrum, drawn, recording
@@ -126,3 +128,54 @@ def test_a_fit_that_was_led_far_off_at_first_needs_no_error_of_the_model_at_last
     assert found.discrepancy == 0.0
     for label, truth in (("quantization", 0.5), ("angle_random_walk", 1.0), ("markov_amplitude", 2.0)):
         assert abs(found[label].value - truth) < 4.0 * found[label].std
+
+
+def test_walks_do_not_seem_to_follow_a_temperature_that_walks():
+    """Two walks have a large correlation nearly always: of 100 axes one is expected to be said to follow it.
+
+    More than five has a chance of 0.1 %.
+    """
+    rng, said = np.random.default_rng(2), 0
+    for _ in range(10):
+        x, z = np.cumsum(rng.standard_normal((2048, 10)), axis=0), np.cumsum(rng.standard_normal(2048))
+        reason = aj.check(recording(x, 100.0, temperature=z))["temperature"].reason
+        said += sum(f"gyro_{k} follows" in reason for k in range(10))
+    assert said <= 5
+
+
+def test_a_gauss_markov_filter_follows_the_drift():
+    """One that soon forgets its bias would predict a vibration best, with twice the error of a walk's."""
+    model = aj.AngleRandomWalk(1e-4) + aj.RateRandomWalk(1e-4) + aj.Resonance(3e-3, 11.0, 12.0)
+    z = np.asarray(aj.simulate(model, 16_384, 50.0, 5))
+    fit = aj.fit(
+        recording(z, 50.0), "N + K + resonance(frequency=11 Hz)", "whittle", as_is=True, vibrating=True
+    )
+    walk, markov = (aj.horizon(fit, 1.0, process=p)["gyro_0"].error[-1] for p in ("walk", "markov"))
+    assert markov < 1.1 * walk
+
+
+def test_errors_of_a_new_record_are_as_predicted():
+    """Flicker noise that a fit of 164 s knows to 6 %, and 300 errors of 10 s, hence 8 %: together 15 %."""
+    fit, truth = bench.fit("small"), bench.truth("small").truth["gyro_x"]
+    found = aj.horizon(fit, 10.0, axes="gyro_x")["gyro_x"]
+    rng = np.random.default_rng(77)
+    z = golden.sensor(rng, 320_000, N=truth["angle_random_walk"], B=truth["bias_instability"])
+
+    def normalized(white, walk):
+        """Mean square of a filter's errors after 10 s over its prediction, sample by sample."""
+        rate, n = 100.0, 1000
+        R, P, bias, errors = white**2 * rate, white**2, 0.0, []
+        total = np.cumsum(z) / rate
+        for k, sample in enumerate(z[:-n]):
+            gain = P / (P + R)
+            bias += gain * (sample - bias)
+            after = P * R / (P + R)
+            P = after + walk**2 / rate
+            if k > 20_000 and k % n == 0:
+                errors.append(total[k + n] - total[k] - 10.0 * bias)
+        prediction = after * 100.0 + walk**2 * 1000.0 / 3.0 + white**2 * 10.0
+        return np.mean(np.square(errors)) / prediction
+
+    assert 0.8 < normalized(found.white.value, found.walk.value) < 1.25
+    assert normalized(found.bounding_white, found.bounding_walk) < 1.0
+    assert found.raw_factor > 1.5
