@@ -1,9 +1,9 @@
 """How much memory do Allan deviations take, and records that are longer than memory?
 
 Each run is a process of its own, whose peak memory is the operating system's figure, interpreter, libraries
-and record included; beside it that of a process that makes the record and takes its first 1,000 samples. Streams
-are files of one axis (.npy, float64), read in chunks, both statistics (Allan pyramid and averaged spectra) in
-one reading, terms selected and fitted; beside it one pass (`np.sum`) over the same chunks.
+and record included; beside it that of a process that makes the record and takes its first 1,000 samples.
+Streams are files of one axis (.npy, float64), read in chunks, both statistics (Allan pyramid and averaged
+spectra) in one reading, terms selected and fitted; beside it one pass (`np.sum`) over the same chunks.
 """
 
 from __future__ import annotations
