@@ -1,0 +1,120 @@
+"""Compiled programs are kept for later processes where the user says, or where nobody else can write."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+
+import jax
+import pytest
+
+import allanjax as aj
+
+posix = pytest.mark.skipif(os.name != "posix", reason="elsewhere each user has temporary files of their own")
+
+
+@pytest.fixture
+def told(monkeypatch, tmp_path):
+    """What JAX was told, in a folder with an empty home."""
+    found = {}
+    monkeypatch.setattr(jax.config, "update", found.__setitem__)
+    monkeypatch.chdir(tmp_path)
+    for name in ("home", "temporary"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    return found
+
+
+@pytest.mark.parametrize("word", ["off", "OFF"])
+def test_there_may_be_none(told, monkeypatch, tmp_path, word):
+    monkeypatch.setenv("ALLANJAX_CACHE", word)
+    assert aj.enable_compilation_cache() is None
+    assert (told, list((tmp_path / "home").iterdir())) == ({}, [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME is a convention of Linux")
+def test_it_is_where_it_is_said_to_be_or_the_users(told, monkeypatch, tmp_path):
+    for said, expected in ((str(tmp_path / "by name"), "by name"), ("", "home/allanjax/jax")):
+        monkeypatch.setenv("ALLANJAX_CACHE", said)
+        folder = aj.enable_compilation_cache()
+        assert folder == tmp_path / expected
+        assert folder.is_dir()
+        assert told["jax_compilation_cache_dir"] == str(folder)
+        assert told["jax_persistent_cache_min_compile_time_secs"] == 0.0
+    assert aj.enable_compilation_cache(tmp_path / "given") == tmp_path / "given"
+
+
+@posix
+def test_a_home_that_cannot_be_written_to_is_nobodys_mistake(told, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ALLANJAX_CACHE", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        folder = aj.enable_compilation_cache()
+        assert folder.parent == tmp_path / "temporary"
+        assert told["jax_compilation_cache_dir"] == str(folder)
+        assert aj.enable_compilation_cache() == folder
+    # A folder that was asked for is another matter.
+    monkeypatch.setenv("ALLANJAX_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.warns(UserWarning, match="ALLANJAX_CACHE"):
+        assert aj.enable_compilation_cache() is None
+
+
+@posix
+@pytest.mark.parametrize("what", ["writable by others", "somebody else's", "a link", "a file"])
+def test_programs_that_another_may_have_written_are_not_used(told, monkeypatch, tmp_path, what):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ALLANJAX_CACHE", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    uid = os.getuid() + (what == "somebody else's")
+    monkeypatch.setattr(os, "getuid", lambda: uid)
+    folder = tmp_path / "temporary" / f"allanjax-{uid}"
+    if what == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        folder.symlink_to(tmp_path / "elsewhere")
+    elif what == "a file":
+        folder.write_text("")
+    else:
+        folder.mkdir()
+        folder.chmod(0o777 if what == "writable by others" else 0o700)
+    assert aj.enable_compilation_cache() is None
+    assert told == {}
+
+
+PROGRAM = """
+import sys
+from collections import Counter
+from jax import monitoring
+seen = Counter()
+monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))
+from allanjax.cli.app import main
+sys.argv[0] = "allanjax"
+try:
+    main()
+finally:
+    print(seen["compile_requests_use_cache"], seen["cache_hits"])
+"""
+
+
+@pytest.mark.study
+@pytest.mark.skipif(sys.platform != "linux", reason="where home and temporary files are")
+def test_commands_find_all_that_an_earlier_one_compiled_also_without_a_home(tmp_path):
+    (tmp_path / "home").write_text("")
+    (tmp_path / "temporary").mkdir()
+    others = {"ALLANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME"}
+    environment = {key: value for key, value in os.environ.items() if key not in others}
+    environment |= {"HOME": str(tmp_path / "home"), "TMPDIR": str(tmp_path / "temporary")}
+    arguments = ["simulate", "--terms", "N=1 deg/√h + K=1 deg/h/√h", "--duration", "60", "--out", "a.csv"]
+    counts = []
+    for _ in range(2):
+        command = [sys.executable, "-c", PROGRAM, *arguments]
+        done = subprocess.run(
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        counts.append(tuple(map(int, done.stdout.split()[-2:])))
+    (asked, hits), again = counts
+    assert asked > hits
+    assert again == (asked, asked)
