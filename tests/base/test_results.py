@@ -1,4 +1,4 @@
-"""All public results: mappings from axes, equal by value, pickles, data frames and JSON with their numbers, short told."""
+"""All public results: mappings, equal by value, pickled, told in short, frames and JSON with their numbers."""
 
 import copy
 import dataclasses
@@ -140,7 +140,16 @@ def test_results_of_axes_are_mappings(kind):
 
 
 TABLES = ("Fit", "TermSelection", "Posterior", "Critique", "FleetResult", "Horizon", "Filtered", "Alignment")
-TABLES += ("SampleRates", "Calibration", "Navigation", "Check", "Inspection", "DataSheet", "SensorPreset", "Denoised")
+TABLES += (
+    "SampleRates",
+    "Calibration",
+    "Navigation",
+    "Check",
+    "Inspection",
+    "DataSheet",
+    "SensorPreset",
+    "Denoised",
+)
 
 
 @pytest.mark.parametrize("kind", ALL)

@@ -1,4 +1,4 @@
-"""What is compiled is of use to the next recording: programs do not depend on lengths and numbers of samples."""
+"""What is compiled is of use to the next recording: programs do not depend on numbers of samples."""
 
 import bench
 import numpy as np
@@ -12,7 +12,11 @@ def shorter(name, n):
     """A recording of another length, of which nobody else has any."""
     recording = bench.recording(name)
     return aj.Recording.from_array(
-        recording.values[:n], recording.rate, names=list(recording.names), gyro_unit="rad/s", accel_unit="m/s^2"
+        recording.values[:n],
+        recording.rate,
+        names=list(recording.names),
+        gyro_unit="rad/s",
+        accel_unit="m/s^2",
     )
 
 

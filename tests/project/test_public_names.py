@@ -81,7 +81,7 @@ assert "Fit.plot" in aj.Fit.plot.__qualname__ and curve.plot().axes
 
 
 def test_slow_libraries_are_imported_where_they_are_used_only():
-    """In a process of its own: names load what they need, intervals no statistics, results have their methods."""
+    """In a process of its own: names load what they need, intervals no statistics."""
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
