@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ import jax
 import jaxtyping
 import numpy as np
 import pytest
-from gamma_levels import with_likelihood
 
 import allanjax as aj
 from allanjax.base.cache import release_programs
@@ -104,12 +103,6 @@ def small_critique() -> aj.Critique:
     recording = aj.Recording.from_array(noise + line, 100.0, gyro_unit="deg/s", name="bench")
     causes = [cause for cause in aj.critic.CAUSES if cause.name == "sinusoid"]
     return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()), causes=causes)
-
-
-@pytest.fixture
-def two_terms(small_fit: aj.Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., aj.Fit]:
-    """What makes a fit of angle and rate random walk with a likelihood of one's own."""
-    return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
 
 
 @pytest.fixture
