@@ -1,198 +1,174 @@
-"""Fits of axes that the plain terms do not follow, of records by NumPy and SciPy alone."""
+"""Fits of axes that the plain terms do not follow, and of models with a response."""
 
 import dataclasses
-import json
-from importlib.resources import files
+import re
 
+import bench
+import golden_records as golden
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, sosfilt
+from dense_fits import recording
+from scipy.signal import lfilter
 
 import allanjax as aj
-from allanjax.estimate.as_json import to_dict
-from allanjax.estimate.whittle import fit_axis
-from allanjax.fleet.table import rows_of
-from allanjax.noise.notation import parse_model
 
-RATE, N = 100.0, 60_000
-WHITE, WALK = 1e-3, 2e-4
-SCHEMA = json.loads(files("allanjax.report").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+RATE, N = 100.0, 16_384
+KINDS = ("one_pole", "resonance", "filtered")
+DEGREE = np.pi / 180.0 / 60.0
 
 
-def noise(rng, n):
-    """White noise and a random walk."""
-    h = 1.0 / RATE
-    white = WHITE / np.sqrt(h) * rng.standard_normal(n)
-    return white + WALK * np.sqrt(h) * np.cumsum(rng.standard_normal(n))
-
-
-def resonance(rng, n, frequency, quality, sigma):
-    """Noise of an oscillator, by its recursion of two poles."""
-    w = 2.0 * np.pi * frequency / RATE
-    pole = np.exp(-w / (2.0 * quality) + 1j * w * np.sqrt(1.0 - 0.25 / quality**2))
-    x = lfilter([1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal(n + 4000))[4000:]
-    return sigma * x / x.std()
-
-
-@pytest.fixture(scope="module")
-def recording():
-    """A filtered axis with a resonance and a line, one behind another filter, and a plain one."""
-    rng = np.random.default_rng(2)
-    t = np.arange(N) / RATE
-    low, settled = np.exp(-2.0 * np.pi * 15.0 / RATE), 1000
-    first = lfilter([1.0 - low], [1.0, -low], noise(rng, N + settled))[settled:]
-    first += resonance(rng, N, 20.0, 15.0, 5e-3) + 2e-3 * np.cos(2.0 * np.pi * 3.3 * t + 1.0)
-    second = sosfilt(butter(2, 22.0, fs=RATE, output="sos"), noise(rng, N + settled))[settled:]
-    values = np.column_stack([first, second, noise(rng, N)])
-    names = ["gyro_x", "gyro_y", "gyro_z"]
-    return aj.Recording.from_array(values, RATE, gyro_unit="rad/s", names=names)
-
-
-@pytest.fixture(scope="module")
-def fitted(recording):
-    return aj.fit(recording)
-
-
-def test_coefficients_are_corrected(fitted):
-    """N within its 95 % interval and 3 %; of two axes both are inside nine times of ten, with this seed."""
-    for name in ("gyro_x", "gyro_y"):
-        c = fitted[name]["N"]
-        assert c.interval[0] < WHITE < c.interval[1]
-        assert c.value == pytest.approx(WHITE, rel=0.03)
-        K = fitted[name]["K"]
-        assert K.interval[0] < WALK < K.interval[1]
-        assert fitted[name].discrepancy < 0.1 * fitted[name].plain.discrepancy
-    # The misfit widens the interval of the plain fit, or is so large that there is none.
-    assert fitted["gyro_x"].plain["N"].std > 2.0 * fitted["gyro_x"]["N"].std
-    assert not fitted["gyro_y"].plain.measured
-    assert fitted["gyro_y"].measured
-
-
-def test_what_is_corrected_for_is_named(fitted):
-    found = fitted["gyro_x"]
-    assert found["resonance_frequency"].value == pytest.approx(20.0, rel=0.01)
-    assert found["resonance_quality_factor"].value == pytest.approx(15.0, rel=0.25)
-    assert found["sinusoid_frequency"].value == pytest.approx(3.3, abs=1e-3)
-    assert found["sinusoid_amplitude"].value == pytest.approx(2e-3, rel=0.1)
-    text = found.correction
-    assert text.startswith("corrected for a 1")
-    for part in (
-        "Hz bandwidth",
-        "a resonance at 20 Hz",
-        "a line at 3.3 Hz",
-        "angle random walk",
-        "→",
-        "deg/√h",
-    ):
-        assert part in text
-    assert "22 Hz" in fitted["gyro_y"].correction.replace("21.9", "22").replace("22.1", "22")
-    assert found.further == ("resonance", "sinusoid", found.own_template.response.name())
-
-
-def test_the_model_is_what_was_measured(fitted):
-    """Its Allan deviation is the measured one within four standard errors and 0.2 % up to 10 s."""
-    time = fitted.curve.cluster_time
-    short = time <= 10.0
-    for k, result in enumerate(fitted.results):
-        ratio = fitted.curve.deviation[:, k] / fitted.model_deviation(result.axis.name, time)
-        error = 1.0 / np.sqrt(2.0 * fitted.curve.edf[:, k])
-        assert np.all(abs(ratio - 1.0)[short] < (4.0 * error + 0.002)[short]), result.axis.name
-    # Without the extension it was off by a quarter and by more.
-    for name, k in (("gyro_x", 0), ("gyro_y", 1)):
-        plain = fitted[name].plain.model.sampled(RATE).allan_variance(time)
-        assert np.max(abs(fitted.curve.deviation[:, k] / np.sqrt(plain) - 1.0)[short]) > 0.25
-
-
-def test_a_plain_axis_stays_plain(fitted, recording):
-    assert fitted["gyro_z"].own_template is None
-    assert fitted["gyro_z"].plain is None
-    assert fitted["gyro_z"].correction == ""
-    again = aj.fit(recording, plain=True)
-    assert all(result.own_template is None for result in again.results)
-    assert again["gyro_x"].misfit is not None
-    # The plain fit is kept beside the other.
-    assert fitted["gyro_x"].plain["N"].value == again["gyro_x"]["N"].value
-    # Terms that the user gave are what is fitted.
-    assert aj.fit(recording, "N + K")["gyro_x"].own_template is None
-
-
-def test_the_table_says_it_in_one_line(fitted):
-    text = " ".join(str(fitted).replace("│", " ").split())
-    assert text.count("corrected for") == 2
-    assert "resonance quality" not in text
-    assert "low pass" not in text
-
-
-def test_json_keeps_it(fitted, tmp_path):
-    jsonschema = pytest.importorskip("jsonschema")
-    path = tmp_path / "fit.json"
-    aj.write_json(fitted, path)
-    jsonschema.validate(json.loads(path.read_text(encoding="utf-8")), SCHEMA)
-    again = aj.load(path)
-    assert str(again) == str(fitted)
-    for name in fitted.axes:
-        assert again[name].correction == fitted[name].correction
-        one, other = again[name].model, fitted[name].model
-        assert repr(one.response) == repr(other.response)
-        assert one.inside == other.inside
-        time = np.array([0.01, 1.0, 50.0])
-        np.testing.assert_allclose(
-            one.sampled(RATE).allan_variance(time), other.sampled(RATE).allan_variance(time)
+@pytest.mark.parametrize("name", KINDS)
+def test_an_axis_that_the_plain_terms_do_not_follow_is_corrected(name):
+    """N is within four standard deviations; of the plain fit these are wider, or it is no measurement."""
+    fit, record = bench.fit(name), bench.truth(name)
+    for result in fit.results:
+        truth, plain = record.truth[result.axis.name], result.plain
+        c = result["N"]
+        assert result.measured
+        assert abs(c.value - truth["angle_random_walk"]) < 4.0 * c.std
+        assert not plain.measured or plain["N"].std > 1.2 * c.std
+        assert plain.own_template is None
+        assert (plain.mean, plain.widening) == (pytest.approx(result.mean, nan_ok=True), 1.0) or np.isnan(
+            plain.mean
         )
+        # The model is what was measured, up to a thousandth and four standard errors.
+        k = fit.axes.index(result.axis.name)
+        time = fit.curve.cluster_time
+        ratio = fit.curve.deviation[:, k] / fit.model_deviation(result.axis.name, time)
+        error = 1.0 / np.sqrt(2.0 * fit.curve.edf[:, k])
+        often = fit.curve.edf[:, k] > 50.0
+        assert (abs(ratio - 1.0) < 4.0 * error + 0.01)[often].all()
+        # Filter, resonances and lines are told apart from the terms of the sensor.
+        own = result.own_template
+        assert (
+            set(result.further)
+            == {label for label in result.coefficients if label.split("_")[0] in ("resonance", "sinusoid")}
+            and {"resonance"}
+        ) or len(result.further) > 0
+        assert (own.response is not None) == (name != "resonance")
+    assert not any(r.own_template for r in bench.fit("small").results)
 
 
-def test_its_posterior_is_that_of_the_whole_model(fitted):
-    """The standard deviation of N is that of the fit within the scatter of 2,000 correlated draws."""
-    posterior = aj.sample(fitted, "gyro_y", max_steps=3000, min_length=20.0, max_r_hat=1.1, max_change=0.5)
-    of = posterior["gyro_y"]
-    assert fitted["gyro_y"].own_template.response.name() in " ".join(of.coefficients)
-    assert of["N"].value == pytest.approx(fitted["gyro_y"]["N"].value, rel=0.02)
-    assert of["N"].std == pytest.approx(fitted["gyro_y"]["N"].std, rel=0.4)
+@pytest.mark.parametrize("name", KINDS)
+def test_what_was_corrected_for_is_told_with_its_numbers(name):
+    fit, record = bench.fit(name), bench.truth(name)
+    for result in fit.results:
+        truth, text = record.truth[result.axis.name], result.correction
+        assert text.startswith("corrected for a ")
+        if name != "resonance":
+            (bandwidth,) = re.findall(r"([\d.]+) Hz bandwidth", text)
+            response = result.own_template.response.name()
+            c = result[f"{response}_bandwidth"]
+            assert float(bandwidth) == pytest.approx(result.model.response.half_power, rel=5e-3)
+            if response == "low_pass1":
+                assert abs(c.value - truth["low_pass1_bandwidth"]) < 4.0 * c.std
+        if name != "one_pole":
+            place = next(
+                c
+                for label, c in result.coefficients.items()
+                if re.fullmatch(r"resonance\w*_frequency", label)
+            )
+            assert f"{place.value:.3g}" in text
+            assert abs(place.value - truth["resonance_frequency"]) < 4.0 * place.std
+        # From the plain N to that of the whole model.
+        before, after = map(float, re.findall(r"([\d.]+) → ([\d.]+)", text)[0])
+        unit = result["N"].in_unit()
+        assert text.endswith(unit.unit)
+        assert after == pytest.approx(unit.value, rel=0.01)
+        assert before == pytest.approx(result.plain["N"].in_unit().value, rel=0.01)
+    said = " ".join(str(fit).replace("│", " ").split())
+    assert said.count("corrected for") == len(fit)
+    assert "resonance quality" not in said
 
 
-def test_pictures_name_it(fitted, recording):
-    for figure in (
-        aj.plot_allan(fitted, "gyro_x"),
-        aj.plot_psd(aj.power_spectrum(recording), fitted, "gyro_x"),
-    ):
-        texts = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
-        texts += " ".join(t.get_text() for t in figure.texts)
-        texts += " ".join(t.get_text() for a in figure.artists for t in getattr(a, "texts", []))
-        found = [t for t in figure.findobj() if hasattr(t, "get_text")]
-        assert any("corrected for" in t.get_text().replace("\n", " ") for t in found), texts
+def test_without_extensions_it_is_the_plain_fit():
+    fit, again = bench.fit("filtered"), bench.fit("filtered", plain=True)
+    for name, result in fit.without_extensions().items():
+        assert result.own_template is None
+        assert result["N"].value == again[name]["N"].value == fit[name].plain["N"].value
+        assert result.mean == fit[name].mean
+        assert again[name].own_template is None
+    for name in fit.axes:
+        assert fit.as_for(name).objective == "whittle"
+        assert fit.as_for(name).template == fit[name].own_template
+    # Terms that the user gave are what is fitted.
+    assert bench.fit("filtered", "N + K", plain=False)[fit.axes[0]].own_template is None
 
 
-def test_intervals_of_a_response_do_not_need_the_first_term(recording):
-    """A response has an interval also where the first term that passes it is not in use."""
-    model = parse_model("low_pass1 * (Q + N + K)")
-    low = np.exp(-2.0 * np.pi * 15.0 / RATE)
-    x = lfilter([1.0 - low], [1.0, -low], noise(np.random.default_rng(3), N))
-    found = fit_axis(model, recording.axes[1], x, RATE, np.array([False, True, True]), {})
-    bandwidth = found.coefficients.values["low_pass1_bandwidth"]
-    # Four standard deviations; one of three axes in 16,000 is farther off.
-    assert abs(bandwidth.value - 15.0) < 4.0 * bandwidth.std < 2.0
-
-
-def test_without_extensions_it_is_the_plain_fit(fitted, recording):
-    plain, again = fitted.without_extensions(), aj.fit(recording, plain=True)
-    assert all(result.own_template is None for result in plain.results)
-    for name in fitted.axes:
-        assert plain[name].mean == fitted[name].mean
-        assert plain[name]["N"].value == again[name]["N"].value
-
-
-def test_a_fleet_compares_the_plain_terms(fitted):
-    """Resonances are numbered by their strength, so that units do not compare in them."""
-    rows = rows_of(to_dict(fitted), "unit", "unit.csv")
-    named = {row["coefficient"] for row in rows if row["axis"] == "gyro_x"}
-    assert "angle_random_walk" in named
-    assert not any("resonance" in name or "sinusoid" in name or "low_pass" in name for name in named)
-
-
-def test_regressors_leave_the_terms_plain(recording):
+def test_regressors_leave_the_terms_plain():
     """A fit with regressors has no extension, which would be without them."""
-    with_channel = dataclasses.replace(
-        recording, auxiliary={"temperature": np.sin(np.arange(N) / 5000.0) + np.arange(N) / N}
+    record = bench.recording("one_pole")
+    slow = np.sin(np.arange(record.n) / 5000.0) + np.arange(record.n) / record.n
+    found = aj.fit(
+        dataclasses.replace(record, auxiliary={"temperature": slow}),
+        None,
+        "whittle",
+        regressors=["temperature"],
+        as_is=True,
     )
-    found = aj.fit(with_channel, objective="whittle", regressors=["temperature"], as_is=True)
     assert all(result.own_template is None and result.regression for result in found.results)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_resonance_inside_a_filter_is_told_from_one_after_it(inside):
+    rng = np.random.default_rng(31)
+    white, wave = rng.standard_normal(N), golden.oscillator(rng, N, 0.6, 20.0, 15.0)
+    w = np.exp(-2.0 * np.pi * 15.0 / RATE)
+    x = lfilter([1.0 - w], [1.0, -w], white + wave * inside) + wave * (not inside)
+    (result,) = aj.fit(recording(0.01 * x, RATE), as_is=True, vibrating=True).results
+    model = result.own_template
+    flags = dict(zip(model.term_labels, model.inside, strict=True))
+    assert flags["resonance"] == inside
+    assert flags["angle_random_walk"]
+    # White noise is known to a per cent beside a filter.
+    assert result["N"].value == pytest.approx(0.001, rel=0.04)
+    assert result["resonance_frequency"].value == pytest.approx(20.0, rel=0.006)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_nothing_is_found_in_plain_noise(seed):
+    """White noise, a random walk and a Markov process."""
+    rng = np.random.default_rng([32, seed])
+    x = golden.sensor(rng, N, N=0.1, K=0.02) + golden.gauss_markov(rng, N, 0.3, 8.0)
+    (result,) = aj.fit(recording(x, RATE), as_is=True, vibrating=True).results
+    assert result.own_template is None
+
+
+def test_responses_held_given_and_left_out():
+    record, truth = bench.recording("one_pole"), bench.truth("one_pole").truth["gyro_x"]
+    free = bench.fit("one_pole", "low_pass1 * (N + K)", "whittle")["gyro_x"]
+    model = aj.LowPass1(18.0).hold("bandwidth") * (aj.AngleRandomWalk() + aj.RateRandomWalk())
+    held = aj.fit(record, model, "whittle", as_is=True)["gyro_x"]
+    c = held["low_pass1_bandwidth"]
+    assert (c.value, c.held, c.std) == (18.0, True, 0.0)
+    assert c.unit == "Hz"
+    # What is known need not be estimated beside the rest.
+    assert held["N"].std < 0.8 * free["N"].std
+    assert held.dof == free.dof + 1
+    assert abs(held["N"].value - truth["angle_random_walk"]) < 4.0 * held["N"].std
+    plain = bench.fit("one_pole", "N + K", "whittle")["gyro_x"]
+    assert plain.p_value < 1e-6
+    assert plain.discrepancy > 0.1
+
+
+def test_a_mean_over_many_samples_is_found():
+    """White noise, twenty times as fast as the samples: each zero of the response is a trap.
+
+    The record tells the duration of 28 samples to a thousandth; 0.05 is a tenth of the way to a next maximum.
+    """
+    fine, width, rng = 20, 560, np.random.default_rng(5)
+    total = np.cumsum(rng.standard_normal((N + 28) * fine))
+    x = (total[width:] - total[:-width])[::fine][:N] / width
+    (result,) = aj.fit(
+        recording(x, RATE), "moving_average * N", "whittle", as_is=True, vibrating=True
+    ).results
+    assert abs(0.4429465 * RATE / result["moving_average_bandwidth"].value - 28.0) < 0.05
+    assert result.misfit is None
+
+
+def test_a_butterworth_filter_stays_below_half_the_sample_rate():
+    """White noise alone: there is no filter, and none beyond what there can be."""
+    x = np.random.default_rng(2).standard_normal(2048)
+    model = aj.Butterworth(45.0) * (aj.AngleRandomWalk() + aj.RateRandomWalk())
+    (result,) = aj.fit(recording(x, RATE), model, "whittle", as_is=True).results
+    assert 40.0 < result["butterworth_bandwidth"].value < RATE / 2.0

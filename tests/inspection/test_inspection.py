@@ -276,14 +276,20 @@ def test_noise_of_any_colour_is_nothing_unusual():
     assert alarmed(0, 36) <= 2
 
 
+@pytest.mark.study
+def test_noise_of_any_colour_is_nothing_unusual_in_many_draws():
+    # 2.4 of 300 are expected, and nine come once in 2000 times.
+    assert alarmed(36, 336) <= 8
+
+
 @pytest.mark.parametrize(
     ("louder", "step", "found"), [(1.04, 0.1, False), (1.11, 0.0, True), (1.0, 1.0, True)]
 )
 def test_what_is_unlike_the_rest(louder, step, found):
     """20 s, 64 of 937 windows, are found where all axes are 7 % louder, eight standard deviations.
 
-    Those of the cube root of a mean of 64·16·6 squared differences are √(2/9)/√6144 = 0.6 %. A step is found if
-    it is ten standard deviations of what the mean changes by from some 40 s to the next, 0.4 of the noise.
+    Those of the cube root of a mean of 64·16·6 squared differences are √(2/9)/√6144 = 0.6 %. A step is found
+    if it is ten standard deviations of what the mean changes by from some 40 s to the next, 0.4 of the noise.
     """
     z = np.random.default_rng(22).standard_normal((N, 6))
     z[15_000:17_000] *= louder

@@ -1,331 +1,392 @@
-"""The posterior: the sampler against quadrature, priors, absent terms."""
+"""Posteriors against quadrature of dense likelihoods: density, marginals, limits, Bayes factors, priors."""
 
-import dataclasses
-import re
-import warnings
-
-import jax.numpy as jnp
+import bench
 import numpy as np
 import pytest
-from gamma_levels import K, Likelihood, N, quadrature, spectral_levels
+from dense_fits import Gaussian, Spectrum, Variances, drawn, recording
+from scipy.special import i0e, logsumexp
 
-from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.estimate.fit import fit as fit_recording
-from allanjax.noise.terms import AngleRandomWalk, Markov, RateRandomWalk
-from allanjax.posterior.likelihood import likelihood_of
-from allanjax.posterior.marginals import bayes_factor
-from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Uniform, default_priors
-from allanjax.posterior.result import PosteriorWarning
-from allanjax.posterior.sample import sample
-from allanjax.posterior.sampling import Convergence, LogPosterior, Target, first_walkers, run, split_r_hat
-from allanjax.posterior.unsampled_limits import absent_amplitude
-from allanjax.record.recording import Recording
+import allanjax as aj
+
+RATE, N = 10.0, 256
+WHITE, WALK = aj.AngleRandomWalk(0.1), aj.RateRandomWalk(0.25)
+LABELS = ("angle_random_walk", "rate_random_walk")
+T = np.arange(N) / RATE
 
 
-def assert_quantiles(draws, tau_draws, grid, probability, label):
-    """Sample quantiles lie within 4.5 Monte-Carlo standard errors of those by quadrature.
-
-    At probability u the error is √(u(1−u)/ESS) in probability; some forty comparisons in all.
-    """
-    for u in (0.025, 0.16, 0.5, 0.84, 0.95, 0.975):
-        at = np.interp(u, probability, grid)
-        error = np.sqrt(u * (1.0 - u) / (len(draws) / tau_draws))
-        assert abs(np.mean(draws < at) - u) < 4.5 * error, (label, u)
+def fit_of(x, model, objective="whittle", **options):
+    auxiliary = {name: options.pop(name) for name in ("temperature",) if name in options}
+    return aj.fit(recording(x, RATE, **auxiliary), model, objective, as_is=True, **options)
 
 
-# --- The sampler --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("truth", [(N, K), (N, 0.03 * K)], ids=["clear", "truncated at zero"])
-def test_marginals_are_those_of_quadrature(two_terms, truth):
-    likelihood = spectral_levels(truth)
-    posterior = sample(two_terms(likelihood, chosen=False), "gyro_x", seed=3)["gyro_x"]
-    assert posterior.converged
-    assert posterior.labels == ("angle_random_walk", "rate_random_walk")
-    exact = quadrature(likelihood, default_priors(likelihood))
-    for i, (grid, probability) in enumerate(exact):
-        chain = posterior.chain[:, :, i].ravel()
-        assert np.all(chain >= 0.0)
-        assert_quantiles(chain, posterior.tau[i], grid, probability, posterior.labels[i])
-        marginal = posterior[posterior.labels[i]]
-        ess = chain.size / posterior.tau[i]
-        # The quantile's standard error by the density there: 4.5 of them.
-        for value, u in ((marginal.median, 0.5), (marginal.upper_limit, 0.95)):
-            assert np.interp(value, grid, probability) == pytest.approx(u, abs=4.5 * 0.5 / np.sqrt(ess))
-
-
-def test_a_gaussian_with_other_kinds_of_parameters_is_recovered():
-    """Of a line, a time and a number the coordinates differ; the posterior is Gaussian in SI or in ln."""
-    p = Markov().parameters()
-    kinds = {"line": 20.0, "time": 100.0, "number": 3.0}
-    template = (AngleRandomWalk() + RateRandomWalk() + Markov()).parameters[:3]
-    parameters = tuple(
-        dataclasses.replace(
-            q,
-            label=kind,
-            parameter=dataclasses.replace(p[0], kind=kind, lower=0.5 if kind == "number" else 0.0),
-        )
-        for q, kind in zip(template, kinds, strict=True)
+@pytest.fixture(scope="module")
+def records():
+    """White noise and a clear walk; white noise and a walk that is hardly there; white noise."""
+    clear, weak = (
+        drawn(WHITE + aj.RateRandomWalk(K), N, RATE, seed)[:, 0] for K, seed in ((0.25, 3), (0.02, 8))
     )
-
-    class Gaussian(Likelihood):
-        def __call__(self, values):
-            z = [
-                (values[0] - 20.0) / 0.01,
-                jnp.log(values[1] / 100.0) / 0.2,
-                jnp.log((values[2] - 0.5) / 2.5) / 0.3,
-            ]
-            return -0.5 * (z[0] ** 2 + (z[1] - 0.5 * z[0]) ** 2 + z[2] ** 2)
-
-    likelihood = Gaussian(
-        parameters,
-        np.array([20.0, 100.0, 3.0]),
-        np.array([0.01, 20.0, 0.8]),
-        np.array([19.0, 1.0, 0.6]),
-        np.array([21.0, 1e4, 50.0]),
-        np.full(3, np.nan),
-        np.ones(3, bool),
-    )
-    target = Target.of(LogPosterior.of(likelihood, default_priors(likelihood)), np.arange(3), 16)
-    random = np.random.RandomState(1)
-    start = first_walkers(target, 32, random)
-    chains = run(target, start, random, Convergence(20_000, 50.0, 0.05, 1.01), lambda *_: None)
-    values = target.posterior.values(chains.y).reshape(-1, 3)
-    z = np.stack(
-        [
-            (values[:, 0] - 20.0) / 0.01,
-            np.log(values[:, 1] / 100.0) / 0.2,
-            np.log((values[:, 2] - 0.5) / 2.5) / 0.3,
-        ]
-    )
-    ess = z.shape[1] / chains.tau.max()
-    # Default priors are uniform in these coordinates; 4.5 standard errors of mean, variance and correlation.
-    np.testing.assert_allclose(z.mean(axis=1), 0.0, atol=4.5 * np.sqrt(1.25 / ess))
-    np.testing.assert_allclose(z.var(axis=1), [1.0, 1.25, 1.0], rtol=4.5 * np.sqrt(2.0 / ess))
-    assert np.corrcoef(z)[0, 1] == pytest.approx(0.5 / np.sqrt(1.25), abs=4.5 / np.sqrt(ess))
-    # The density in SI differs from that in coordinates by the Jacobian: dx/dy = x − bound.
-    jacobian = target.posterior.log_jacobian(target.base)
-    np.testing.assert_allclose(jacobian, np.log([1.0, 100.0, 2.5]), atol=1e-12)
+    return {"clear": clear, "weak": weak, "absent": drawn(WHITE, N, RATE, 20)[:, 0]}
 
 
-def test_the_way_from_a_far_start_is_not_in_the_chain():
-    """Two standard normal coordinates, from a start ten standard deviations away.
+@pytest.fixture(scope="module")
+def posteriors(records):
+    """Of N + K, both sampled; of white noise, of which the terms were chosen, with limits of the others."""
 
-    Of the way there five autocorrelation times are left out: so much at least must be gone, for with it the
-    variance would be twice as large. Without, mean and variance are known by the number of independent draws.
-    """
-    random = np.random.RandomState(2)
-    start = 10.0 + random.standard_normal((32, 2))
-    wanted = Convergence(20_000, 50.0, 0.05, 1.01)
-    chains = run(lambda y: -0.5 * np.sum(y**2, axis=1), start, random, wanted, lambda *_: None)
-    assert chains.converged
-    assert chains.steps - len(chains.y) == np.ceil(5.0 * chains.tau.max())
-    assert len(chains.log_density) == len(chains.y)
-    np.testing.assert_allclose(chains.log_density, -0.5 * np.sum(chains.y**2, axis=2), rtol=1e-12)
-    ess = chains.y.shape[0] * chains.y.shape[1] / chains.tau.max()
-    np.testing.assert_allclose(chains.y.mean(axis=(0, 1)), 0.0, atol=4.5 / np.sqrt(ess))
-    np.testing.assert_allclose(chains.y.var(axis=(0, 1)), 1.0, atol=4.5 * np.sqrt(2.0 / ess))
+    def make():
+        x = np.column_stack([records["clear"], records["weak"]])
+        both = aj.sample(fit_of(x, "N + K"), seed=3, progress=False)
+        chosen = aj.sample(fit_of(records["absent"], None), seed=4, progress=False)
+        return {"clear": both["gyro_0"], "weak": both["gyro_1"], "absent": chosen["gyro_0"]}
+
+    return bench.once("posteriors of N and K", make)
 
 
-def test_r_hat_sees_walkers_that_disagree_drift_or_differ_in_spread():
-    random = np.random.default_rng(0)
-    chain = random.standard_normal((4000, 8))
-    assert split_r_hat(chain) < 1.003
-    assert split_r_hat(chain + np.linspace(0.0, 1.0, 8)) > 1.02
-    assert split_r_hat(chain + np.linspace(0.0, 1.0, 4000)[:, None]) > 1.01
-    assert split_r_hat(chain * np.linspace(1.0, 3.0, 8)) > 1.02
-    assert np.isnan(split_r_hat(np.ones((100, 4))))
+class Grid:
+    """The posterior of N and another term on a grid, by independent levels about the dense covariance."""
+
+    def __init__(self, x, axis, other=None, label="rate_random_walk", points=400):
+        edges = fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges
+        dense = Spectrum(x, RATE, edges)
+        other = aj.RateRandomWalk(1.0) if other is None else other
+        columns = [dense.means(aj.Model((t,))) for t in (aj.AngleRandomWalk(1.0), other)]
+        priors = [axis.priors[name] for name in ("angle_random_walk", label)]
+        size = np.sqrt(np.mean(dense.level * dense.count / columns[0]) / dense.count.mean())
+        n = np.linspace(0.3 * size, 2.0 * size, points)
+        # Uniform in the coordinate of the default prior, up to what would explain all of a level.
+        top = np.log1p(10.0 * np.sqrt(np.max(dense.level / columns[1])) / priors[1].scale)
+        y = np.linspace(0.0, top, 2 * points)
+        self.c, self.n = priors[1].scale * np.expm1(y), n
+        density = np.zeros((len(n), len(y)))
+        for k, value in enumerate(n):
+            mean = value**2 * columns[0] + self.c[:, None] ** 2 * columns[1]
+            density[k] = -0.5 * np.sum(dense.count * (np.log(mean) + dense.level / mean), axis=1)
+        density += np.asarray(priors[0].log_density(n))[:, None] + np.asarray(priors[1].log_density(self.c))
+        # Weights of the trapezoidal rule in the amplitude.
+        weight = np.gradient(self.c)
+        joint = np.exp(density - density.max()) * weight
+        self.marginal = {"N": joint.sum(axis=1), "K": joint.sum(axis=0)}
+        at_zero = np.exp(density[:, 0] - density.max()).sum() / joint.sum()
+        #: Savage's ratio, of posterior and prior density at zero.
+        self.bayes_factor = at_zero / np.exp(float(priors[1].log_density(0.0)))
+
+    def probability(self, name, value):
+        """Probability that N or K is below a value."""
+        x, p = (self.n, self.marginal["N"]) if name == "N" else (self.c, self.marginal["K"])
+        steps = np.concatenate([[0.0], np.cumsum((p[1:] + p[:-1]) / 2.0)])
+        return np.interp(value, x, steps / steps[-1])
+
+    def std(self, name):
+        x, p = (self.n, self.marginal["N"]) if name == "N" else (self.c, self.marginal["K"])
+        return np.sqrt(p @ x**2 / p.sum() - (p @ x / p.sum()) ** 2)
 
 
-def test_seeds_and_axes_have_their_own_streams(two_terms):
-    fit = two_terms(spectral_levels())
-    both = sample(fit, ["gyro_x", "gyro_y"], seed=5)
-    again = sample(fit, ["gyro_y"], seed=5)
-    other = sample(fit, ["gyro_y"], seed=6)
-    np.testing.assert_array_equal(both["gyro_y"].draws, again["gyro_y"].draws)
-    assert not np.array_equal(both["gyro_x"].chain[0], both["gyro_y"].chain[0])
-    assert not np.array_equal(other["gyro_y"].chain[0], again["gyro_y"].chain[0])
-    np.random.seed(1)  # noqa: NPY002 - the global state must not matter
-    np.testing.assert_array_equal(sample(fit, "gyro_y", seed=5)["gyro_y"].draws, again["gyro_y"].draws)
-
-
-def test_a_chain_that_is_too_short_warns_what_to_do(two_terms):
-    fit = two_terms(spectral_levels())
-    with pytest.warns(PosteriorWarning, match=r"gyro_x.*random_walk.*τ.*R̂.*max_steps=120"):
-        posterior = sample(fit, "gyro_x", max_steps=30)
-    assert not posterior.converged
-    assert posterior["gyro_x"].steps == 30
-    assert "NOT CONVERGED" in str(posterior)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert sample(fit, "gyro_x").converged
-
-
-# --- Priors -------------------------------------------------------------------------------------------------
-
-
-def test_a_users_prior_is_obeyed(two_terms):
-    likelihood = spectral_levels((N, 0.03 * K))
-    # The data allow K = 0 … prior_scale; the prior only a band of it.
-    prior_scale = likelihood.prior_scale[1]
-    prior = LogUniform(0.2 * prior_scale, 0.6 * prior_scale)
-    fit = two_terms(likelihood, chosen=False)
-    posterior = sample(fit, "gyro_x", priors={"rate_random_walk": prior})["gyro_x"]
-    walk = posterior.chain[:, :, 1]
-    assert walk.min() >= prior.lower
-    assert walk.max() <= prior.upper
-    assert posterior.priors["rate_random_walk"] == prior
-    priors = default_priors(likelihood) | {"rate_random_walk": prior}
-    grid = np.linspace(prior.lower, prior.upper, 400)
-    likelihoods = [
-        np.exp(float(likelihood(np.array([N, c])) - likelihood(np.array([N, grid[0]])))) for c in grid
-    ]
-    # N is known to a part in a thousand and hardly correlated with K.
-    density = np.array(likelihoods) * np.exp(np.asarray(priors["rate_random_walk"].log_density(grid)))
-    probability = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2.0)])
-    median = np.interp(0.5 * probability[-1], probability, grid)
-    assert posterior["rate_random_walk"].median == pytest.approx(median, rel=0.04)
-
-
-def test_default_priors_are_those_documented():
-    likelihood = spectral_levels()
-    priors = default_priors(likelihood)
-    assert priors["rate_random_walk"] == ModifiedLogUniform(
-        float(likelihood.prior_scale[1]), float(likelihood.upper[1])
-    )
+@pytest.mark.parametrize("kind", ["clear", "weak"])
+def test_marginals_are_those_of_quadrature(records, posteriors, kind):
+    """Within 4.5 Monte-Carlo standard errors: of a probability u it is √(u(1 − u)/ESS)."""
+    axis, grid = posteriors[kind], Grid(records[kind], posteriors[kind])
+    assert axis.converged
+    assert axis.labels == LABELS
+    for i, (label, name) in enumerate(zip(LABELS, "NK", strict=True)):
+        c, draws = axis[label], axis.chain[:, :, i].ravel()
+        ess = draws.size / axis.tau[i]
+        assert draws.min() >= 0.0
+        detected = label == "angle_random_walk" or kind == "clear"
+        levels = {c.median: 0.5, c.upper_limit: 0.95}
+        if detected:
+            levels |= {
+                c.interval[0]: 0.025,
+                c.interval[1]: 0.975,
+                c.interval_68[0]: 0.16,
+                c.interval_68[1]: 0.84,
+            }
+        else:
+            assert (c.interval, c.interval_68[0]) == ((0.0, c.upper_limit), 0.0)
+            levels |= {c.interval_68[1]: 0.68}
+        assert c.detected == detected
+        for value, u in levels.items():
+            error = np.sqrt(u * (1.0 - u) / ess)
+            assert grid.probability(name, value) == pytest.approx(u, abs=4.5 * error), (label, u)
+        assert c.std == pytest.approx(grid.std(name), rel=4.5 * np.sqrt(1.5 / ess))
+    # Of what cannot be told from zero: posterior over prior probability of a third of the prior's scale.
+    walk, prior = axis["rate_random_walk"], axis.priors["rate_random_walk"]
+    third = prior.scale * np.expm1(0.3)
+    before = 0.3 / np.log1p(prior.upper / prior.scale)
+    exact = grid.probability("K", third) / before
+    error = np.sqrt(exact / before / (axis.chain[:, :, 1].size / axis.tau[1]))
+    assert walk.bayes_factor == pytest.approx(exact, abs=4.5 * error + 1e-3)
+    assert (walk.bayes_factor < 1.0 / 20.0) == (kind == "clear")
+    assert walk.bayes_factor > 1.0 or kind == "clear"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("label", "term"),
     [
-        ({"priors": {"rate_walk": Uniform(0.0, 1.0)}}, "rate_walk.*angle_random_walk, rate_random_walk"),
-        ({"priors": {"rate_random_walk": 3.0}}, "must be a Prior"),
-        ({"walkers": 7}, "even number"),
-        ({"walkers": 2}, "at least 4"),
-        ({"max_steps": 0}, "max_steps"),
-        ({"seed": -1}, "seed"),
-        ({"axes": "gyro_q"}, "gyro_q"),
-        ({"axes": []}, "at least one axis"),
+        ("rate_random_walk", aj.RateRandomWalk(1.0)),
+        ("bias_instability", aj.BiasInstability(1.0)),
+        ("quantization", aj.Quantization(1.0)),
     ],
 )
-def test_what_cannot_be_done_is_refused(two_terms, arguments, complaint):
-    with pytest.raises(AllanjaxError, match=complaint):
-        sample(two_terms(spectral_levels()), **({"axes": "gyro_x"} | arguments))
+def test_limits_of_terms_not_sampled_are_those_of_quadrature(records, posteriors, label, term):
+    """256 draws of N: below 1 % each in several repetitions. Flicker's levels above 64 are approximate."""
+    axis = posteriors["absent"]
+    assert axis.labels == ("angle_random_walk",)
+    c, grid = axis[label], Grid(records["absent"], axis, term, label)
+    for value, u in ((c.upper_limit, 0.95), (c.median, 0.5), (c.interval_68[1], 0.68)):
+        assert grid.probability("K", value * 1.04) > u > grid.probability("K", value / 1.04), u
+    assert c.std == pytest.approx(grid.std("K"), rel=0.05)
+    assert c.bayes_factor == pytest.approx(grid.bayes_factor, rel=0.05)
+    assert (c.sampled, c.detected, c.interval, c.interval_68[0]) == (False, False, (0.0, c.upper_limit), 0.0)
 
 
-def test_an_axis_without_a_fit_has_no_posterior(half_failed_fit):
-    with pytest.raises(FitError, match="gyro_y: no posterior, the start was hopeless"):
-        sample(half_failed_fit)
-    with pytest.raises(FitError, match="gyro_y: no result to sample around, the start was hopeless"):
-        likelihood_of(half_failed_fit, "gyro_y")
-
-
-# --- Terms that are absent ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("truth", [0.0, 0.03 * K], ids=["absent", "weak"])
-def test_upper_limit_of_an_absent_term_is_that_of_quadrature(two_terms, truth):
-    likelihood = spectral_levels((N, truth), seed=2, found=(True, False))
-    posterior = sample(two_terms(likelihood), "gyro_x")["gyro_x"]
-    assert posterior.labels == ("angle_random_walk",)
-    marginal = posterior["rate_random_walk"]
-    grid, probability = quadrature(likelihood, default_priors(likelihood))[1]
-    # 256 draws: below 1 % each in several repetitions.
-    assert marginal.upper_limit == pytest.approx(np.interp(0.95, probability, grid), rel=0.03)
-    assert marginal.median == pytest.approx(np.interp(0.5, probability, grid), rel=0.03)
-    middle, weight = (grid[1:] + grid[:-1]) / 2.0, np.diff(probability)
-    std = np.sqrt(weight @ middle**2 - (weight @ middle) ** 2)
-    assert marginal.std == pytest.approx(std, rel=0.05)
-    assert marginal.interval_68[0] == 0.0
-    assert marginal.interval_68[1] == pytest.approx(np.interp(0.68, probability, grid), rel=0.03)
-    assert not marginal.sampled
-    assert not marginal.detected
-    assert marginal.interval == (0.0, marginal.upper_limit)
-    told = re.fullmatch(r"not detectable, below ([\d.,]+) deg/h/√h \(95 %\)", marginal.in_unit().describe())
-    assert float(told[1].replace(",", "")) == pytest.approx(marginal.in_unit().upper_limit, rel=5e-3)
-
-
-def test_reweighting_is_exact_where_the_terms_are_strongly_correlated():
-    """Two amplitudes of nearly the same spectrum: at the limit of one the other has moved by many σ."""
-
-    class Twins(Likelihood):
-        def __call__(self, values):
-            a, b = values**2
-            return -0.5 * (((a + b - 1.0) / 0.01) ** 2 + ((a - b - 1.0) / 0.08) ** 2)
-
-    likelihood = Twins(
-        (AngleRandomWalk() + RateRandomWalk()).parameters,
-        np.array([1.0, 0.0]),
-        np.array([0.005, 0.1]),
-        np.zeros(2),
-        np.full(2, 30.0),
-        np.array([0.1, 0.2]),
-        np.array([True, False]),
-    )
-    priors = default_priors(likelihood)
-    target = Target.of(LogPosterior.of(likelihood, priors), np.array([0]), 16)
-    random = np.random.RandomState(0)
-    # At b = 0, a² is Gaussian around 1 with 1/σ² = 1/0.01² + 1/0.08²; a by its square root.
-    a = np.sqrt(1.0 + random.standard_normal(4000) / np.hypot(100.0, 12.5))
-    # Such draws have the density 2a·p(a²); the posterior has 1/(a + prior_scale) instead of 2a.
-    weight = 1.0 / (a * (a + 0.1))
-    a = random.choice(a, 1000, p=weight / weight.sum())
-    y = np.log1p(a / 0.1)[:, None]
-    result = absent_amplitude(target, 1, y, 256, random)
-    x, b = np.meshgrid(np.linspace(0.85, 1.05, 1501), np.linspace(0.0, 0.6, 1201), indexing="ij")
-    log_density = -0.5 * (((x**2 + b**2 - 1) / 0.01) ** 2 + ((x**2 - b**2 - 1) / 0.08) ** 2)
-    density = (np.exp(log_density) / (x + 0.1) / (b + 0.2)).sum(axis=0)
-    probability = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2.0)])
-    exact = np.interp([0.5, 0.95], probability / probability[-1], b[0])
-    np.testing.assert_allclose([result.quantile(0.5), result.quantile(0.95)], exact, rtol=0.02)
-    assert result.effective_draws > 50.0
-    # Savage's ratio: of posterior and prior density at zero, both known here.
-    width = b[0, 1] - b[0, 0]
-    prior_at_zero = 1.0 / (0.2 * np.log1p(30.0 / 0.2))
-    factor = density[0] / (probability[-1] * width) / prior_at_zero
-    assert result.bayes_factor == pytest.approx(factor, rel=0.03)
-
-
-@pytest.mark.parametrize("prior", [None, LogUniform(0.02 * K, 2.0 * K)])
-def test_draws_of_the_prior_say_nothing_about_zero(prior):
-    """Their Bayes factor is one, to the hundredth that evenly spaced quantiles are good for."""
-    ours = spectral_levels((N, 3.0 * K))
-    priors = default_priors(ours) | ({} if prior is None else {"rate_random_walk": prior})
-    posterior = LogPosterior.of(ours, priors)
-    draws = posterior.priors[1].quantile((np.arange(40_000) + 0.5) / 40_000)
-    assert np.any(draws < 0.3 * ours.prior_scale[1])
-    assert bayes_factor(posterior, 1, draws) == pytest.approx(1.0, abs=0.01)
-
-
-def test_detection_is_by_the_bayes_factor(two_terms):
-    fit = two_terms(spectral_levels((N, 3.0 * K)), chosen=False)
-    clear = sample(fit, "gyro_x")["gyro_x"]["rate_random_walk"]
-    assert clear.detected
-    assert clear.bayes_factor < 1.0 / 20.0
-    assert clear.interval[0] > 0.0
-    assert "±" in clear.describe()
-    fit = two_terms(spectral_levels((N, 0.03 * K)), chosen=False)
-    weak = sample(fit, "gyro_x")["gyro_x"]["rate_random_walk"]
-    assert not weak.detected
-    assert weak.bayes_factor > 1.0
-    assert weak.interval == (0.0, weak.upper_limit)
-    assert weak.describe().startswith("not detectable, below ")
-
-
-def test_the_posterior_of_a_record_with_missing_samples_is_as_wide_as_its_fit():
-    """A fifth lost from white noise: the scatter of N is that of n(1 − f) samples, and that of f·n draws.
-
-    Chains of this length know a standard deviation to some 3 %, hence 10 % of a ratio of two.
+def test_default_priors_are_those_documented(records, posteriors):
+    """Uniform up to the amplitude whose power is one standard deviation, by the dense information at the fit;
+    then logarithmic, over four decades at least.
     """
-    rng = np.random.default_rng(17)
-    x = rng.standard_normal((20_000, 1))
-    x[rng.random(20_000) < 0.2] = np.nan
-    recording = Recording.from_array(x, 100.0, gyro_unit="rad/s", names=["gyro_x"], gaps="fill")
-    share = float(np.mean(recording.missing))
-    fit = fit_recording(recording, "N")
-    as_if_complete = dataclasses.replace(fit, results=[dataclasses.replace(fit["gyro_x"], widening=1.0)])
-    wide, narrow = (sample(f, seed=3, min_length=30.0)["gyro_x"]["N"] for f in (fit, as_if_complete))
-    expected = np.sqrt(1.0 / (1.0 - share) + share)
-    assert wide.std / narrow.std == pytest.approx(expected, rel=0.1)
-    assert wide.std == pytest.approx(fit["gyro_x"]["N"].std, rel=0.1)
-    assert wide.interval[0] < 0.1 < wide.interval[1]
+    for kind in ("clear", "weak"):
+        axis, fit = posteriors[kind], fit_of(records[kind], "N + K")["gyro_0"]
+        dense = Spectrum(records[kind], RATE, fit.spectrum.bins.edges)
+        found = (WHITE + WALK).with_values(**{label: c.value for label, c in fit.coefficients.items()})
+        mean = dense.means(found)
+        for label, unit in zip(LABELS, (aj.AngleRandomWalk(1.0), aj.RateRandomWalk(1.0)), strict=True):
+            scale = np.sum(0.5 * dense.count * (dense.means(aj.Model((unit,))) / mean) ** 2) ** -0.25
+            prior = axis.priors[label]
+            assert isinstance(prior, aj.ModifiedLogUniform)
+            assert prior.scale == pytest.approx(scale, rel=0.01)
+            assert prior.upper >= 0.99e4 * prior.scale
+    # Of shapes: logarithmic in the distance from the bound, over what the record can show.
+    fit = fit_of(drawn(WHITE + aj.Markov(0.5, 1.5), N, RATE, 7)[:, 0], "N + markov")
+    with pytest.warns(aj.PosteriorWarning):
+        priors = aj.sample(fit, max_steps=20, progress=False)["gyro_0"].priors
+    assert priors["markov_correlation_time"] == aj.LogUniform(2.0 / RATE, N / RATE)
+
+
+# --- The density --------------------------------------------------------------------------------------------
+
+
+def same_density(axis, dense, tolerance, count=12):
+    """The log-posterior along the chain less the priors is a log-likelihood but for a constant [nats]."""
+    steps = np.linspace(0, axis.chain[..., 0].size - 1, count).astype(int)
+    points = axis.chain.reshape(-1, len(axis.labels))[steps]
+    found = axis.log_probability.ravel()[steps]
+    for i, label in enumerate(axis.labels):
+        found = found - np.asarray(axis.priors[label].log_density(points[:, i]))
+    exact = np.array([dense(dict(zip(axis.labels, p, strict=True))) for p in points.tolist()])
+    assert np.ptp(exact) > 1.0
+    difference = found - exact
+    np.testing.assert_allclose(difference, difference.mean(), atol=tolerance)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """What makes a short chain, for its density alone."""
+
+    def of(fit, axis="gyro_0", **options):
+        with pytest.warns(aj.PosteriorWarning):
+            return aj.sample(fit, axis, max_steps=40, seed=2, progress=False, **options)[axis]
+
+    return of
+
+
+def test_the_likelihood_is_the_dense_one(records, posteriors, short):
+    """Of the samples' differences, to what bins of a sixth of an octave cost; of levels to rounding."""
+    model = WHITE + WALK
+    for kind in ("clear", "weak"):
+        x, axis = records[kind], posteriors[kind]
+        whole = Gaussian(x, RATE)
+        same_density(axis, lambda v, whole=whole: -whole.value(model.with_values(**v)), 0.1)
+        levels = Spectrum(x, RATE, fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges)
+        same_density(axis, lambda v, levels=levels: -levels.value(model.with_values(**v)), 1e-3)
+    # Filters and resonances: of the density at two nodes of a bin.
+    model = aj.LowPass1(1.5) * WHITE + aj.Resonance(0.3, 2.5, 5.0)
+    x = drawn(model, N, RATE, 6)[:, 0]
+    fit = fit_of(x, model)
+    levels = Spectrum(x, RATE, fit["gyro_0"].spectrum.bins.edges)
+    same_density(short(fit), lambda v: -levels.value(model.with_values(**v)), 0.05)
+
+
+def test_regressors_and_ramps_of_either_sign_are_integrated_out(short):
+    """The regressor over a flat prior; the ramp is a mixture of both signs."""
+    z = np.cumsum(np.random.default_rng(7).normal(size=N)) / 10.0
+    x = drawn(WHITE, N, RATE, 5)[:, 0] - 0.02 * T + 0.1 * z
+    fit = fit_of(x, "N + R", temperature=z, regressors=["temperature"])
+    columns = np.column_stack([np.ones(N), z])
+    base = np.linalg.qr(columns, mode="complete")[0][:, 2:].T
+
+    def exact(v):
+        variance = v["angle_random_walk"] ** 2 * RATE
+        left = [base @ (x - s * v["drift_ramp"] * T) for s in (-1.0, 1.0)]
+        return logsumexp([-0.5 * y @ y / variance for y in left]) - 0.5 * (N - 2) * np.log(variance)
+
+    same_density(short(fit), exact, 0.02)
+
+
+def test_a_line_is_averaged_over_its_phase(short):
+    """White noise: the average of exp over phases is a Bessel function of the line's own amplitude.
+
+    Beyond 64 coefficients from the line its best fit is taken out whatever the point: some tenths of a nat.
+    """
+    f, A = 2.345, 0.25
+    x = drawn(WHITE, N, RATE, 6)[:, 0] + A * np.cos(2.0 * np.pi * f * T + 1.0)
+    z = x - x.mean()
+
+    def exact(v):
+        variance = v["angle_random_walk"] ** 2 * RATE
+        wave = np.exp(2j * np.pi * v["sinusoid_frequency"] * T)
+        wave = wave - wave.mean()
+        p, amplitude = abs(z @ wave) / variance, v["sinusoid_amplitude"]
+        energy = np.sum(abs(wave) ** 2) / 2.0 / variance
+        noise = -0.5 * (N - 1) * np.log(variance) - 0.5 * z @ z / variance
+        return noise + np.log(i0e(amplitude * p)) + amplitude * p - 0.5 * amplitude**2 * energy
+
+    same_density(short(fit_of(x, "N + sinusoid")), exact, 0.7, 20)
+
+
+def test_allan_variances_have_correlated_chi_square_laws(short):
+    """Of every second one: normal scores of cube roots, with the correlations of quadratic forms."""
+    n, model = 128, WHITE + WALK
+    x = drawn(model, n, RATE, 7)[:, 0]
+    fit = fit_of(x, "N + K", "allan")
+    dense = Variances.of_allan(x, RATE, fit.curve.cluster_size[::2])
+
+    def exact(v):
+        mean, C = dense.moments(model.with_values(**v))
+        relative = C / np.outer(mean, mean)
+        own, ratio = np.diag(relative), dense.found / mean
+        u = (np.cbrt(ratio) - 1.0 + own / 9.0) / np.sqrt(own / 9.0) * np.sqrt(own)
+        L = np.linalg.cholesky(relative + 1e-4 * np.diag(own))
+        density = -0.5 * np.sum(np.linalg.solve(L, u) ** 2) - np.sum(np.log(np.diag(L)))
+        # Densities of the variances themselves.
+        return density - np.sum(2.0 / 3.0 * np.log(ratio) + np.log(mean))
+
+    same_density(short(fit), exact, 0.15)
+
+
+def test_a_record_with_missing_samples_has_a_wider_posterior(short):
+    """By the factor of its fit, √(1/(1 − f) + f): of one axis a fifth is missing, of the other nothing."""
+    x = drawn(WHITE + WALK, N, RATE, 9, 2)
+    x[np.random.default_rng(17).random(N) < 0.2, 0] = np.nan
+    whole = aj.Recording.from_array(x, RATE, gyro_unit="rad/s", names=["gyro_0", "gyro_1"], gaps="fill")
+    fit = aj.fit(whole, "N + K", "whittle", as_is=True)
+    share = np.mean(np.isnan(x[:, 0]))
+    factor = np.sqrt(1.0 / (1.0 - share) + share)
+    assert [r.widening for r in fit.results] == pytest.approx([factor, 1.0])
+    model = WHITE + WALK
+    for k, by in enumerate((factor, 1.0)):
+        axis = f"gyro_{k}"
+        dense = Spectrum(whole.values[:, k], RATE, fit[axis].spectrum.bins.edges)
+        same_density(
+            short(fit, axis), lambda v, d=dense, by=by: -d.value(model.with_values(**v)) / by**2, 1e-3
+        )
+
+
+@pytest.mark.parametrize("objective", ["whittle", "allan"])
+def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(objective):
+    """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth.
+
+    The one is of a skew law and the other its curvature; of a model taken for the truth it would be several
+    times narrower.
+    """
+    x = np.random.default_rng(9).normal(size=512)
+    x = x + 0.7 * np.sin(2.0 * np.pi * np.arange(512) / 20.0)
+    fit = fit_of(x, "N", objective)
+    assert fit["gyro_0"].discrepancy > 0.05
+    c = aj.sample(fit, seed=5, progress=False)["gyro_0"]["N"]
+    assert c.std == pytest.approx(fit["gyro_0"]["N"].std, rel=0.25)
+    assert c.std > 3.0 * x.std() / np.sqrt(RATE) / np.sqrt(2.0 * 512)
+
+
+# --- Priors and options -------------------------------------------------------------------------------------
+
+
+def test_a_users_prior_is_obeyed(records):
+    """A band of what the data allow: the median by quadrature, N being known and hardly correlated."""
+    x, prior = records["weak"], aj.LogUniform(0.01, 0.05)
+    axis = aj.sample(fit_of(x, "N + K"), priors={"rate_random_walk": prior}, seed=1, progress=False)["gyro_0"]
+    walk = axis.chain[:, :, 1]
+    assert axis.priors["rate_random_walk"] == prior
+    assert prior.lower <= walk.min()
+    assert walk.max() <= prior.upper
+    dense = Spectrum(x, RATE, np.arange(1, N + 1))
+    white, unit = (dense.means(aj.Model((t,))) for t in (aj.AngleRandomWalk(1.0), aj.RateRandomWalk(1.0)))
+    n, c = np.linspace(0.07, 0.13, 200)[:, None, None], np.linspace(0.01, 0.05, 200)[:, None]
+    mean = n**2 * white + c**2 * unit
+    density = -0.5 * np.sum(np.log(mean) + dense.level / mean, axis=2) - np.log(c[:, 0])
+    weight = np.cumsum(np.exp(density - density.max()).sum(axis=0))
+    median = np.interp(0.5 * weight[-1], weight, c[:, 0])
+    assert axis["rate_random_walk"].median == pytest.approx(median, rel=0.04)
+    # Zero is excluded beforehand.
+    assert axis["rate_random_walk"].bayes_factor == 0.0
+
+
+def test_a_chain_tells_how_it_ran(posteriors):
+    emcee = pytest.importorskip("emcee")
+    for axis in posteriors.values():
+        # Five autocorrelation times of burn-in, and fifty of chain.
+        assert axis.steps - len(axis.chain) == np.ceil(5.0 * max(axis.tau.max(), 1.0))
+        assert (len(axis.chain) > 50.0 * axis.tau).all()
+        tau = emcee.autocorr.integrated_time(axis.chain, tol=0, quiet=True)
+        np.testing.assert_allclose(axis.tau, tau, rtol=0.15)
+        assert (axis.r_hat < 1.01).all()
+        assert 0.2 < axis.acceptance < 0.9
+        assert (axis.rate, axis.duration) == (RATE, N / RATE)
+        thin = max(1, int(axis.tau.max() / 2.0))
+        np.testing.assert_array_equal(axis.draws, axis.chain[::thin].reshape(-1, len(axis.labels)))
+
+
+def test_a_chain_that_is_too_short_warns_what_to_do(records):
+    fit = fit_of(records["clear"], "N + K")
+    with pytest.warns(aj.PosteriorWarning, match=r"gyro_0.*random_walk.*max_steps=120"):
+        posterior = aj.sample(fit, max_steps=30, progress=False)
+    assert not posterior.converged
+    assert posterior["gyro_0"].steps == 30
+    assert "NOT CONVERGED" in str(posterior)
+
+
+@pytest.mark.filterwarnings("ignore::allanjax.PosteriorWarning")
+def test_seeds_and_axes_have_their_own_streams(records, capsys):
+    fit = fit_of(np.column_stack([records["clear"]] * 2), "N + K")
+    chains = {
+        key: aj.sample(fit, axes, seed=seed, max_steps=20, progress=False)
+        for key, axes, seed in (("both", None, 5), ("one", "gyro_1", 5), ("other", ["gyro_1"], 6))
+    }
+    assert capsys.readouterr() == ("", "")
+    np.testing.assert_array_equal(chains["both"]["gyro_1"].draws, chains["one"]["gyro_1"].draws)
+    assert not np.array_equal(chains["both"]["gyro_0"].draws, chains["both"]["gyro_1"].draws)
+    assert not np.array_equal(chains["one"]["gyro_1"].draws, chains["other"]["gyro_1"].draws)
+    assert chains["one"]["gyro_1"].chain.shape[1] == 32
+    assert aj.sample(fit, "gyro_0", max_steps=20, walkers=8, progress=True)["gyro_0"].chain.shape[1] == 8
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "gyro_0" in err
+
+
+REFUSED = [
+    ({"priors": {"rate_walk": aj.Uniform(0.0, 1.0)}}, "rate_walk"),
+    ({"priors": {"rate_random_walk": 3.0}}, "rate_random_walk"),
+    ({"walkers": 7}, "walkers"),
+    ({"walkers": 2}, "walkers"),
+    ({"max_steps": 9}, "max_steps"),
+    ({"min_length": 0.0}, "min_length"),
+    ({"max_change": 0.0}, "max_change"),
+    ({"max_r_hat": 1.0}, "max_r_hat"),
+    ({"absent_draws": 1}, "absent_draws"),
+    ({"seed": -1}, "seed"),
+    ({"axes": "gyro_q"}, "gyro_q"),
+    ({"axes": []}, "axis"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "word"), REFUSED)
+def test_what_cannot_be_done_is_refused(records, arguments, word):
+    with pytest.raises(aj.AllanjaxError, match=word):
+        aj.sample(fit_of(records["clear"], "N + K"), **({"axes": "gyro_0", "progress": False} | arguments))
+
+
+def test_held_parameters_and_shapes_of_what_is_absent(records):
+    model = aj.AngleRandomWalk(0.1).hold("coefficient") + aj.RateRandomWalk()
+    axis = aj.sample(fit_of(records["clear"], model), seed=1, progress=False)["gyro_0"]
+    assert axis.labels == ("rate_random_walk",)
+    assert (axis["N"].value, axis["N"].held, axis["N"].sampled) == (0.1, True, False)
+    dense = Spectrum(records["clear"], RATE, np.arange(1, N + 1))
+    std = dense.std(WHITE + aj.RateRandomWalk(axis["K"].median), ["rate_random_walk"])["rate_random_walk"]
+    assert axis["K"].std == pytest.approx(std, rel=0.15)

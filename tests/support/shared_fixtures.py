@@ -6,14 +6,14 @@ import dataclasses
 import functools
 import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import jaxtyping
 import numpy as np
 import pytest
-from gamma_levels import with_likelihood
 
 import allanjax as aj
 from allanjax.base.cache import release_programs
@@ -106,12 +106,6 @@ def small_critique() -> aj.Critique:
 
 
 @pytest.fixture
-def two_terms(small_fit: aj.Fit, monkeypatch: pytest.MonkeyPatch) -> Callable[..., aj.Fit]:
-    """What makes a fit of angle and rate random walk with a likelihood of one's own."""
-    return lambda likelihood, chosen=True: with_likelihood(monkeypatch, small_fit, likelihood, chosen)
-
-
-@pytest.fixture
 def unchecked_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing but the package itself says what is wrong with the shape of an array, as for a user."""
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
@@ -124,6 +118,22 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ALLANJAX_CACHE", "off")
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("MPLBACKEND", "agg")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_are_not_rendered() -> Iterator[None]:
+    """Figures are saved as the signature of a PNG: tests look at artists, and to render takes seconds."""
+    from matplotlib.figure import Figure
+
+    original = Figure.savefig
+
+    def saved(figure: Figure, path: str | os.PathLike[str], **options: Any) -> None:
+        Path(path).write_bytes(b"\x89PNG\r\n\x1a\n")
+
+    saved.original = original  # type: ignore[attr-defined]
+    Figure.savefig = saved  # type: ignore[method-assign, assignment]
+    yield
+    Figure.savefig = original  # type: ignore[method-assign]
 
 
 @pytest.fixture

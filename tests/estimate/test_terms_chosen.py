@@ -1,0 +1,331 @@
+"""Sets of terms by evidence: integrals over the documented prior, the rules, and what follows from them."""
+
+import bench
+import golden_records as golden
+import numpy as np
+import pytest
+from dense_fits import Spectrum, drawn, recording
+from scipy.special import logsumexp
+
+import allanjax as aj
+
+RATE, SHORT = 10.0, 256
+WHITE, WALK = aj.AngleRandomWalk(0.1), aj.RateRandomWalk(0.05)
+NAMES = {
+    "Q": "quantization",
+    "N": "angle_random_walk",
+    "B": "bias_instability",
+    "K": "rate_random_walk",
+    "R": "drift_ramp",
+}
+FOUR_DECADES = np.log1p(1e4)
+
+
+def unit(dense, term):
+    """Expected squares of a term of unit amplitude."""
+    return dense.squares(aj.Model((term,)))
+
+
+class Integrals:
+    """ln ∫ likelihood · prior over amplitudes, on grids uniform in ln(1 + c/scale).
+
+    The scale is where a term's power is one standard deviation: scale⁻⁴ = Σ ½ (s_j/S_j)², S at the maximum.
+    """
+
+    def __init__(self, x):
+        self.dense = Spectrum(x, RATE, np.arange(1, SHORT + 1))
+        self.c = self.dense.c
+        self.white = unit(self.dense, aj.AngleRandomWalk(1.0))
+        self.ramp = Spectrum(np.arange(SHORT) / RATE, RATE, np.arange(1, SHORT + 1)).c
+        both = WHITE + WALK
+        #: The most likely spectrum, and the scale of white noise in it.
+        self.S = self.dense.squares(self.dense.maximum(both, list(both.values)))
+        self.scale = np.sum(0.5 * (self.white / self.S) ** 2) ** -0.25
+
+    def likelihood(self, mean):
+        return -0.5 * np.sum(np.log(mean) + self.c**2 / mean, axis=-1)
+
+    def points(self, scale, low, high, steps=300):
+        """Amplitudes uniform in ln(1 + c/scale), and ln of the prior probability of a step."""
+        edges = np.log1p(np.array([low, high]) / scale)
+        y = edges[0] + (np.arange(steps) + 0.5) / steps * np.diff(edges)
+        return scale * np.expm1(y), np.log(np.diff(edges)[0] / steps / FOUR_DECADES)
+
+    def alone(self):
+        """White noise only."""
+        size = np.sqrt(np.mean(self.c**2 / self.white))
+        a, step = self.points(self.scale, 0.3 * size, 2.0 * size)
+        return logsumexp(self.likelihood(a[:, None] ** 2 * self.white)) + step
+
+    def beside(self, term):
+        """White noise and a random term."""
+        other = unit(self.dense, term)
+        scale = np.sum(0.5 * (other / self.S) ** 2) ** -0.25
+        size = np.sqrt(np.mean(self.c**2 / self.white))
+        a, of_white = self.points(self.scale, 0.02 * size, 2.0 * size, 200)
+        # The largest that the record may have.
+        b, of_other = self.points(scale, 0.0, 4.0 * np.sqrt(np.max(self.c**2 / other)), 200)
+        means = a[:, None, None] ** 2 * self.white + b[:, None] ** 2 * other
+        return logsumexp(self.likelihood(means)) + of_white + of_other
+
+    def with_ramp(self):
+        """White noise and a ramp of either sign, whose prior follows the noise that it leaves."""
+        left = self.c - self.ramp * (self.ramp @ self.c) / (self.ramp @ self.ramp)
+        size = np.sqrt(np.mean(left**2 / self.white))
+        a, of_white = self.points(self.scale, 0.5 * size, 1.6 * size)
+        scale = size * np.sqrt(self.white.mean() / np.sum(self.ramp**2))
+        R, of_ramp = self.points(scale, 0.0, 200.0 * scale, 2000)
+        mean = a[:, None] ** 2 * self.white
+        p, u = np.sum(self.ramp * self.c / mean, axis=1), np.sum(self.ramp**2 / mean, axis=1)
+        signs = np.logaddexp(np.outer(p, R), -np.outer(p, R)) - np.log(2.0) - 0.5 * np.outer(u, R**2)
+        return logsumexp(self.likelihood(mean)[:, None] + signs) + of_white + of_ramp
+
+
+@pytest.fixture(scope="module")
+def ranked():
+    """White noise; with a walk; with a ramp; with a walk hardly there: records, and their rankings."""
+    x = drawn(WHITE + WALK, SHORT, RATE, 21, 2)
+    t = np.arange(SHORT) / RATE
+    plain = drawn(WHITE, SHORT, RATE, 20, 3)
+    records = np.column_stack([plain[:, 0], x[:, 0], plain[:, 1] + 0.05 * t, plain[:, 2]])
+    selection = aj.select_terms(recording(records, RATE), "N + K + R")
+    return records, selection
+
+
+def test_evidence_is_the_integral_over_the_prior(ranked):
+    """To 0.8 nats: Laplace's approximation is good to a few tenths where an amplitude is known to a third
+    only. A ramp is integrated exactly: to 0.02 nats, the steps of the sum here.
+    """
+    records, selection = ranked
+    for axis, x in zip(selection.results, records.T, strict=True):
+        assert axis.discrepancy == 0.0
+        found = {s.terms: s.log_evidence for s in axis.ranking}
+        assert len(found) == 6
+        ours = Integrals(x)
+        exact = {"NK": ours.beside(aj.RateRandomWalk(1.0)), "NR": ours.with_ramp()}
+        alone = found[(NAMES["N"],)] - ours.alone()
+        for terms, value in exact.items():
+            evidence = found[tuple(NAMES[t] for t in terms)]
+            allowed = 0.02 if terms == "NR" else 0.8
+            assert evidence - value - alone == pytest.approx(0.0, abs=allowed), (axis.axis.name, terms)
+
+
+def test_a_grid_of_times_is_one_set():
+    """White noise: the evidence of a Markov process besides is the mean over 16 times, by quadrature.
+
+    To 0.8 nats, as above; the sum would be ln 16 = 2.8 nats more.
+    """
+    x = drawn(WHITE, SHORT, RATE, 24)[:, 0]
+    selection = aj.select_terms(recording(x, RATE), aj.AngleRandomWalk() + aj.Markov())
+    found = {s.terms: s.log_evidence for s in selection["gyro_0"].ranking}
+    ours = Integrals(x)
+    times = np.geomspace(4.0 / RATE, SHORT / RATE / 4.0, 16)
+    ratios = [ours.beside(aj.Markov(1.0, float(T))) for T in times]
+    expected = logsumexp(ratios) - np.log(len(ratios)) - ours.alone()
+    assert found[("angle_random_walk", "markov")] - found[("angle_random_walk",)] == pytest.approx(
+        expected, abs=0.8
+    )
+
+
+# --- The rules ----------------------------------------------------------------------------------------------
+
+
+def by_hand(**odds):
+    """A ranking of sets written like N_K, from odds against the best."""
+    weights = dict(sorted(odds.items(), key=lambda item: -item[1]))
+    total = sum(weights.values())
+    sets = tuple(
+        aj.TermSet(
+            tuple(NAMES[t] for t in terms.split("_")), len(terms.split("_")), float(np.log(w)), w / total
+        )
+        for terms, w in weights.items()
+    )
+    return aj.AxisSelection(aj.Axis("gyro_x", "gyro", "rad/s"), sets, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("odds", "chosen"),
+    [
+        ({"N_K": 1.0, "N": 0.21}, "N"),
+        ({"N_K": 1.0, "N": 0.19}, "N_K"),
+        # Of equally many parameters, the more probable.
+        ({"N_B_K": 1.0, "N_K": 0.4, "N_B": 0.5}, "N_B"),
+        ({"N_K": 1.0, "N_B_K": 0.9}, "N_K"),
+    ],
+)
+def test_chosen_is_the_simplest_that_is_not_five_times_less_probable(odds, chosen):
+    assert by_hand(**odds).chosen.terms == tuple(NAMES[t] for t in chosen.split("_"))
+
+
+def test_indistinguishable_are_those_with_odds_shorter_than_twenty():
+    axis = by_hand(N_K=1.0, N_B=0.051, N_B_K=0.049)
+    assert [s.terms for s in axis.indistinguishable] == [(NAMES["N"], NAMES[t]) for t in "KB"]
+    assert axis.best is axis.ranking[0]
+    assert axis.inclusion == pytest.approx(
+        {NAMES["N"]: 1.0, NAMES["K"]: 1.049 / 1.1, NAMES["B"]: 0.1 / 1.1}, rel=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("odds", "told"),
+    [
+        ({"N_K": 1.0, "N_B": 0.5}, ["rate random walk from bias instability (67 % against 33 %)"]),
+        ({"N": 1.0, "N_K": 0.5}, ["whether there is rate random walk (67 % against 33 % with it)"]),
+        ({"N_K": 1.0, "N": 0.15}, ["whether there is rate random walk (87 % against 13 % without it)"]),
+        # Improbable, and no ambiguity worth a word.
+        ({"N": 1.0, "N_K": 0.06}, []),
+        ({"N": 1.0, "N_K": 0.01}, []),
+    ],
+)
+def test_ambiguities_name_what_is_swapped_or_doubtful_with_its_odds(odds, told):
+    assert list(by_hand(**odds).ambiguities()) == told
+
+
+@pytest.mark.parametrize(
+    ("odds", "doubtful"),
+    [
+        # Of 1.9 the sets with flicker have 1.1, so 58 %, those with a walk 47 %.
+        ({"N_B": 1.0, "N_K": 0.8, "N_B_K": 0.1}, {"B": "K"}),
+        # A ramp is in a probable set that does as well without it, and stands in for nothing.
+        ({"N_B": 1.0, "N_K": 0.8, "N_K_R": 0.3}, {"B": "K"}),
+        # Where the alternative is nothing at all, nothing stands in its place.
+        ({"N_K": 1.0, "N": 0.19}, {"K": ""}),
+        ({"N_K": 1.0, "N": 0.01, "N_B_K": 0.1}, {}),
+        # From 95 % on a term is certain.
+        ({"N_K": 1.0, "N": 0.052}, {}),
+        ({"N_K": 1.0, "N": 0.054}, {"K": ""}),
+    ],
+)
+def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share(odds, doubtful):
+    expected = {NAMES[t]: tuple(NAMES[r] for r in rivals) for t, rivals in doubtful.items()}
+    assert by_hand(**odds).doubtful() == expected
+
+
+# --- Rankings of records ------------------------------------------------------------------------------------
+
+
+def test_the_true_set_is_chosen_and_probabilities_follow_the_evidence():
+    selection, truth = bench.selection("small"), bench.truth("small").truth
+    for axis in selection.values():
+        assert set(axis.chosen.terms) == set(truth[axis.axis.name])
+        # All subsets of five terms and a Markov process but none, the ramp alone, and both of these.
+        assert len(axis.ranking) == 62
+        p = np.array([s.probability for s in axis.ranking])
+        evidence = np.array([s.log_evidence for s in axis.ranking])
+        assert (np.diff(evidence) <= 0.0).all()
+        np.testing.assert_allclose(p, np.exp(evidence - logsumexp(evidence)), rtol=1e-9)
+        assert {s.parameters - len(s.terms) for s in axis.ranking if "markov" in s.terms} == {1}
+        assert {s.parameters - len(s.terms) for s in axis.ranking if "markov" not in s.terms} == {0}
+    table = selection.to_dataframe()
+    assert len(table) == 62 * len(selection)
+    assert (table[table["rank"] == 1]["log_evidence"] == 0.0).all()
+
+
+def test_units_and_a_bias_do_not_matter(ranked):
+    records, selection = ranked
+    again = aj.select_terms(recording(1e-7 * records + 3e-7, RATE), "N + K + R")
+    for one, other in zip(selection.values(), again.values(), strict=True):
+        found = {s.terms: s.probability for s in other.ranking}
+        for s in one.ranking:
+            assert found[s.terms] == pytest.approx(s.probability, rel=1e-4, abs=1e-9)
+
+
+def test_a_model_that_no_set_of_terms_follows_has_weaker_odds():
+    """White noise under a line: the best set is off, and all evidences are brought nearer."""
+    x = drawn(WHITE + WALK, SHORT, RATE, 21)[:, 0]
+    line = 0.8 * np.sin(2.0 * np.pi * 1.0 * np.arange(SHORT) / RATE)
+    good, bad = (aj.select_terms(recording(z, RATE), "N + K + R")["gyro_0"] for z in (x, x + line))
+    assert good.discrepancy == 0.0
+    assert bad.discrepancy > 0.1
+    spread = [s.ranking[0].log_evidence - s.ranking[-1].log_evidence for s in (good, bad)]
+    assert spread[1] < 0.5 * spread[0]
+
+
+def test_two_markov_processes_are_told_from_one_where_both_are_strong():
+    """Correlation times of 0.2 and 20 s in 655 s; the candidates must have two."""
+    both = aj.select_terms(bench.recording("two_markovs"), "N + B + markov + markov").results[0]
+    assert {"markov_1", "markov_2"} <= set(both.best.terms)
+    assert both.inclusion["markov_2"] > 0.5
+    alone = aj.select_terms(bench.recording("markov_slow"), "N + B + markov + markov").results[0]
+    assert alone.chosen.terms == ("angle_random_walk", "markov_1")
+    assert alone.inclusion["markov_2"] < 0.5
+
+
+def test_a_fit_without_a_model_uses_the_chosen_sets():
+    fit = bench.fit("small")
+    assert fit.chosen
+    for result, axis in zip(fit.results, fit.selection.results, strict=True):
+        assert axis.axis == result.axis
+        assert set(result.model.term_labels) <= set(axis.chosen.terms)
+        for c in result.coefficients.values():
+            if c.term not in axis.chosen.terms:
+                assert not c.detected
+            if c.term not in axis.chosen.terms and c.is_amplitude:
+                assert c.value == 0.0
+                assert 0.0 < c.upper_limit < np.inf
+
+
+def test_a_slow_term_that_may_be_another_is_not_called_detected():
+    """Of flicker that is just seen: a term is detected where the sets that have it have 95 %, and no other.
+
+    Twelve records of 164 s, in which white noise and flicker of these sizes meet at 16 s.
+    """
+    rng = np.random.default_rng(500)
+    x = np.stack([golden.sensor(rng, 2048, RATE, **golden.crossing(0.1, B=16.0)) for _ in range(12)], axis=1)
+    found, told = aj.fit(recording(x, RATE), as_is=True, vibrating=True), 0
+    for result in found.results:
+        ranking = found.selection[result.axis.name]
+        doubtful = ranking.doubtful()
+        for c in result.coefficients.values():
+            if not c.is_amplitude or c.term not in ranking.chosen.terms:
+                continue
+            assert c.detected == (c.interval[0] > 0.0 and c.term not in doubtful)
+            told += bool(c.rivals)
+            assert c.rivals == (doubtful[c.term] if c.term in doubtful and c.interval[0] > 0.0 else ())
+    assert told > 0
+
+
+# --- Averages over sets -------------------------------------------------------------------------------------
+
+
+def test_an_average_over_sets_of_white_noise_is_the_white_noise():
+    """One coefficient and its drift N/√T, with the errors of the best possible estimate, N/√(2n)."""
+    truth = bench.truth("white")
+    N, n = truth.truth["gyro_x"]["angle_random_walk"], len(truth.values)
+    averaged = bench.selection("white")["gyro_x"].averaged
+    c, walk = averaged.coefficients["angle_random_walk"], averaged.coefficients["rate_random_walk"]
+    assert abs(c.value - N) < 4.0 * N / np.sqrt(2.0 * n)
+    # Other terms may take a part of it.
+    assert 0.95 < c.std / (N / np.sqrt(2.0 * n)) < 2.0
+    assert c.detected
+    assert not walk.detected
+    assert walk.value == 0.0
+    T = averaged.cluster_time
+    assert T[0] == 10.0 / truth.rate
+    assert n / truth.rate / 8.0 < T[-1] <= n / truth.rate / 4.0
+    np.testing.assert_allclose(averaged.deviation[T < 8.0], N / np.sqrt(T[T < 8.0]), rtol=0.03)
+
+
+def test_averages_are_quantiles_over_the_sets():
+    """Of a clear walk: the curve of N and K at their most likely, its interval by their information."""
+    both = WHITE + aj.RateRandomWalk(0.4)
+    x = drawn(both, SHORT, RATE, 22)[:, 0]
+    axis = aj.select_terms(recording(x, RATE), "N + K").results[0]
+    assert axis.ranking[0].probability > 0.999
+    dense = Spectrum(x, RATE, np.arange(1, SHORT + 1))
+    best = dense.maximum(both, list(both.values))
+    T = axis.averaged.cluster_time
+    variance = np.array([best.values[NAMES["N"]] ** 2 / T, best.values[NAMES["K"]] ** 2 * T / 3.0])
+    # Medians and quantiles of a thousand draws; the powers' own law is normal in their logarithms.
+    np.testing.assert_allclose(axis.averaged.deviation, np.sqrt(variance.sum(axis=0)), rtol=0.03)
+    share = variance / variance.sum(axis=0)
+    inverse = np.linalg.inv(dense.information(best, list(both.values)))
+    std = np.sqrt(np.einsum("im,ij,jm->m", share, inverse, share))
+    width = np.diff(np.log(axis.averaged.interval), axis=1)[:, 0]
+    np.testing.assert_allclose(width, 2.0 * 1.96 * std, rtol=0.15)
+    c = axis.averaged.coefficients[NAMES["K"]]
+    assert c.value == pytest.approx(best.values[NAMES["K"]], rel=0.05)
+    spread = np.sqrt(inverse[1, 1])
+    for ends, z in ((c.interval, 1.96), (c.interval_68, 0.9945)):
+        assert np.log(ends[1] / ends[0]) == pytest.approx(2.0 * z * spread, rel=0.15)
+    assert np.log(c.upper_limit / c.value) == pytest.approx(1.645 * spread, rel=0.2)

@@ -1,0 +1,204 @@
+"""Fits of short records, written out: dense covariances, scipy's optimum, Fisher's information.
+
+Nothing of the package is used but the values of a model's parameters (see `dense`).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from dense import autocovariance, covariance
+from scipy.fft import dct
+from scipy.optimize import minimize
+from scipy.special import gammaln
+
+import allanjax as aj
+
+# Step of the logarithm of a parameter in a derivative.
+_STEP = 1e-3
+
+
+def recording(columns: np.ndarray, rate: float, unit: str = "rad/s", **auxiliary: np.ndarray) -> aj.Recording:
+    """A recording of gyros with these columns [SI]."""
+    x = np.asarray(columns, float).reshape(len(columns), -1)
+    axes = tuple(aj.Axis(f"gyro_{k}", "gyro", unit) for k in range(x.shape[1]))
+    return aj.Recording(x, rate, axes, auxiliary, name="record")
+
+
+def drawn(model: aj.Model, n: int, rate: float, seed: int, axes: int = 1) -> np.ndarray:
+    """Records of a model by the root of the dense covariance of their deviations from the mean [n, axes]."""
+    centre = np.eye(n) - 1.0 / n
+    power, vectors = np.linalg.eigh(centre @ covariance(model, n, rate) @ centre)
+    root = vectors * np.sqrt(np.maximum(power, 0.0))
+    return root @ np.random.default_rng(seed).standard_normal((n, axes))
+
+
+class Objective:
+    """Minus the logarithm of a likelihood as a function of a model, with its optimum and information.
+
+    Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
+    """
+
+    def value(self, model: aj.Model) -> float:
+        """Minus the log-likelihood [nats], up to a constant."""
+        raise NotImplementedError
+
+    def information(self, model: aj.Model, labels: list[str]) -> np.ndarray:
+        """Fisher's information about the parameters."""
+        raise NotImplementedError
+
+    def maximum(self, model: aj.Model, labels: list[str]) -> aj.Model:
+        """The most likely model, found from this one by a general minimizer."""
+        move = mover(model, labels)
+        start = move.start
+        cost = lambda u: self.value(move(u))  # noqa: E731
+        options = {"xatol": 1e-4, "fatol": 1e-6, "maxfev": 2000, "maxiter": 2000}
+        simplex = start + 0.3 * np.vstack([np.zeros(len(start)), np.eye(len(start))])
+        found = minimize(cost, start, method="Nelder-Mead", options=options | {"initial_simplex": simplex})
+        assert found.success
+        return move(found.x)
+
+    def std(self, model: aj.Model, labels: list[str]) -> dict[str, float]:
+        """Standard deviation of each parameter [SI], by the inverse of the information about all."""
+        errors = np.sqrt(np.diag(np.linalg.inv(self.information(model, labels))))
+        distance = np.exp(mover(model, labels).start)
+        return dict(zip(labels, errors * distance, strict=True))
+
+
+def mover(model: aj.Model, labels: list[str]) -> Callable[[np.ndarray], aj.Model]:
+    """What makes a model from the logarithms of its parameters; `start` are those of the model itself."""
+    lower = {p.label: p.parameter.lower for p in model.parameters}
+    bounds = np.array([lower[label] for label in labels])
+    values = np.array([model.values[label] for label in labels], float)
+
+    def move(u: np.ndarray) -> aj.Model:
+        moved = bounds + np.exp(np.clip(u, -40.0, 40.0))
+        return model.with_values(**dict(zip(labels, moved.tolist(), strict=True)))
+
+    move.start = np.log(np.maximum(values - bounds, 1e-12))
+    return move
+
+
+def slopes(of: Callable[[aj.Model], np.ndarray], model: aj.Model, labels: list[str]) -> np.ndarray:
+    """Derivatives of what a model gives by the logarithms of its parameters, [params, ...]."""
+    move = mover(model, labels)
+    steps = _STEP * np.eye(len(labels))
+    return np.array([(of(move(move.start + s)) - of(move(move.start - s))) / (2.0 * _STEP) for s in steps])
+
+
+class Spectrum(Objective):
+    """Levels of the cosine spectrum as independent χ² variates about the diagonal of the dense covariance."""
+
+    def __init__(self, x: np.ndarray, rate: float, edges: np.ndarray) -> None:
+        self.n, self.rate, self.edges = len(x), rate, np.asarray(edges)
+        rows = dct(np.eye(self.n), norm="ortho", axis=0)
+        self.c = (rows @ x)[1:]
+        size = 2 * self.n
+        power = np.abs(np.fft.rfft(rows, size, axis=1)) ** 2
+        lags = np.fft.irfft(power, size, axis=1)[1:, : self.n]
+        #: Expected squares are these weights times the covariance at each lag.
+        self.weights = lags * np.where(np.arange(self.n) == 0, 1.0, 2.0)
+        self.count = np.diff(self.edges)
+        self.level = self.averaged(self.c**2)
+
+    def averaged(self, squares: np.ndarray) -> np.ndarray:
+        """Means over bins of coefficients 1 … n − 1."""
+        return np.add.reduceat(squares, self.edges[:-1] - 1) / self.count
+
+    def squares(self, model: aj.Model) -> np.ndarray:
+        """Expected square of every coefficient."""
+        return self.weights @ autocovariance(model, self.n, self.rate)
+
+    def means(self, model: aj.Model) -> np.ndarray:
+        """Expected levels."""
+        return self.averaged(self.squares(model))
+
+    def value(self, model: aj.Model) -> float:
+        mean = self.means(model)
+        return 0.5 * float(np.sum(self.count * (np.log(mean) + self.level / mean)))
+
+    def information(self, model: aj.Model, labels: list[str]) -> np.ndarray:
+        D = slopes(lambda m: np.log(self.means(m)), model, labels)
+        return 0.5 * (D * self.count) @ D.T
+
+    def chi2(self, model: aj.Model) -> float:
+        """Squares of the levels' normal scores: of cube roots, by their exact mean and variance."""
+        k = self.count / 2.0
+        one, two = (np.exp(gammaln(k + p / 3.0) - gammaln(k)) / k ** (p / 3.0) for p in (1, 2))
+        return float(np.sum((np.cbrt(self.level / self.means(model)) - one) ** 2 / (two - one**2)))
+
+
+class Gaussian(Objective):
+    """The Gaussian law of the samples' differences, on which an unknown mean has no influence."""
+
+    def __init__(self, x: np.ndarray, rate: float, missing: np.ndarray | None = None) -> None:
+        self.n, self.rate = len(x), rate
+        there = np.ones(self.n, bool) if missing is None else ~missing
+        self.D = np.diff(np.eye(self.n)[there], axis=0)
+        self.z = self.D @ x
+
+    def covariance(self, model: aj.Model) -> np.ndarray:
+        """Covariance of the differences."""
+        return self.D @ covariance(model, self.n, self.rate) @ self.D.T
+
+    def value(self, model: aj.Model) -> float:
+        L = np.linalg.cholesky(self.covariance(model))
+        u = np.linalg.solve(L, self.z)
+        return float(0.5 * u @ u + np.sum(np.log(np.diag(L))))
+
+    def information(self, model: aj.Model, labels: list[str]) -> np.ndarray:
+        inverse = np.linalg.inv(self.covariance(model))
+        parts = [inverse @ D for D in slopes(self.covariance, model, labels)]
+        return np.array([[0.5 * np.sum(a * b.T) for b in parts] for a in parts])
+
+    def ratio(self, model: aj.Model, label: str, end: float, best: float) -> float:
+        """Root of twice the fall of the likelihood where a parameter is at this end, others most likely."""
+        others = [p.label for p in model.parameters if p.free and p.label != label and p.start]
+        at = self.maximum(model.with_values(**{label: end}), others)
+        return float(np.sqrt(2.0 * max(self.value(at) - best, 0.0)))
+
+
+class Variances:
+    """Means of squares of linear forms, such as Allan variances: their moments by quadratic forms.
+
+    `forms` are matrices [coefficients, samples] whose rows' squares are averaged.
+    """
+
+    def __init__(self, x: np.ndarray, rate: float, forms: list[np.ndarray], factor: float = 1.0) -> None:
+        self.n, self.rate, self.forms, self.factor = len(x), rate, forms, factor
+        self.found = factor * np.array([np.mean((A @ x) ** 2) for A in forms])
+
+    @classmethod
+    def of_allan(cls, x: np.ndarray, rate: float, sizes: np.ndarray) -> "Variances":
+        """Overlapping Allan variances."""
+        n, forms = len(x), []
+        for m in np.asarray(sizes).tolist():
+            rows = np.zeros((n - 2 * m + 1, n))
+            for i in range(len(rows)):
+                rows[i, i : i + m], rows[i, i + m : i + 2 * m] = -1.0 / m, 1.0 / m
+            forms.append(rows)
+        return cls(x, rate, forms, 0.5)
+
+    def moments(self, model: aj.Model) -> tuple[np.ndarray, np.ndarray]:
+        """Expectations and covariance of the variances."""
+        C = covariance(model, self.n, self.rate)
+        both = [[2.0 * np.mean((A @ C @ B.T) ** 2) for B in self.forms] for A in self.forms]
+        return self.mean(model), self.factor**2 * np.array(both)
+
+    def mean(self, model: aj.Model) -> np.ndarray:
+        """Expectations of the variances."""
+        C = covariance(model, self.n, self.rate)
+        return self.factor * np.array([np.mean(np.sum(A * (A @ C), axis=1)) for A in self.forms])
+
+    def step(self, model: aj.Model, labels: list[str]) -> tuple[np.ndarray, np.ndarray, float]:
+        """The step of generalized least squares from a model, its standard deviations in ln, and χ² there.
+
+        Variances are raised by 10⁻⁴, as the package does, lest their covariance be singular.
+        """
+        mean, C = self.moments(model)
+        C = C + 1e-4 * np.diag(np.diag(C))
+        D = slopes(self.mean, model, labels)
+        weighed = np.linalg.solve(C, np.column_stack([D.T, self.found - mean]))
+        F = D @ weighed[:, :-1]
+        inverse = np.linalg.inv(F)
+        chi2 = float((self.found - mean) @ weighed[:, -1])
+        return inverse @ (D @ weighed[:, -1]), np.sqrt(np.diag(inverse)), chi2
