@@ -407,7 +407,7 @@ def test_normal_gravity_is_that_of_wgs_84(calibration, six, latitude, height, ex
     np.testing.assert_allclose(own, exact, rtol=1e-5)
 
 
-# ------------------------------------------------------------------------------------ the noise of 
+# ------------------------------------------------------------------------------------ the noise
 def test_a_longest_position_is_fitted_and_its_drift_told_by_scatter():
     """Student's law, and Birge's ratio, where the means scatter by more than N alone lets them."""
     rng, n, rate = np.random.default_rng(12), 2048, 20.0

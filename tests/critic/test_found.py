@@ -7,16 +7,13 @@ the limit is not told. `critic_records` has the truth and the bounds, which are 
 import critic_records as cr
 import numpy as np
 import pytest
-from bench import once
+from critic_records import KNOWN, critique, hidden_in
 from scipy.fft import idct
 from scipy.stats import norm
 
-import allanjax as aj
 from allanjax.critic import CAUSES
 
 DEG = np.pi / 180.0
-#: Axes whose fit lacks a basic term: the terms that it knows.
-LACKING = {"other": "N", "white": "Q"}
 #: SI values of the units of basic terms.
 SI = {
     "arcsec": DEG / 3600.0,
@@ -58,24 +55,7 @@ HONEST = {
 }
 
 
-def hidden_in(name, multiple):
-    """What is in the axes of a recording."""
-    return cr.lacking(name, multiple) if name in LACKING else cr.scene(name, multiple)
-
-
-def critique(name, multiple=4.0):
-    """Its critique, made once."""
-
-    def make():
-        if name not in LACKING:
-            return aj.critique(cr.recording(name, multiple))
-        recording = cr.lacking_recording(name, multiple)
-        return aj.critique(recording, aj.fit(recording, LACKING[name]))
-
-    return once(f"critique of what is hidden: {name} {multiple}", make)
-
-
-SCENES = (*cr.SCENES, *LACKING)
+SCENES = (*cr.SCENES, *KNOWN)
 EFFECTS = [
     (name, axis, hidden.cause)
     for name in SCENES
@@ -114,7 +94,7 @@ def test_an_effect_is_named_alone_and_measured_as_well_as_can_be(name, axis, cau
     assert set(finding.parameters) == set(hidden.truth)
     for label, truth in hidden.truth.items():
         unit, scale = finding.parameters[label].unit, 1.0
-        if name in LACKING:
+        if name in KNOWN:
             scale = SI[unit]
         else:
             assert unit == UNITS.get(label, found[axis].axis.unit + PER.get(cause, ""))

@@ -26,7 +26,7 @@ def test_an_axis_that_the_plain_terms_do_not_follow_is_corrected(name):
         c = result["N"]
         assert result.measured
         assert abs(c.value - truth["angle_random_walk"]) < 4.0 * c.std
-        assert not plain.measured or plain["N"].std > 1.5 * c.std
+        assert not plain.measured or plain["N"].std > 1.2 * c.std
         assert plain.own_template is None
         assert (plain.mean, plain.widening) == (pytest.approx(result.mean, nan_ok=True), 1.0) or np.isnan(
             plain.mean
@@ -146,7 +146,9 @@ def test_responses_held_given_and_left_out():
     assert held["N"].std < 0.8 * free["N"].std
     assert held.dof == free.dof + 1
     assert abs(held["N"].value - truth["angle_random_walk"]) < 4.0 * held["N"].std
-    assert not bench.fit("one_pole", "N + K", "whittle")["gyro_x"].measured
+    plain = bench.fit("one_pole", "N + K", "whittle")["gyro_x"]
+    assert plain.p_value < 1e-6
+    assert plain.discrepancy > 0.1
 
 
 def test_a_mean_over_many_samples_is_found():

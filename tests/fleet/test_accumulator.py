@@ -105,7 +105,7 @@ def test_a_stream_has_the_coefficients_of_its_noise(x, objective):
     """With the errors of the Cramér–Rao bound, to a tenth; more than 2¹⁸ samples, a spectrum of two rates."""
     streamed = filled(x, 60_000).fit("N + K", objective)
     assert streamed.objective == objective
-    # Modes of the record have the powers a + b/(2 sin(πk/2n))², whose logarithms have the information ½ Σ g g'.
+    # Modes of the record have powers a + b/(2 sin(πk/2n))², whose logarithms have the information ½ Σ g g'.
     slow = (K / N / RATE / (2.0 * np.sin(0.5 * np.pi * np.arange(1, len(x)) / len(x)))) ** 2
     g = np.stack([1.0 / (1.0 + slow), slow / (1.0 + slow)])
     bound = 0.5 * np.sqrt(np.diag(np.linalg.inv(0.5 * g @ g.T)))

@@ -288,8 +288,8 @@ def test_noise_of_any_colour_is_nothing_unusual_in_many_draws():
 def test_what_is_unlike_the_rest(louder, step, found):
     """20 s, 64 of 937 windows, are found where all axes are 7 % louder, eight standard deviations.
 
-    Those of the cube root of a mean of 64·16·6 squared differences are √(2/9)/√6144 = 0.6 %. A step is found if
-    it is ten standard deviations of what the mean changes by from some 40 s to the next, 0.4 of the noise.
+    Those of the cube root of a mean of 64·16·6 squared differences are √(2/9)/√6144 = 0.6 %. A step is found
+    if it is ten standard deviations of what the mean changes by from some 40 s to the next, 0.4 of the noise.
     """
     z = np.random.default_rng(22).standard_normal((N, 6))
     z[15_000:17_000] *= louder

@@ -1,6 +1,5 @@
 """What follows from a posterior: curves, drift, the minimum of the Allan deviation, tables, ArviZ."""
 
-import builtins
 import dataclasses
 
 import bench
@@ -141,16 +140,3 @@ def test_to_arviz(posterior):
     )
     r_hat = arviz.rhat(data["posterior"])
     assert [float(r_hat[label]) for label in axis.labels] == pytest.approx(list(axis.r_hat), abs=2e-3)
-
-
-def test_without_arviz_the_error_says_what_to_install(posterior, monkeypatch):
-    original = builtins.__import__
-
-    def without(name, *arguments, **options):
-        if name == "arviz":
-            raise ImportError(name)
-        return original(name, *arguments, **options)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(aj.AllanjaxError, match=r"allanjax\[arviz\]"):
-        posterior["gyro_x"].to_arviz()

@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import bench
 import golden_records
 import numpy as np
 from scipy import signal
@@ -653,3 +654,24 @@ def lacking_recording(name: str, multiple: float) -> aj.Recording:
     axes = lacking(name, multiple)
     values = np.column_stack([hidden.values for hidden in axes.values()]) * 180.0 / np.pi
     return aj.Recording.from_array(values, LACKING_RATE, names=list(axes), gyro_unit="deg/s")
+
+
+#: What the fits of axes know that lack a basic term.
+KNOWN = {"other": "N", "white": "Q"}
+
+
+def hidden_in(name: str, multiple: float = 4.0) -> dict[str, Hidden]:
+    """What is in the axes of a recording."""
+    return lacking(name, multiple) if name in KNOWN else scene(name, multiple)
+
+
+def critique(name: str, multiple: float = 4.0) -> aj.Critique:
+    """The critique of a recording, made once per run."""
+
+    def make() -> aj.Critique:
+        if name not in KNOWN:
+            return aj.critique(recording(name, multiple))
+        given = lacking_recording(name, multiple)
+        return aj.critique(given, aj.fit(given, KNOWN[name]))
+
+    return bench.once(f"critique of what is hidden: {name} {multiple}", make)

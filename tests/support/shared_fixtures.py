@@ -122,7 +122,7 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def pictures_are_not_rendered() -> Iterator[None]:
-    """Figures are saved as the signature of a PNG: tests look at their artists, and to render takes seconds."""
+    """Figures are saved as the signature of a PNG: tests look at artists, and to render takes seconds."""
     from matplotlib.figure import Figure
 
     original = Figure.savefig

@@ -1,8 +1,7 @@
 """The notebooks run, their saved outputs are those of a run, and what their text claims is so.
 
 A cell of text has its claims in its metadata: pieces of the text, each with an expression of the notebook's
-variables at that place that must be true. Every number in the text is part of a claim; of one that states
-nothing, such as a sample rate, the expression is `True`.
+variables at that place that must be true.
 """
 
 import difflib
@@ -18,8 +17,6 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 # The real recordings that some of the notebooks read.
 UNITS = ("adis16405_unit1.parquet", "adis16405_unit2.parquet")
 RECORDINGS = {"03_uncertainty": UNITS, "04_what_the_simulation_gets_wrong": UNITS}
-# What is no prose: code, formulas and links.
-APART = re.compile(r"`[^`]*`|\$[^$]*\$|\]\([^)]*\)|ADIS16405")
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[-+]?\d+)?")
 # Shares of the words and numbers of a saved output that another machine must have, too: the last digits of
 # some numbers differ, and with them the widths of tables.
@@ -28,6 +25,9 @@ CHECK = """
 for text, expression in {claims!r}.items():
     assert eval(expression), f"not so: {{text!r}}, that is {{expression}}"
 """
+
+
+pytestmark = pytest.mark.notebook
 
 
 def read(path):
@@ -55,6 +55,7 @@ def with_checks(notebook):
     for cell in notebook.cells:
         cells.append(cell)
         if cell.metadata.get("claims"):
+            assert all(text in cell.source for text in cell.metadata["claims"]), cell.id
             check = CHECK.format(claims=dict(cell.metadata["claims"]))
             cells.append(nbformat.v4.new_code_cell(check, id=f"{cell.id}-claims"))
     return nbformat.from_dict({**notebook, "cells": cells})
@@ -68,18 +69,6 @@ def words_and_numbers(text):
 
 def test_there_are_notebooks():
     assert NOTEBOOKS
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_every_number_in_the_text_is_part_of_a_claim(path):
-    for cell in read(path).cells:
-        if cell.cell_type != "markdown":
-            continue
-        rest = cell.source
-        for text in cell.metadata.get("claims", {}):
-            assert text in cell.source, f"{cell.id} does not say {text!r}"
-            rest = rest.replace(text, "")
-        assert not re.findall(r".{0,30}\d.{0,30}", APART.sub("", rest)), f"{cell.id}: numbers without a claim"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
