@@ -246,7 +246,8 @@ def test_g_is_that_of_the_dense_covariance(name):
     scale = np.abs(np.diff(C[0])).max()
     np.testing.assert_allclose(np.diff(found), np.diff(C[0]), rtol=1e-7, atol=1e-8 * scale)
     for m in (1, 2, 5, 31):
-        assert float(term.allan_variance(m / RATE)) == pytest.approx(dense.allan_variance(C, m), rel=1e-8, abs=0.0)
+        allan = dense.allan_variance(C, m)
+        assert float(term.allan_variance(m / RATE)) == pytest.approx(allan, rel=1e-8, abs=0.0)
         third = np.repeat([1.0, -2.0, 1.0], m) / m
         expected = third @ C[: 3 * m, : 3 * m] @ third / 6.0
         # A ramp has none, but for the rounding of 30·T² in G.
