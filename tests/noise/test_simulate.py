@@ -131,9 +131,9 @@ def test_stationary_noise_is_so_from_the_first_sample_on(maps):
 def test_walks_and_flicker_begin_near_zero(maps):
     """The mean of a walk over the first sample interval; flicker's level is that of its first increment."""
     walk, flicker = maps["walk"], maps["flicker"]
-    assert walk[0] @ walk[0] == pytest.approx(RANDOM["walk"].coefficient ** 2 / RATE / 3.0, rel=1e-9)
+    assert walk[0] @ walk[0] == pytest.approx(RANDOM["walk"].coefficient ** 2 / RATE / 3.0, rel=1e-9, abs=0.0)
     step = dense.allan_variance(dense.covariance(RANDOM["flicker"], 2, RATE), 1) * 2.0
-    assert flicker[0] @ flicker[0] == pytest.approx(step, rel=1e-6)
+    assert flicker[0] @ flicker[0] == pytest.approx(step, rel=1e-6, abs=0.0)
 
 
 def test_long_records_of_a_users_term_gain_no_spurious_drift(monkeypatch):
