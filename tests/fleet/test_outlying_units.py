@@ -133,6 +133,14 @@ def test_what_has_no_error_is_neither_marked_nor_compared_with(fleet):
             assert any("unit_6 gyro_x" in note for note in result.notes)
 
 
+def test_of_an_interval_the_end_that_faces_the_others_counts(fleet):
+    for ends, found in (([0.3, 3.1], []), ([2.8, 30.0], [("unit_0", "gyro_x")])):
+        for u, value in enumerate([3.0, 1.0, 1.03, 0.97, 1.01, 0.99]):
+            more = {} if u else {"interval_95": ends}
+            fleet.store(f"unit_{u}", [axis("gyro_x", [coefficient(ARW, value, 0.03, **more)])])
+        assert marks(fleet.run([fleet.file(f"unit_{u}") for u in range(6)])) == found
+
+
 # --- Grades -------------------------------------------------------------------------------------------------
 
 
