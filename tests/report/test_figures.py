@@ -44,7 +44,7 @@ def numbers_of(plot):
         return curve.cluster_time, curve.deviation, curve.confidence_interval(0.68), 1
     if plot in ("psd", "spectrum"):
         found = of_small("spectrum")
-        return found.frequency, found.density, None, 2
+        return found.frequency, found.density, found.confidence_interval(0.68), 2
     if plot == "wavelets":
         found = of_small("wavelets")
         return found.scale, found.variance, found.confidence_interval(0.68), 2
