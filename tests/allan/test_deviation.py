@@ -273,7 +273,7 @@ def test_a_recording_has_its_rate_axes_and_units():
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"kind": "hadamard", "overlapping": False}, {"estimator": "pyramid"}],
+    [{}, {"kind": "hadamard", "overlapping": False, "cluster_times": 3}, {"estimator": "pyramid"}],
     ids=["allan", "hadamard", "pyramid"],
 )
 def test_stretches_are_averaged_by_their_differences(options):

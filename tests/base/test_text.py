@@ -147,8 +147,10 @@ def test_objects_are_printed_in_ascii(monkeypatch):
 
 
 def test_names_are_data():
-    """Not markup of a terminal or a page."""
+    """Not markup of a terminal or of a notebook's page."""
+    from IPython.core.formatters import HTMLFormatter
+
     name = "[/red] x $a$ :smile: <b>& grün"
     named = dataclasses.replace(bench.fit("small"), name=name)
     assert str(named).startswith(name)
-    assert "&lt;b&gt;&amp;" in named._repr_html_()
+    assert "&lt;b&gt;&amp;" in HTMLFormatter()(named)

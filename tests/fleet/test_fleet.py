@@ -219,6 +219,20 @@ def test_an_axis_without_result_is_an_error_again(three):
     assert len(result.table) == 3
 
 
+def test_terms_for_which_an_axis_was_corrected_have_no_rows(three):
+    """Nor has what was chosen between: the column of terms names the set that was."""
+    both = [coefficient(ARW, 1.0, 0.1), coefficient("sinusoid", 2.0, 0.1)]
+    sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
+    three.store("b", [axis("gyro_x", both, extension={"further": ["sinusoid"]}, selection=sets)])
+    rows = three.run([three.file("b")]).table.to_dict("records")
+    assert [(row["coefficient"], row["terms"]) for row in rows] == [(ARW, f"{ARW} + flicker")]
+    three.store("b", [axis("gyro_x", both)])
+    rows = three.run([three.file("b")]).table.to_dict("records")
+    assert [(row["coefficient"], row["terms"]) for row in rows] == [
+        (c, f"{ARW} + sinusoid") for c in (ARW, "sinusoid")
+    ]
+
+
 def test_recordings_that_are_left_out_are_told(three):
     result = three.run([three.file("c")])
     assert result.resumed == 1
@@ -324,34 +338,34 @@ NO_GROUPS = {
 
 
 @pytest.fixture
-def grouped(fleet, monkeypatch, request):
+def grouped(fleet, monkeypatch):
     """Runs three recordings in folders, in one of which a file of groups may be."""
     monkeypatch.chdir(fleet.folder)
     paths = {name: fleet.file(path).relative_to(fleet.folder) for name, path in GROUPED.items()}
-    if (kind := request.node.callspec.params["kind"]) in CSV:
-        Path("groups.csv").write_text(CSV[kind], encoding="utf-8")
     for name, path in paths.items():
         fleet.store(name, [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], path)
-    return lambda group: fleet.run([*paths.values()], group=group)
+
+    def run_with(group, content=None):
+        if content is not None:
+            Path("groups.csv").write_text(content, encoding="utf-8")
+        return fleet.run([*paths.values()], group=group)
+
+    return run_with
 
 
-@pytest.mark.parametrize("kind", GROUPS)
-def test_groups(grouped, kind):
-    table = grouped(GROUPS[kind]).table
-    assert dict(zip(table["file"], table["group"], strict=True)) == {
-        "logs/mems/a.csv": "mems",
-        "logs/mems/b.csv": "mems",
-        "logs/fog/a.csv": "fog",
-    }
+def test_groups(grouped):
+    expected = {"logs/mems/a.csv": "mems", "logs/mems/b.csv": "mems", "logs/fog/a.csv": "fog"}
+    for kind, group in GROUPS.items():
+        table = grouped(group, CSV.get(kind)).table
+        assert dict(zip(table["file"], table["group"], strict=True)) == expected, kind
     assert {*grouped(None).table["group"]} == {""}
 
 
-@pytest.mark.parametrize("kind", NO_GROUPS)
-def test_what_is_wrong_with_groups_is_said(grouped, kind):
-    group, words = NO_GROUPS[kind]
-    with pytest.raises(aj.AllanjaxError) as caught:
-        grouped(group)
-    assert all(word in str(caught.value) for word in words.split("|"))
+def test_what_is_wrong_with_groups_is_said(grouped):
+    for kind, (group, words) in NO_GROUPS.items():
+        with pytest.raises(aj.AllanjaxError) as caught:
+            grouped(group, CSV.get(kind))
+        assert all(word in str(caught.value) for word in words.split("|")), kind
 
 
 # Arguments of `characterize_fleet`, and what the error names.
@@ -366,13 +380,12 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_arguments_are_named(tmp_path, name):
-    change, words = WRONG[name]
+def test_wrong_arguments_are_named(tmp_path):
     (tmp_path / "a.csv").write_text("0\n")
-    with pytest.raises(aj.AllanjaxError) as caught:
-        aj.characterize_fleet(**{"files": tmp_path / "a.csv", "out": tmp_path / "out", **change})
-    assert all(word in str(caught.value) for word in words.split("|"))
+    for change, words in WRONG.values():
+        with pytest.raises(aj.AllanjaxError) as caught:
+            aj.characterize_fleet(**{"files": tmp_path / "a.csv", "out": tmp_path / "out", **change})
+        assert all(word in str(caught.value) for word in words.split("|"))
 
 
 def test_dask_that_is_not_there_is_named(tmp_path, monkeypatch):

@@ -275,6 +275,9 @@ def test_tables_have_the_numbers():
         frame["markov_end_std"], found.state_stds[:, found.names.index("markov_end")]
     )
     np.testing.assert_array_equal(np.isnan(frame["sample"]), lost)
+    own = aj.Recording.from_array(z, RATE, accel_unit="m/s²", names=["accel_x"])
+    assert aj.kalman_filter(own, SUM)["accel_x"].units == ("m/s²", "m/s²", "m/s", "m/s", "m/s²", "m/s²")
+    assert found.units == ("rad/s", "rad/s", "rad", "rad", "rad/s", "rad/s")
     told = result.to_dict()["axes"][0]
     assert (told["bias"], told["bias_std"]) == (found.bias[-1], found.bias_std[-1])
     assert (told["drift"], told["samples"]) == (["rate_random_walk", "markov"], N)

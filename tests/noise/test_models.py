@@ -88,7 +88,8 @@ def test_filters_stand_before_the_terms_that_pass_them():
     assert model.without(["rate_random_walk"]).inside == (True, False)
     assert model.without(["angle_random_walk", "rate_random_walk"]) == aj.Model((WAVE,))
     assert (Q + aj.Markov() + aj.Markov()).without(["markov_1", "quantization"]).term_labels == ("markov",)
-    assert model.sampled(RATE).rate == RATE
+    for both in ((ONE * N).sampled(RATE) + K, K + (ONE * N).sampled(RATE), model.sampled(RATE)):
+        assert both.rate == RATE
     assert [getattr(t, "sample_interval", None) for t in model.sampled(RATE)] == [None, None, 1.0 / RATE]
     assert (N + Q).sampled(RATE)["quantization"].sample_interval == 1.0 / RATE
 

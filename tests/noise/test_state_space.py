@@ -14,7 +14,7 @@ import allanjax as aj
 N = 64
 # Flicker and power laws have none that is exact.
 EXACT = {n: t for n, t in RANDOM.items() if not n.startswith(("flicker", "power law"))} | DETERMINISTIC
-SUM = aj.AngleRandomWalk(1e-4) + aj.RateRandomWalk(1e-4) + aj.Quantization(2e-6) + aj.Markov(1e-3, 3.0)
+SUM = aj.AngleRandomWalk(1e-4) + aj.RateRandomWalk(1e-4) + aj.Quantization(2e-6) + aj.Markov(1e-3, 0.15)
 WAVE = aj.Resonance(1e-3, 7.0, 20.0)
 MODELS = {
     **{name: aj.Model((term,)) for name, term in EXACT.items()},

@@ -94,6 +94,7 @@ CLOSED = {
     "ramp": lambda t, T: square(t.coefficient * T) / 2,  # (4.56)
     "markov": eq_4_60,
     "short markov": eq_4_60,
+    "long markov": eq_4_60,
     "line": eq_4_64,
     "resonance": resonance,
     "damped resonance": resonance,
@@ -290,6 +291,19 @@ def test_means_of_readings_have_their_own_density(name):
     expected = twice @ np.cos(2.0 * np.pi * np.outer(np.arange(len(means)), f) * M / RATE) * M / RATE
     found = RANDOM[name].sampled(RATE).sampled_psd(f, RATE / M)
     np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+def test_so_has_what_remembers_far_longer_than_a_reading():
+    """R of means is a geometric series from the first lag on: in mpmath, of one, two and five readings."""
+    term, f = aj.Telegraph(2.0, 7e3), np.array([1e-5, 0.3, 3.9])
+    for M in (1, 2, 5):
+        q, S = mp.exp(-2 / (mp.mpf(RATE) * 7000)), []
+        r_0 = sum(q ** abs(i - j) for i in range(M) for j in range(M)) / M**2
+        r_1 = sum(q ** (M + i - j) for i in range(M) for j in range(M)) / M**2
+        for x in f:
+            turn = mp.expjpi(2 * mp.mpf(float(x)) * M / mp.mpf(RATE))
+            S.append(float((r_0 + 2 * mp.re(r_1 * turn / (1 - q**M * turn))) * M / mp.mpf(RATE)))
+        np.testing.assert_allclose(term.sampled(RATE).sampled_psd(f, RATE / M), S, rtol=1e-8)
 
 
 def test_the_ends_of_a_record_add_to_its_cosine_spectrum():

@@ -23,7 +23,7 @@ NAMES = """
     parameter plot_allan plot_psd power_spectrum read read_chunks sample select_terms simulate
     simulate_recording to_dict write write_coefficients_csv write_curve_csv write_json
 """
-MODULES = sorted(module.name for module in pkgutil.walk_packages(aj.__path__, "allanjax."))
+MODULES = sorted(module.name for module in pkgutil.walk_packages(aj.__path__, f"{aj.__name__}."))
 
 
 def test_public_names_stay():

@@ -5,6 +5,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 
 def panels(figure: Figure) -> dict[str, Axes]:
@@ -39,8 +40,14 @@ def check_texts_apart(figure: Figure) -> int:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     renderer = canvas.get_renderer()
-    drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
-    drawn += [axes._left_title for axes in figure.axes] + list(figure.texts)
+    drawn: list[Text] = []
+    for axes in figure.axes:
+        drawn += [*axes.texts, axes.xaxis.label, axes.yaxis.label]
+    titles = {axes: axes.get_title(loc="left") for axes in figure.axes}
+    drawn += [
+        t for axes, title in titles.items() for t in axes.findobj(Text) if title and t.get_text() == title
+    ]
+    drawn += list(figure.texts)
     drawn += [text for legend in figure.legends for text in legend.get_texts()]
     boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in drawn if text.get_text()]
     for i, (first, a) in enumerate(boxes):
