@@ -95,7 +95,7 @@ def test_numbers_of_a_finding_in_several_axes_are_those_of_its_members_together(
     assert both.members == tuple(parts)
     assert both.gain == pytest.approx(sum(f.gain for f in parts))
     assert both.evidence == pytest.approx(sum(f.evidence for f in parts))
-    assert both.p_value == pytest.approx(2.0 * min(f.p_value for f in parts))
+    assert both.p_value == pytest.approx(2.0 * min(f.p_value for f in parts), abs=0.0)
     assert both.span == (min(f.span[0] for f in parts), max(f.span[1] for f in parts))
     (label,) = both.parameters
     value, std = np.array([(f.parameters[label].value, f.parameters[label].std) for f in parts]).T
@@ -198,7 +198,7 @@ def test_the_p_value_of_shared_noise_counts_pairs_and_bands():
         a, b = (white[:top] for white in whites)
         r = a @ b / np.sqrt((a @ a) * (b @ b))
         p.append(beta.sf(r**2, 0.5, (top - 1) / 2.0))
-    assert shared.p_value == pytest.approx(10 * len(tops) * min(p), rel=1e-3)
+    assert shared.p_value == pytest.approx(10 * len(tops) * min(p), rel=1e-3, abs=0.0)
     assert shared.gain == pytest.approx(found.gain)
 
 

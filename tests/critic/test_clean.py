@@ -1,4 +1,4 @@
-"""Clean records of several grades, colours and units: nothing is found, and nothing is told to be unlikely."""
+"""Clean records of several grades, colours and units: nothing is found, nothing is said to be unlikely."""
 
 import bench
 import critic_records as cr

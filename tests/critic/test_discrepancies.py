@@ -155,7 +155,7 @@ def test_statistics_are_those_of_brute_force(name, axis, when):
         if statistic in DRAWN:
             assert abs(d.p_value - p) < 4.0 * np.sqrt(max(p, 1e-3) / 2_000) + 0.1 * p, statistic
         elif p is not None:
-            assert d.p_value == pytest.approx(max(p, 1e-300), rel=1e-6), statistic
+            assert d.p_value == pytest.approx(max(p, 1e-300), rel=1e-6, abs=0.0), statistic
 
 
 @pytest.mark.parametrize(("name", "axis"), [("clean_1", "gyro_x"), ("two_effects", "accel_z")])
@@ -178,7 +178,7 @@ def test_a_spectrum_is_compared_in_sixths_of_an_octave(name, axis):
     total, count = ratio[part].sum(), edges[k + 1] - edges[k]
     assert d.simulated == pytest.approx(density * chi_squared.median(count) / count)
     tail = 2.0 * min(chi_squared.cdf(total, count), chi_squared.sf(total, count))
-    assert d.p_value == pytest.approx(any_of(tail, len(middle)), rel=1e-6)
+    assert d.p_value == pytest.approx(any_of(tail, len(middle)), rel=1e-6, abs=0.0)
 
 
 def test_correlations_count_the_axes_and_channels_that_there_are():
@@ -192,7 +192,9 @@ def test_correlations_count_the_axes_and_channels_that_there_are():
             assert len(z) == others
             assert d.channel == max(z, key=lambda k: abs(z[k]))
             assert d.measured == pytest.approx(z[d.channel] / np.sqrt(len(white)), abs=1e-9)
-            assert d.p_value == pytest.approx(any_of(2.0 * norm.sf(abs(z[d.channel])), others), rel=1e-6)
+            assert d.p_value == pytest.approx(
+                any_of(2.0 * norm.sf(abs(z[d.channel])), others), rel=1e-6, abs=0.0
+            )
     found = cr.critique("moments")
     channel = cr.coefficients(cr.recording("moments", 4.0).auxiliary["temperature"])
     for axis in found:
@@ -216,7 +218,7 @@ def test_repeated_values_and_steps_are_those_of_the_samples():
         assert d.measured == pytest.approx(same / n)
         # As many as in a simulation of the same resolution, by a test of two counts.
         p = binom.sf(same - 1, same + round(d.simulated * n), 0.5)
-        assert d.p_value == pytest.approx(max(p, 1e-300), rel=1e-6)
+        assert d.p_value == pytest.approx(max(p, 1e-300), rel=1e-6, abs=0.0)
 
 
 def test_what_explains_it_is_better_after_a_finding():

@@ -52,7 +52,7 @@ def test_coefficients_are_those_of_the_noise_before_and_after():
             for value, stage in ((change.before, axis.stages[k]), (change.after, axis.stages[k + 1])):
                 power = stage.powers.get(change.label)
                 known = np.nan if power is None else np.sqrt(power)
-                assert value * SI[change.unit] == pytest.approx(known, rel=1e-9, nan_ok=True)
+                assert value * SI[change.unit] == pytest.approx(known, rel=1e-9, abs=0.0, nan_ok=True)
         named = {change.label for change in finding.coefficients}
         random = set(axis.stages[k].powers) | set(axis.stages[k + 1].powers)
         assert named == random - {"power_law", "drift_ramp"}
@@ -76,7 +76,7 @@ def test_drift_is_measured_on_both_halves_and_predicted_by_the_models():
         half = len(x) // 2
         halves = slice(0, half), slice(half, 2 * half)
         measured = np.sqrt(2.0 * np.mean([squares(x[part]) for part in halves])) * drift.horizon
-        assert drift.measured * unit == pytest.approx(measured, rel=1e-9)
+        assert drift.measured * unit == pytest.approx(measured, rel=1e-9, abs=0.0)
         if finding.cause in ("sinusoid", "bias_step", "warm_up", "temperature"):
             path = x - axis.stages[k + 1].x
             own = np.mean([squares(path[part]) for part in halves])

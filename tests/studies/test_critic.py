@@ -1,4 +1,4 @@
-"""The critic's laws by many records: false alarms, p-values, intervals; records of an independent generator."""
+"""The critic's laws by many records of an independent generator: false alarms, p-values, intervals."""
 
 import critic_records as cr
 import numpy as np
