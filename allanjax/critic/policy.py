@@ -15,8 +15,8 @@ also gain on held-out data, if it can be held out.
 `PRIORS` has the prior odds and the share of each cause, `JUDGEMENTS` the limits of what counts as an
 instance of a cause at all, each with where it is from. Other constants of the critic are numerical: grids,
 resolutions, numbers of rounds, and from where on a closer look is worth its time. What was measured was
-counted on records of one generator (benchmarks/common/hidden_effects.py) by the study `critic`; its seeds were
-not written down, and are not apart from those that this study reports.
+counted on records of one generator (benchmarks/common/hidden_effects.py) by the study `critic`; its seeds
+were not written down, and are not apart from those that this study reports.
 """
 
 from __future__ import annotations

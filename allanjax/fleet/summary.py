@@ -162,7 +162,8 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         spread = _spread(usual.to_numpy(), found["std"].to_numpy(), first["unit"])
         odd = of[of["outlying"]]
         ratios = zip(odd["recording"], odd["value"] / usual.median(), strict=True)
-        units = [f"{name} ({significant(ratio, 2)})" for name, ratio in ratios]
+        # Where all others have limits there is no median.
+        units = [f"{name} ({significant(ratio, 2)})" if ratio == ratio else name for name, ratio in ratios]
         title = title_of(first["coefficient"], Axis(first["axis"], first["sensor"], first["unit"]))
         row = (first["axis"], title, first["group"]) if grouped else (first["axis"], title)
         rows.append((*row, f"{len(found)} of {len(of)}", *spread, listed(units)))

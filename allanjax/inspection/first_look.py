@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.equality import ByValue
 from allanjax.base.wording import duration
 from allanjax.inspection.motion import motions, rms_within
 from allanjax.inspection.plausible import coarse, implausible
@@ -27,7 +28,7 @@ _SLIGHT = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Inspection:
+class Inspection(ByValue):
     """Findings about a recording before anything is estimated from it.
 
     Attributes:

@@ -66,7 +66,7 @@ class FilterModel:
 
 def factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Factor L of a covariance LLᵀ that may be singular, whatever the units of its variables."""
-    size = np.sqrt(np.diag(covariance))
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(size > 0.0, size, 1.0)
     value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * vector * np.sqrt(np.maximum(value, 0.0))

@@ -161,14 +161,29 @@ def _bag(kind: str, name: str, part: str = "", small: bool = False) -> Callable[
     return write
 
 
+def ulog(path: Path, values: np.ndarray, rate: float, dropouts: list[int]) -> Path:
+    """A log of PX4's with these samples, in single precision."""
+    times, messages = stamps(len(values), rate), {}
+    for name, half in (("sensor_gyro", values[:, :3]), ("sensor_accel", values[:, 3:])):
+        axes = dict(zip("xyz", half.astype("f4").T, strict=True))
+        messages[name, 0] = structured(timestamp=times, timestamp_sample=times, **axes)
+    return write_ulog(path, messages, dropouts)
+
+
+def dataflash(path: Path, values: np.ndarray, rate: float) -> Path:
+    """A log of ArduPilot's with these samples, in single precision."""
+    names = [f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ"]
+    columns = dict(zip(names, values.astype("f4").T, strict=True))
+    return write_dataflash(path, {"IMU": structured(TimeUS=stamps(len(values), rate), **columns)})
+
+
+def stamps(n: int, rate: float) -> np.ndarray:
+    """In microseconds."""
+    return (5_000_000 + np.arange(n) * round(1e6 / rate)).astype("u8")
+
+
 def _ulog(folder: Path) -> Sample:
-    values = _values().astype("f4")
-    times = (5_000_000 + np.arange(N) * 10_000).astype("u8")
-    x, y, z = values[:, :3].T
-    gyro = structured(timestamp=times, timestamp_sample=times, x=x, y=y, z=z)
-    x, y, z = values[:, 3:].T
-    accel = structured(timestamp=times, timestamp_sample=times, x=x, y=y, z=z)
-    path = write_ulog(folder / "imu.ulg", {("sensor_gyro", 0): gyro, ("sensor_accel", 0): accel}, [20])
+    path = ulog(folder / "imu.ulg", _values(), RATE, [20])
     return Sample(path, path)
 
 
@@ -195,10 +210,7 @@ def _fifo(folder: Path) -> Sample:
 
 
 def _dataflash(folder: Path) -> Sample:
-    times = (5_000_000 + np.arange(N) * 10_000).astype("u8")
-    names = [f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ"]
-    columns = dict(zip(names, _values().astype("f4").T, strict=True))
-    path = write_dataflash(folder / "imu.bin", {"IMU": structured(TimeUS=times, **columns)})
+    path = dataflash(folder / "imu.bin", _values(), RATE)
     return Sample(path, path)
 
 

@@ -1,4 +1,4 @@
-"""Which units of a fleet are marked as outlying, does a fleet use its workers, and survive the death of one?
+"""Which units of a fleet are marked as outlying, and does a fleet use its workers?
 
 Outlying units: simulated values and their intervals, without fits. Units are alike up to a log-normal
 scatter, of the unit or of each of its axes; each estimate has an error of 1 to 10 % that its interval tells.
@@ -9,16 +9,13 @@ of several grades, each 4, 7 or 10 times the one before, one unit of each at 2 t
 sensor, whose bad units may lie among the other grade's and cannot be told then, or of two, of which one has
 the bad units.
 
-Workers: recordings of six axes at 100 Hz, Parquet, terms chosen by the fit; every run is a process of its own
-with a local cluster of its own, started and closed within the time. Programs are compiled before the first
-run, by a fleet of two recordings.
+Workers: recordings of six axes at 100 Hz, Parquet, terms chosen by the fit; every run is a process with a
+local cluster of its own, started and closed within the time.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -203,52 +200,21 @@ def graded(
 
 
 def workers(folder: Path, recordings: int, samples: int) -> Iterator[str]:
-    logs, every = folder / "logs", str(folder / "logs" / "*.parquet")
-    simulated(logs, recordings, samples)
-    first = fleet(str(logs / "unit_00[01].parquet"), folder / "cold", 2)
-    times = {"two recordings, nothing compiled yet": first}
-    times |= {f"{n} worker{'s' if n > 1 else ''}": fleet(every, folder / str(n), n) for n in (1, 2)}
-    times["2 workers, one killed half-way"] = fleet(every, folder / "killed", 2, kill_after=recordings // 2)
-    yield table(["run", "seconds"], [[run, f"{s:.1f}"] for run, s in times.items()])
-    tables = [pd.read_parquet(folder / out / "fleet.parquet") for out in ("2", "killed")]
-    same = [json.loads(t.sort_index().to_json()) for t in tables]
-    marks = tables[0].loc[tables[0]["outlying"], ["recording", "axis", "coefficient"]].drop_duplicates()
-    yield (
-        f"With one killed half-way (SIGKILL) the table {'is' if same[0] == same[1] else 'IS NOT'} "
-        f"the same as without. Outlying: {'; '.join(' '.join(row) for row in marks.values) or 'none'}; put "
-        f"in: unit_{recordings // 2:03d} gyro_x with five times the random walk."
-    )
-
-
-def simulated(folder: Path, recordings: int, samples: int) -> None:
-    """White noise and a random walk, deg/s and g; units scatter by 10 %, and one has five times the walk."""
-    folder.mkdir()
+    (folder / "logs").mkdir()
     for k in range(recordings):
-        rng = np.random.default_rng(k)
-        white, walk = (
-            np.repeat(x, 3) * np.exp(0.1 * rng.standard_normal(6)) for x in ([0.35, 4e-3], [2e-3, 2e-5])
-        )
-        walk[0] *= 5.0 if k == recordings // 2 else 1.0
-        x = (
-            rng.standard_normal((samples, 6)) * white
-            + np.cumsum(rng.standard_normal((samples, 6)), axis=0) * walk
-        )
-        pd.DataFrame(x, columns=AXES).to_parquet(folder / f"unit_{k:03d}.parquet")
-
-
-def fleet(pattern: str, out: Path, workers: int, kill_after: int | None = None) -> float:
-    """Seconds; the worker that computed most is killed once so many recordings are done."""
-    options = {"--out": out, "--workers": workers, "--rate": 100, "--gyro-unit": "deg/s", "--accel-unit": "g"}
-    command = [str(Path(sys.executable).with_name("allanjax")), "fleet", pattern]
-    command += [str(part) for option in options.items() for part in option]
-    begun = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    if kill_after is not None:
-        import psutil
-
-        while process.poll() is None and len(list((out / "recordings").glob("*.json"))) < kill_after:
-            time.sleep(0.05)
-        children = psutil.Process(process.pid).children(recursive=True)
-        os.kill(max(children, key=lambda child: child.cpu_times().user).pid, signal.SIGKILL)
-    process.wait()
-    return time.perf_counter() - begun
+        noise = np.random.default_rng(k).standard_normal((2, samples, 6))
+        x = np.repeat([0.35, 4e-3], 3) * (noise[0] + 5e-3 * np.cumsum(noise[1], axis=0))
+        pd.DataFrame(x, columns=AXES).to_parquet(folder / "logs" / f"unit_{k:03d}.parquet")
+    # The first run compiles.
+    runs = (("unit_00[01].parquet", 2), ("*.parquet", 1), ("*.parquet", 2))
+    taken = []
+    for k, (pattern, count) in enumerate(runs):
+        options = {"--out": folder / str(k), "--workers": count, "--rate": 100}
+        options |= {"--gyro-unit": "deg/s", "--accel-unit": "g"}
+        program = [str(Path(sys.executable).with_name("allanjax")), "fleet", str(folder / "logs" / pattern)]
+        begun = time.perf_counter()
+        command = program + [str(part) for option in options.items() for part in option]
+        subprocess.run(command, check=True, capture_output=True)
+        taken.append(time.perf_counter() - begun)
+    names = ["two recordings, nothing compiled yet", "1 worker", "2 workers"]
+    yield table(["run", "seconds"], [[n, f"{s:.1f}"] for n, s in zip(names, taken, strict=True)])

@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from flight_logs import structured, write_dataflash, write_ulog
 
 import allanjax as aj
-from benchmarks.common.damaged_files import SIX, sample_files
+from benchmarks.common.damaged_files import SIX, dataflash, sample_files, ulog
 from benchmarks.common.study import UnavailableError, data, table
 
 PACKAGES = ("pandas", "pyarrow", "h5py", "rosbags", "pyulog", "nptdms")
@@ -89,22 +88,6 @@ def bag(kind: str) -> Callable[[Path, np.ndarray], Path]:
     return write
 
 
-def ulog(folder: Path, values: np.ndarray) -> Path:
-    times = (5_000_000 + np.arange(len(values)) * 2500).astype("u8")
-    messages = {}
-    for name, half in (("sensor_gyro", values[:, :3]), ("sensor_accel", values[:, 3:])):
-        axes = dict(zip("xyz", half.astype("f4").T, strict=True))
-        messages[name, 0] = structured(timestamp=times, timestamp_sample=times, **axes)
-    return write_ulog(folder / "imu.ulg", messages)
-
-
-def dataflash(folder: Path, values: np.ndarray) -> Path:
-    names = (f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ")
-    times = (5_000_000 + np.arange(len(values)) * 2500).astype("u8")
-    columns = dict(zip(names, values.astype("f4").T, strict=True))
-    return write_dataflash(folder / "imu.bin", {"IMU": structured(TimeUS=times, **columns)})
-
-
 def csv(folder: Path, values: np.ndarray) -> Path:
     path = folder / "imu.csv"
     aj.write(aj.Recording.from_array(values, RATE, names=SIX, gyro_unit="rad/s", accel_unit="m/s^2"), path)
@@ -115,8 +98,8 @@ MANY: dict[str, Callable[[Path, np.ndarray], Path]] = {
     "ROS 1 bag": bag("ros1"),
     "ROS 2 .db3": bag("sqlite3"),
     "ROS 2 .mcap": bag("mcap"),
-    "ULog (gyro and accel)": ulog,
-    "DataFlash": dataflash,
+    "ULog (gyro and accel)": lambda folder, values: ulog(folder / "imu.ulg", values, RATE, []),
+    "DataFlash": lambda folder, values: dataflash(folder / "imu.bin", values, RATE),
     "CSV": csv,
 }
 

@@ -1,7 +1,7 @@
 """How long do the tests take, how many are there, and do they pass?
 
-The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with those of
-the first run, then room by room, then `pytest -m study`, whose tests draw many records, fuzz files, end workers
+The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with them,
+then room by room, then `pytest -m study`, whose tests draw many records, damage files, end workers
 and check the shapes of arrays. Seconds are those of the clock and of the processor, all processes together.
 Tests with an inner name are those that `tests/project/test_public_doors.py` counts.
 """
@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.common.study import ROOT, Wrong, table
+from benchmarks.common.study import ROOT, WrongError, table
 
 QUICK = {"rooms": ("kalman",), "whole": False, "study": False}
 PACKAGES = ("pytest", "pytest-xdist", "optimistix")
@@ -26,7 +26,7 @@ _SHOWN = 20
 
 
 def run(*, rooms: tuple[str, ...] = (), whole: bool = True, study: bool = True) -> Iterator[str]:
-    """Tables of the runs; Wrong if a test failed."""
+    """Tables of the runs; WrongError if a test failed."""
     failed: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         clone = Path(folder) / "main"
@@ -50,7 +50,7 @@ def run(*, rooms: tuple[str, ...] = (), whole: bool = True, study: bool = True) 
         yield table(("run", "wall", "processor", "outcome", "programs compiled"), rows)
     if failed:
         yield "\n".join(f"- `{line}`" for line in failed[:_SHOWN])
-        raise Wrong(f"{len(failed)} tests failed")
+        raise WrongError(f"{len(failed)} tests failed")
 
 
 def timed(clone: Path, words: tuple[str, ...]) -> tuple[float, float, str]:

@@ -208,7 +208,7 @@ def test_errors_of_three_axes_are_those_of_dense_least_squares(second_order, ori
 def test_free_orientations_are_least_squares_of_the_norm(second_order):
     """The inputs that give the readings have the norm g: nine or twelve parameters, solved by fsolve."""
     length, step, count = 600.0, 620.0, len(EIGHTEEN)
-    errors = Errors(np.tril(SN), BIAS, np.array([2e-5, -1e-5, 3e-5]) * second_order)
+    errors = Errors(np.tril(SN), BIAS, 1e-3 * np.array([2.0, -1.0, 3.0]) * second_order)
     rng = np.random.default_rng(6)
     means = errors.readings(G * EIGHTEEN) + 2e-5 * rng.standard_normal((count, 3))
     starts = [k * step for k in range(count)]
@@ -407,7 +407,7 @@ def test_normal_gravity_is_that_of_wgs_84(calibration, six, latitude, height, ex
     np.testing.assert_allclose(own, exact, rtol=1e-5)
 
 
-# ------------------------------------------------------------------------------------ the noise of 
+# ------------------------------------------------------------------------------------ the noise
 def test_a_longest_position_is_fitted_and_its_drift_told_by_scatter():
     """Student's law, and Birge's ratio, where the means scatter by more than N alone lets them."""
     rng, n, rate = np.random.default_rng(12), 2048, 20.0
@@ -440,7 +440,7 @@ def test_a_longest_position_is_fitted_and_its_drift_told_by_scatter():
 @pytest.mark.parametrize("S2", [np.zeros(3), np.array([2e-5, 0.0, -1e-5])])
 def test_apply_takes_the_errors_out(S2):
     """Of any inputs: those that were calibrated with, and 5 m/s² along each axis."""
-    errors = ERRORS._replace(S2=S2)
+    errors = Errors(SN, BIAS, S2)
     records = [at_rest(m, 32, 20.0) for m in errors.readings(G * EIGHTEEN)]
     found = calibrated(records, list(EIGHTEEN), second_order=True)
     f = np.random.default_rng(1).uniform(-5.0, 5.0, (64, 3))

@@ -1,239 +1,233 @@
-"""Statistics in which simulations are compared with the measurement: their laws, and what they notice."""
+"""What a simulation gets wrong: each statistic and its p-value by brute force on the record.
 
+Everything is computed anew from the samples, and from the expected squares of their cosine coefficients that
+a critique states for the model (`stages`).
+"""
+
+import critic_records as cr
 import numpy as np
 import pytest
+from bench import critique
 from scipy.fft import idct
-from scipy.optimize import minimize
-from scipy.stats import kstest
+from scipy.stats import binom, kurtosistest, norm
+from scipy.stats import chi2 as chi_squared
 
-import allanjax as aj
-from allanjax.critic.comparison import StageResiduals, allan_law, octave_bins, summaries
-from allanjax.critic.discrepancies import discrepancies
-from allanjax.critic.noise import centred, family_of
-from allanjax.critic.result import Snapshot
-from allanjax.record.recording import Axis
-
-AXIS = Axis("gyro_x", "gyro", "deg/s")
-DEG = np.pi / 180.0
-N, RATE = 4096, 100.0
-POWERS = {"angle_random_walk": 1e-6, "rate_random_walk": 1e-7}
-# Statistics whose value can only be one of a few: their p-values are those of counts.
-DISCRETE = {"lattice", "repeated_values"}
+SCALE = {"deg/s": np.pi / 180.0, "g": 9.80665, "m/s²": 1.0, "rad/s": 1.0, "mg": 9.80665e-3}
 
 
-@pytest.fixture(scope="module")
-def variance():
-    """White noise and a random walk."""
-    return family_of(N, RATE).expected(POWERS, float("nan"))
+def critique_of(name):
+    """Critique of a golden record, or of hidden effects."""
+    return cr.critique(name) if name in cr.SCENES else critique(name)
 
 
-def record(x, variance, powers=None):
-    """Of a model whose levels are known exactly unless there are `powers`."""
-    powers = powers or {}
-    return StageResiduals(AXIS, DEG, RATE, Snapshot(x, variance, tuple(powers), powers, float("nan"), 0.0))
+def stage_of(found, axis, which):
+    """Samples less the model's ramp, the whitened ones, both in SI and in time; the levels; the unit."""
+    stage, rate = found[axis].stages[which], found.rate
+    x = stage.x - (stage.ramp or 0.0) * (np.arange(len(stage.x)) - (len(stage.x) - 1) / 2.0) / rate
+    white = idct(np.r_[0.0, cr.coefficients(x) / np.sqrt(stage.variance)], norm="ortho")
+    return x, white, stage.variance, SCALE[found[axis].axis.unit]
 
 
-def drawn(variance, rng):
-    """A record of the model."""
-    return idct(np.concatenate([[0.0], rng.standard_normal(len(variance)) * np.sqrt(variance)]), norm="ortho")
+def any_of(p, count):
+    """Probability that the smallest of independent p-values is less (Šidák)."""
+    return -np.expm1(count * np.log1p(-p))
 
 
-def found(x, variance, **more):
-    w = record(x, variance)
-    return {d.statistic: d for d in discrepancies(w, more.pop("raw", x), **more)}
+# --- One function a statistic: what is measured at a place, what simulations have there, and the p-value ----
 
 
-def test_p_values_are_uniform_where_the_model_is_true(variance):
-    rng = np.random.default_rng(1)
-    channel = np.cumsum(rng.standard_normal(N))
-    p = {}
-    for _ in range(250):
-        x, y, z = (drawn(variance, rng) for _ in range(3))
-        others = {"gyro_y": record(y, variance), "gyro_z": record(z, variance)}
-        for name, d in found(x, variance, others=others, auxiliary={"temperature": channel}).items():
-            p.setdefault(name, []).append(d.p_value)
-    assert len(p) == 13
-    for name in set(p) - DISCRETE:
-        # Of eleven statistics none should be this far off more than once in a hundred seeds.
-        assert kstest(p[name], "uniform").pvalue > 1e-3, name
-    assert min(p["lattice"]) == 1.0
-    assert min(p["repeated_values"]) > 1e-4
+def allan_deviation(d, x, white, levels, scale, rate):
+    """Of the record continued by its mirror image, all pairs of clusters; the median of a weighted χ²."""
+    m = round(d.where * rate)
+    total = np.cumsum(np.r_[0.0, np.tile(np.r_[x, x[::-1]], 2)])
+    first = total[m : m + 2 * len(x)] - total[: 2 * len(x)]
+    second = total[2 * m : 2 * m + 2 * len(x)] - total[m : m + 2 * len(x)]
+    a = cr.angles(len(x))
+    weight = 2.0 * np.sin(m * a / 2.0) ** 4 / (m * np.sin(a / 2.0)) ** 2 / len(x)
+    dof = np.sum(weight * levels) ** 2 / np.sum((weight * levels) ** 2)
+    median = np.sqrt(weight @ levels * chi_squared.median(dof) / dof)
+    return np.sqrt(0.5 * np.mean(((second - first) / m) ** 2)) / scale, median / scale, None
 
 
-def test_levels_known_no_better_than_their_posterior_widen_the_law(variance):
-    rng = np.random.default_rng(2)
-    family = family_of(N, RATE)
-    w = record(np.ones(N), variance, POWERS)
-    sizes = 2 ** np.arange(11)
-    law = allan_law(w, sizes)
-    root = np.linalg.cholesky(w.level_covariance)
-    draws = []
-    for _ in range(400):
-        factors = np.maximum(1.0 + root @ rng.standard_normal(2), 0.05)
-        powers = {name: factor * POWERS[name] for name, factor in zip(POWERS, factors, strict=True)}
-        x = drawn(family.expected(powers, float("nan")), rng)
-        draws.append(allan_law(record(x, variance, POWERS), sizes).measured / law.mean)
-    # A variance of 400 draws has a relative error of √(2/400), more where the law has longer tails.
-    assert np.var(draws, axis=0) == pytest.approx(np.diag(law.covariance), rel=0.4)
-    # White noise of n samples: its level is known to √(2/n).
-    assert np.sqrt(w.level_covariance[0, 0]) == pytest.approx(np.sqrt(2.0 / N), rel=0.1)
+def drift(d, x, white, levels, scale, rate):
+    """The integrated rate over a time, less that at the mean rate of the stretch before; degrees or m/s."""
+    measured, simulated, _ = allan_deviation(d, x, white, levels, 1.0, rate)
+    unit = np.pi / 180.0 if d.unit == "deg" else 1.0
+    return *(np.sqrt(2.0) * d.where * value / unit for value in (measured, simulated)), None
 
 
-def test_p_values_are_uniform_where_levels_are_fitted_to_the_record():
-    """By maximum likelihood, by another optimizer than the package's; a random walk that the record shows."""
-    rng = np.random.default_rng(3)
-    family = family_of(N, RATE)
-    truth = POWERS | {"rate_random_walk": 3e-5}
-    shapes = np.stack([family.expected({name: power}, float("nan")) for name, power in truth.items()])
-
-    def deviance(log_factors, squares):
-        factors = np.exp(log_factors)
-        v = factors @ shapes
-        slope = ((1.0 - squares / v) / v) @ shapes.T
-        return float(np.sum(np.log(v) + squares / v)), factors * slope
-
-    p = []
-    for _ in range(250):
-        x = drawn(shapes.sum(axis=0), rng)
-        fitted = minimize(deviance, np.zeros(2), (centred(x) ** 2,), "BFGS", jac=True)
-        powers = dict(zip(truth, np.exp(fitted.x) * list(truth.values()), strict=True))
-        found = discrepancies(record(x, family.expected(powers, float("nan")), powers), x)
-        p.append([d.p_value for d in found if d.statistic in ("allan_deviation", "drift")])
-    for column in np.transpose(p):
-        assert kstest(column, "uniform").pvalue > 1e-3
+def psd_line(d, x, white, levels, scale, rate):
+    """Amplitude in the whitened residuals, times the noise there; the largest of n/2 exponential powers."""
+    n, k = len(x), round(d.where * len(x) / rate)
+    power = abs(np.exp(-2j * np.pi * k * np.arange(n) / n) @ white) ** 2 / n
+    root = np.sqrt(levels[2 * k - 1] / n) / scale
+    typical = -np.log(1.0 - 0.5 ** (2.0 / n))
+    return 2.0 * np.sqrt(power) * root, 2.0 * np.sqrt(typical) * root, any_of(np.exp(-power), (n - 1) // 2)
 
 
-def test_the_law_of_the_allan_variance_is_that_of_simulations(variance):
-    rng = np.random.default_rng(3)
-    sizes = 2 ** np.arange(11)
-    law = allan_law(record(drawn(variance, rng), variance), sizes)
-    draws = np.array([allan_law(record(drawn(variance, rng), variance), sizes).measured for _ in range(400)])
-    # Mean and variance of 400 draws: four standard errors.
-    scatter = np.sqrt(np.diag(law.covariance))
-    assert np.all(abs(draws.mean(axis=0) / law.mean - 1.0) < 4.0 * scatter / 20.0)
-    np.testing.assert_allclose(draws.std(axis=0) / law.mean, scatter, rtol=0.25)
+def autocorrelation(d, x, white, levels, scale, rate):
+    """Of the whitened residuals, continued by their mirror image."""
+    lag = round(d.where * rate)
+    both = np.r_[white, white[::-1]]
+    # Less what the mirror image adds in white noise.
+    r = np.mean(both * np.roll(both, -lag)) - np.sum(np.cos(cr.angles(len(x)) * lag)) / len(x)
+    return r, 0.0, any_of(2.0 * norm.sf(abs(r) * np.sqrt(len(x))), min(200, len(x) // 10))
 
 
-def test_the_total_deviation_is_the_allan_deviation_for_short_clusters(variance):
-    x = drawn(variance, np.random.default_rng(4))
-    curve = aj.allan_deviation(x[:, None], RATE)
-    w = record(x, variance)
-    few = curve.cluster_size <= N // 64
-    law = allan_law(w, np.asarray(curve.cluster_size)[few])
-    # They differ by what happens at the ends.
-    np.testing.assert_allclose(np.sqrt(law.measured), curve.deviation[few, 0], rtol=0.02)
+def tails(d, x, white, levels, scale, rate):
+    """Excess kurtosis, by Anscombe & Glynn's test."""
+    excess = np.mean(white**4) / np.mean(white**2) ** 2 - 3.0
+    return excess, 0.0, kurtosistest(white).pvalue
 
 
-def test_a_ramp_is_taken_out(variance):
-    x = drawn(variance, np.random.default_rng(5))
-    tilted = x + 0.01 * np.arange(N) / RATE
-    snapshot = Snapshot(tilted, variance, (), {}, float("nan"), 0.01)
-    np.testing.assert_allclose(StageResiduals(AXIS, DEG, RATE, snapshot).coefficients, centred(x), atol=1e-9)
+def largest_residual(d, x, white, levels, scale, rate):
+    """Half of all simulations have none that is larger than the typical one."""
+    largest = abs(white[round(d.where * rate)])
+    assert largest == abs(white).max()
+    return largest, norm.isf((1.0 - 0.5 ** (1.0 / len(x))) / 2.0), any_of(2.0 * norm.sf(largest), len(x))
 
 
-def test_a_line_is_noticed_at_its_frequency(variance):
-    x = drawn(variance, np.random.default_rng(6))
-    t = np.arange(N) / RATE
-    d = found(x + 2e-3 * np.sin(2.0 * np.pi * 7.3 * t), variance)["psd_line"]
-    assert d.p_value < 1e-4
-    assert d.where == pytest.approx(7.3, abs=RATE / N)
-    # A line between two frequencies of whole periods shows at least 2/π of its amplitude.
-    assert 0.6 * 2e-3 / DEG < d.measured < 1.3 * 2e-3 / DEG
-    assert d.where_unit == "Hz"
-    assert d.unit == "deg/s"
+def window(d, white, rate):
+    """The window of a half, a quarter, … of the record with this middle."""
+    n = len(white)
+    (length,) = [m for m in n // 2 ** np.arange(1, 7) if abs((d.where * rate / m - 0.5) % 1.0 - 0.5) > 0.499]
+    start = round(d.where * rate - length / 2)
+    return white[start : start + length]
 
 
-def test_louder_noise_is_noticed_when_it_is(variance):
-    rng = np.random.default_rng(7)
-    w = record(drawn(variance, rng), variance)
-    e = w.whitened.copy()
-    inside = slice(N // 2, N // 2 + N // 8)
-    e[inside] *= np.sqrt(2.0)
-    x = idct(np.concatenate([[0.0], centred(e) * np.sqrt(variance)]), norm="ortho")
-    d = found(x, variance)["window_variance"]
-    assert d.p_value < 1e-4
-    assert N // 2 / RATE < d.where < (N // 2 + N // 8) / RATE
-    # Four standard deviations of the mean square of 512.
-    assert d.measured == pytest.approx(2.0, abs=4.0 * 2.0 * np.sqrt(2.0 / 512))
+def windows_null(scores):
+    """Largest scores of so many sets of 64 independent means, in all windows of a half, a quarter, …"""
+    z = np.random.default_rng(8).standard_normal((4_000, 64))
+    z = z - z.mean(axis=1, keepdims=True) * scores
+    largest = np.zeros(len(z))
+    for size in 2 ** np.arange(6):
+        means = z.reshape(len(z), -1, size).sum(axis=2) / np.sqrt(size * (1.0 - scores * size / 64.0))
+        largest = np.maximum(largest, abs(means).max(axis=1))
+    return largest
 
 
-def test_a_wrong_level_is_noticed_in_the_spectrum_and_the_allan_deviation(variance):
-    f = np.arange(1, N) * RATE / (2.0 * N)
-    wrong = np.where((f > 8.0) & (f < 16.0), 0.5 * variance, variance)
-    d = found(drawn(variance, np.random.default_rng(8)), wrong)
-    assert d["psd"].p_value < 1e-4
-    assert 8.0 < d["psd"].where < 16.0
-    assert d["psd"].size == pytest.approx(-0.5, abs=0.2)
-    low = found(drawn(variance, np.random.default_rng(8)), 0.5 * variance)["allan_deviation"]
-    assert low.p_value < 1e-4
-    assert low.size == pytest.approx(np.sqrt(0.5) - 1.0, abs=0.05)
+def window_mean(d, x, white, levels, scale, rate):
+    """All residuals together have no mean."""
+    part = window(d, white, rate)
+    score = abs(part.mean()) * np.sqrt(len(part) / (1.0 - len(part) / len(x)))
+    return part.mean(), 0.0, np.mean(windows_null(1.0) > score)
 
 
-def test_what_is_in_the_values_is_noticed(variance):
-    rng = np.random.default_rng(9)
-    x = drawn(variance, rng)
-    spiked = x.copy()
-    spiked[1234] += 0.08
-    d = found(spiked, variance)
-    assert max(d["largest_residual"].p_value, d["tails"].p_value) < 1e-4
-    assert d["largest_residual"].where == pytest.approx(12.34, abs=0.02)
-    sigma = float(np.sqrt(np.median(variance)))
-    coarse = np.rint(x / sigma) * sigma
-    assert found(x, variance, raw=coarse)["lattice"].p_value < 1e-4
-    # Written with four digits to the noise's standard deviation, as files are.
-    written = np.rint(x / sigma * 1e4) * sigma * 1e-4
-    assert min(found(x, variance, raw=written)[name].p_value for name in DISCRETE) > 1e-4
-    held = x.copy()
-    held[1::50] = held[:-1:50][: len(held[1::50])]
-    assert found(x, variance, raw=held)["repeated_values"].p_value < 1e-4
+def window_variance(d, x, white, levels, scale, rate):
+    """Mean squares as normal scores of their χ² law."""
+    part = window(d, white, rate)
+    tail = min(chi_squared.cdf(part @ part, len(part)), chi_squared.sf(part @ part, len(part)))
+    return part @ part / len(part), 1.0, np.mean(windows_null(0.0) > norm.isf(tail))
 
 
-def test_other_channels_are_named(variance):
-    rng = np.random.default_rng(10)
-    x, y, z = (drawn(variance, rng) for _ in range(3))
-    temperature = np.sin(np.linspace(0.0, 9.0, N))
-    others = {"gyro_y": record(y, variance), "gyro_z": record(z + 0.5 * x, variance)}
-    channels = {"flat": np.ones(N), "temperature": temperature, "noise": rng.standard_normal(N)}
-    d = found(x + 0.1 * temperature, variance, others=others, auxiliary=channels)
-    assert d["cross_correlation"].p_value < 1e-4
-    assert d["cross_correlation"].channel == "gyro_z"
-    assert d["auxiliary_correlation"].p_value < 1e-4
-    assert d["auxiliary_correlation"].channel == "temperature"
+BRUTE = {
+    f.__name__: f
+    for f in (
+        *(allan_deviation, drift, psd_line, autocorrelation, tails),
+        *(largest_residual, window_mean, window_variance),
+    )
+}
+#: Statistics whose p-values are of some thousand draws.
+DRAWN = ("window_mean", "window_variance")
+# With effects, without, and of different units, before a finding and after it.
+AXES = [
+    ("clean_1", "gyro_y", "before"),
+    ("clean_2", "accel_x", "before"),
+    ("two_effects", "accel_z", "before"),
+    ("two_effects", "gyro_x", "after"),
+    ("moments", "accel_y", "before"),
+]
 
 
-def test_a_coloured_residual_is_noticed_at_its_lag(variance):
-    x = drawn(variance, np.random.default_rng(11))
-    d = found(x + 0.3 * np.roll(x, 5), variance)["autocorrelation"]
-    assert d.p_value < 1e-4
-    assert d.where == pytest.approx(0.05)
+@pytest.mark.parametrize(("name", "axis", "when"), AXES)
+def test_statistics_are_those_of_brute_force(name, axis, when):
+    found = critique_of(name)
+    every = {d.statistic: d for d in getattr(found[axis], when)}
+    x, white, levels, scale = stage_of(found, axis, 0 if when == "before" else -1)
+    for statistic, brute in BRUTE.items():
+        d = every[statistic]
+        measured, simulated, p = brute(d, x, white, levels, scale, found.rate)
+        assert d.measured == pytest.approx(measured, rel=2e-3, abs=1e-6), statistic
+        # A curve of fitted levels scatters a little more than one of known ones, which moves the median.
+        near = 0.05 if statistic in ("allan_deviation", "drift") else 1e-4
+        assert d.simulated == pytest.approx(simulated, rel=near), statistic
+        assert d.size == pytest.approx(d.simulated / d.measured - 1.0)
+        if statistic in DRAWN:
+            assert abs(d.p_value - p) < 4.0 * np.sqrt(max(p, 1e-3) / 2_000) + 0.1 * p, statistic
+        elif p is not None:
+            assert d.p_value == pytest.approx(max(p, 1e-300), rel=1e-6), statistic
 
 
-def test_bands_hold_95_percent(variance):
-    rng = np.random.default_rng(12)
-    inside = []
-    for _ in range(100):
-        for c in summaries(record(drawn(variance, rng), variance)):
-            inside.append(np.mean((c.low <= c.measured) & (c.measured <= c.high)))
-    # Points of a curve scatter together; the Allan band is that of a χ² law with the right mean and variance.
-    assert np.mean(inside[::2]) == pytest.approx(0.95, abs=0.02)
-    assert np.mean(inside[1::2]) == pytest.approx(0.95, abs=0.01)
+@pytest.mark.parametrize(("name", "axis"), [("clean_1", "gyro_x"), ("two_effects", "accel_z")])
+def test_a_spectrum_is_compared_in_sixths_of_an_octave(name, axis):
+    """At the mean frequency of a bin: mean squares over the model's, times its density."""
+    found = critique(name)
+    d = next(d for d in found[axis].before if d.statistic == "psd")
+    x, _, levels, scale = stage_of(found, axis, 0)
+    n, ratio = len(x), cr.coefficients(x) ** 2 / levels
+    edges = [1]
+    while edges[-1] < n:
+        edges.append(edges[-1] + max(1, int(edges[-1] * (2.0 ** (1.0 / 6.0) - 1.0))))
+    edges = np.array([*edges[:-2], n])
+    middle = (edges[:-1] + edges[1:] - 1) / 2.0 * found.rate / (2.0 * n)
+    k = int(np.argmin(abs(middle - d.where)))
+    part = slice(edges[k] - 1, edges[k + 1] - 1)
+    density = 2.0 / found.rate * levels[part].mean() / scale**2
+    assert d.where == pytest.approx(middle[k])
+    assert d.measured == pytest.approx(density * ratio[part].mean())
+    total, count = ratio[part].sum(), edges[k + 1] - edges[k]
+    assert d.simulated == pytest.approx(density * chi_squared.median(count) / count)
+    tail = 2.0 * min(chi_squared.cdf(total, count), chi_squared.sf(total, count))
+    assert d.p_value == pytest.approx(any_of(tail, len(middle)), rel=1e-6)
 
 
-def test_the_spectrum_is_drawn_at_the_mean_frequency_of_its_bins(variance):
-    x = drawn(variance, np.random.default_rng(13))
-    _, spectrum = summaries(record(x, variance))
-    frequency = np.arange(1, N) * RATE / (2.0 * N)
-    first = octave_bins(N)[:-1] - 1
-    count = np.diff(octave_bins(N))
-    np.testing.assert_allclose(spectrum.place, np.add.reduceat(frequency, first) / count, rtol=1e-12)
-    # One-sided: the mean of c² over its bin, times 2/rate.
-    squares = np.add.reduceat(centred(x) ** 2, first) / count
-    np.testing.assert_allclose(spectrum.measured, 2.0 / RATE * squares, rtol=1e-12)
+def test_correlations_count_the_axes_and_channels_that_there_are():
+    """The p-value is that of the strongest of them, here of two axes and of three, and of one channel."""
+    for name, others in (("clean_1", 2), ("clean_2", 1), ("moments", 3)):
+        found = critique_of(name)
+        whites = {axis: stage_of(found, axis, 0)[1] for axis in found}
+        for axis, white in whites.items():
+            d = next(d for d in found[axis].before if d.statistic == "cross_correlation")
+            z = {k: white @ y / np.linalg.norm(y) for k, y in whites.items() if k != axis}
+            assert len(z) == others
+            assert d.channel == max(z, key=lambda k: abs(z[k]))
+            assert d.measured == pytest.approx(z[d.channel] / np.sqrt(len(white)), abs=1e-9)
+            assert d.p_value == pytest.approx(any_of(2.0 * norm.sf(abs(z[d.channel])), others), rel=1e-6)
+    found = cr.critique("moments")
+    channel = cr.coefficients(cr.recording("moments", 4.0).auxiliary["temperature"])
+    for axis in found:
+        d = next(d for d in found[axis].before if d.statistic == "auxiliary_correlation")
+        x, _, levels, _ = stage_of(found, axis, 0)
+        filtered = channel / levels
+        z = filtered @ cr.coefficients(x) / np.sqrt(filtered @ channel)
+        assert d.channel == "temperature"
+        assert d.p_value == pytest.approx(2.0 * norm.sf(abs(z)), rel=1e-6, abs=1e-300)
 
 
-@pytest.mark.parametrize("n", [16, 100, N])
-def test_bins_hold_every_coefficient_once(n):
-    edges = octave_bins(n)
-    assert edges[0] == 1
-    assert edges[-1] == n
-    assert np.all(np.diff(edges) > 0)
+def test_repeated_values_and_steps_are_those_of_the_samples():
+    found = cr.critique("samples")
+    recording = cr.recording("samples", 4.0)
+    for k, axis in enumerate(found):
+        every = {d.statistic: d for d in found[axis].before}
+        assert every["lattice"].measured == (1.0 if axis == "gyro_z" else 0.0)
+        assert (every["lattice"].p_value < 1e-99) is (axis == "gyro_z")
+        same = int(np.sum(np.diff(recording.values[:, k]) == 0.0))
+        d, n = every["repeated_values"], recording.n - 1
+        assert d.measured == pytest.approx(same / n)
+        # As many as in a simulation of the same resolution, by a test of two counts.
+        p = binom.sf(same - 1, same + round(d.simulated * n), 0.5)
+        assert d.p_value == pytest.approx(max(p, 1e-300), rel=1e-6)
+
+
+def test_what_explains_it_is_better_after_a_finding():
+    """Pairs of a finding: before it and after it, each at one place; the line is gone, the rest as it was."""
+    (line,) = critique("two_effects")["accel_z"].findings
+    pairs = {before.statistic: (before, after) for before, after in line.discrepancies}
+    for before, after in pairs.values():
+        assert (before.where, before.unit) == (after.where, after.unit)
+    before, after = pairs["psd_line"]
+    assert before.where == pytest.approx(11.7, abs=0.01)
+    assert before.measured == pytest.approx(line.size.value, rel=0.35)
+    assert before.p_value < 1e-20
+    assert after.p_value > 1e-3
+    assert after.measured < 0.5 * before.measured

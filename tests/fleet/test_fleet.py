@@ -1,443 +1,480 @@
-"""Fleets: many recordings on a Dask cluster, and which of their units are unlike the others."""
+"""Fleets: many recordings on a Dask cluster, what a later run takes from an earlier one, and their table."""
 
 import json
 import os
-import signal
-import subprocess
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
-from matplotlib import pyplot as plt
-from typer.testing import CliRunner
+from commands import run
+from fleets import ARW, axis, coefficient
 
-from allanjax import AllanAccumulator
-from allanjax.base.errors import AllanjaxError
-from allanjax.cli.app import app
-from allanjax.fleet import cluster as fleet_cluster
-from allanjax.fleet import fleet
-from allanjax.fleet.cluster import connected, outcomes
-from allanjax.fleet.files import matching_files, recording_names
-from allanjax.fleet.fleet import characterize_fleet
-from allanjax.fleet.options import FitOptions
-from allanjax.fleet.store import key_of
-from allanjax.fleet.summary import cells, judged
-from allanjax.fleet.table import table_of, table_schema
-from allanjax.noise.notation import parse_model
-from allanjax.record.io import write
-from allanjax.record.recording import Recording
-from allanjax.report.fleet_figure import plot_fleet
+import allanjax as aj
 
-UNITS = 10
-ODD = 6
-MODEL = parse_model("N + B")
-mpl.use("agg")
+UNITS = [f"unit_{k}" for k in range(5)]
+COLUMNS = {
+    "recording file group axis sensor coefficient unit terms warnings": "str",
+    "value std lower_95 upper_95 upper_limit_95 p_value start_s stop_s": "float64",
+    "detected measured outlying": "bool",
+}
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory):
-    """White noise of ten units, of one three times the others', and a file that is no recording.
-
-    N of the like units scatters by 5 %, and 5000 samples tell it to 1 %; there is no bias instability.
-    """
-    folder = tmp_path_factory.mktemp("logs")
-    rng = np.random.default_rng(1)
-    for k, factor in enumerate(np.exp(0.05 * rng.standard_normal(UNITS))):
-        values = (0.3 if k == ODD else 0.1) * factor * rng.standard_normal(5000)
-        recording = Recording.from_array(values, 100.0, gyro_unit="deg/s", names=["gyro_x"])
-        write(recording, folder / f"unit_{k}.parquet")
-    (folder / "corrupt.parquet").write_bytes(b"PAR1 but no more")
-    return folder
+# --- What is found ------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(scope="module")
-def client(cache):
-    """Of a cluster of two workers, which all tests share."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ALLANJAX_CACHE", str(cache))
-        with connected(None, 2, 2) as client:
-            yield client
-
-
-@pytest.fixture(scope="module")
-def characterized(logs, client, tmp_path_factory):
-    out = tmp_path_factory.mktemp("out")
-    result = characterize_fleet(logs / "*.parquet", out, MODEL, scheduler=client.scheduler.address)
-    return out, result
-
-
-def result_times(out):
-    return {path.stem: path.stat().st_mtime_ns for path in (out / "recordings").iterdir()}
-
-
-def run(*arguments, cache, cwd):
-    script = "import sys; from allanjax.cli.app import main; sys.argv[0] = 'allanjax'; main()"
-    command = [sys.executable, "-c", script, *map(str, arguments)]
-    environment = {**os.environ, "ALLANJAX_CACHE": str(cache), "COLUMNS": "200"}
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
-
-
-def test_the_table_holds_what_characterize_finds(characterized, logs, cache):
+def test_the_table_holds_what_fits_find(characterized, logs):
     out, result = characterized
     pd.testing.assert_frame_equal(pd.read_parquet(out / "fleet.parquet"), result.table)
-    assert pq.read_schema(out / "fleet.parquet").remove_metadata() == table_schema()
-    assert list(result.table["recording"].unique()) == [f"unit_{k}" for k in range(UNITS)]
-    alone = run("characterize", logs / "unit_4.parquet", "--terms", "N + B", "--json", cache=cache, cwd=out)
-    (axis,) = json.loads(alone.stdout)["fits"][0]["axes"]
-    rows = result.table[result.table["recording"] == "unit_4"].set_index("coefficient")
-    assert list(rows.index) == ["angle_random_walk", "bias_instability"]
-    for c in axis["coefficients"]:
-        found = rows.loc[c["label"]]
-        # The same program on the same samples: rounding.
-        numbers = [c["value"], *c["interval_95"], axis["p_value"]]
-        assert found[["value", "lower_95", "upper_95", "p_value"]].tolist() == pytest.approx(numbers, 1e-6)
-        assert (found["unit"], found["detected"], found["axis"]) == (c["unit"], c["detected"], "gyro_x")
-    assert set(result.table["terms"]) == {"angle_random_walk + bias_instability"}
+    assert result.to_dataframe() is result.table
+    assert {*result.table} == {*" ".join(COLUMNS).split()}
+    for names, kind in COLUMNS.items():
+        assert all(
+            result.table[name].dtype in (kind, "object" if kind == "str" else kind) for name in names.split()
+        )
+    assert list(result.table["recording"].unique()) == UNITS
+    for name in ("unit_1", "unit_4"):
+        fit = aj.fit(aj.read(logs / f"{name}.parquet"), "N + K", plain=True)
+        rows = result.table[result.table["recording"] == name].set_index(["axis", "coefficient"])
+        assert len(rows) == 4
+        for axis_name, found in fit.items():
+            for label, c in found.coefficients.items():
+                row = rows.loc[axis_name, label]
+                own = c.in_unit(row["unit"])
+                # The same program on the same samples: rounding.
+                numbers = [own.value, own.std, *own.interval]
+                assert row[["value", "std", "lower_95", "upper_95"]].tolist() == pytest.approx(
+                    numbers, rel=1e-6
+                )
+                assert row["upper_limit_95"] == pytest.approx(own.upper_limit, rel=1e-6, nan_ok=True)
+                assert (row["detected"], row["measured"]) == (c.detected, found.measured)
+                assert row["p_value"] == pytest.approx(found.p_value, rel=1e-6)
+                assert (row["terms"], row["sensor"]) == (
+                    "angle_random_walk + rate_random_walk",
+                    axis_name[:-2],
+                )
+                assert row["file"] == str(logs / f"{name}.parquet")
     assert (out / "fleet.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_odd_unit_is_marked_and_no_other(characterized):
-    # One clean fleet in a hundred would have a mark.
-    _, result = characterized
-    marked = result.outlying[["recording", "coefficient"]].values.tolist()
-    assert marked == [[f"unit_{ODD}", "angle_random_walk"]]
-    assert f"unit_{ODD}" in str(result)
-    assert f"unit_{ODD}" in result._repr_html_()
-
-
-def test_a_corrupt_recording_is_reported_and_the_others_go_on(characterized, logs):
+def test_the_odd_unit_is_marked_and_a_corrupt_one_is_reported(characterized, logs):
     out, result = characterized
+    assert result.outlying[["recording", "axis", "coefficient"]].values.tolist() == [
+        ["unit_3", "gyro_x", ARW]
+    ]
+    usual = result.table.query("axis == 'gyro_x' and coefficient == @ARW").set_index("recording")["value"]
+    ratio = usual["unit_3"] / usual.drop("unit_3").median()
+    assert f"unit_3 ({ratio:.2g})" in str(result)
     (error,) = result.errors
     assert error["file"] == str(logs / "corrupt.parquet")
     assert "Parquet" in error["message"]
     assert pd.read_csv(out / "errors.csv").to_dict("records") == [error]
-    assert "10 without an error, 1 with" in str(result)
-
-
-def test_workers_share_a_cache_and_take_a_core_each(characterized, client, cache):
-    # A worker that has had no recording yet has no reason to.
-    threads = set(client.run(os.getenv, "NPROC").values())
-    assert "1" in threads
-    assert threads <= {"1", None}
-    assert any(cache.iterdir())
-
-
-def test_a_second_run_computes_only_what_is_not_there(characterized, logs, client, tmp_path):
-    out, first = characterized
-    before = result_times(out)
-    counts = []
-
-    def again(files=logs / "*.parquet", **options):
-        counts.clear()
-        options |= {"scheduler": client.scheduler.address, "progress": lambda *n: counts.append(n)}
-        return characterize_fleet(files, out, MODEL, **options)
-
-    second = again()
-    # The corrupt one is tried again.
-    assert counts == [(UNITS, 0, UNITS + 1), (UNITS + 1, 1, UNITS + 1)]
-    assert second.resumed == UNITS
-    assert result_times(out) == before
-    pd.testing.assert_frame_equal(second.table, first.table)
-    os.utime(logs / "unit_2.parquet")
-    (out / "recordings" / "unit_5.json").write_text('{"key": ', encoding="utf-8")
-    third = again(logs / "unit_*.parquet")
-    changed = {name for name, time in result_times(out).items() if time != before[name]}
-    assert changed == {"unit_2", "unit_5"}
-    assert third.resumed == UNITS - 2
-    assert third.errors == ()
-    pd.testing.assert_frame_equal(third.table, first.table)
-    # The unit that the header has anyway: another option, and the same result.
-    fourth = again(logs / "unit_0.parquet", gyro_unit="deg/s")
-    assert fourth.resumed == 0
-    pd.testing.assert_frame_equal(fourth.table, first.table.iloc[:2])
-    assert again(logs / "unit_0.parquet", gyro_unit="deg/s").resumed == 1
-
-
-def test_a_worker_killed_half_way_loses_nothing(characterized, logs, client, tmp_path):
-    _, first = characterized
-    killed = []
-
-    def kill(done, failed, total):
-        if done and not killed:
-            busy = {address for address, tasks in client.processing().items() if tasks}
-            address, pid = next((a, p) for a, p in client.run(os.getpid).items() if a in busy)
-            os.kill(pid, signal.SIGKILL)
-            killed.append(address)
-
-    result = characterize_fleet(
-        logs / "unit_*.parquet", tmp_path, MODEL, scheduler=client.scheduler.address, progress=kill
-    )
-    assert len(killed) == 1
-    assert result.errors == ()
-    pd.testing.assert_frame_equal(result.table, first.table)
-
-
-def deadly(name):
-    """Kills its worker."""
-    if name == "poison":
-        os.kill(os.getpid(), signal.SIGKILL)
-    if name == "bad":
-        raise ValueError("bad luck")
-    return name
-
-
-def test_only_the_guilty_is_blamed_for_a_dead_worker(client):
-    client.wait_for_workers(2)
-    # One death is enough for the scheduler to give up on all that the worker had been given.
-    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
-    names = ["poison", *(f"unit_{k}" for k in range(20)), "bad"]
-    found = dict(outcomes(client, {name: (deadly, (name,)) for name in names}))
-    assert set(found) == set(names)
-    assert type(found.pop("poison")).__name__ == "KilledWorker"
-    assert str(found.pop("bad")) == "bad luck"
-    assert all(name == value for name, value in found.items())
-
-
-def test_the_command_runs_a_cluster_of_its_own(characterized, logs, cache, tmp_path):
-    files = [logs / "unit_0.parquet", "missing.csv", "--terms", "N + B"]
-    result = run("fleet", *files, "--workers", "1", "--out", "out", cache=cache, cwd=tmp_path)
-    assert result.returncode == 1
-    assert "2 recordings: 1 without an error, 1 with; 0 taken from an earlier run" in result.stdout
-    assert "wrote out/fleet.parquet, out/fleet.png, out/errors.csv" in result.stdout.replace("\\", "/")
-    assert result.stderr.splitlines() == [
-        "error: missing.csv: no such file; check the path",
-        "1 of 2 files failed: missing.csv",
-    ]
-    table = pd.read_parquet(tmp_path / "out" / "fleet.parquet")
-    _, first = characterized
-    of_first = first.table[first.table["recording"] == "unit_0"]
-    np.testing.assert_allclose(table["value"], of_first["value"], rtol=1e-8)
-    document = json.loads((tmp_path / "out" / "recordings" / "unit_0.json").read_text(encoding="utf-8"))
-    assert document["fit"]["axes"][0]["name"] == "gyro_x"
-
-
-def test_a_pattern_without_files_ends_the_command(tmp_path, monkeypatch):
-    monkeypatch.setenv("ALLANJAX_CACHE", "off")
-    monkeypatch.chdir(tmp_path)
-    nothing = CliRunner().invoke(app, ["fleet", "*.parquet"], catch_exceptions=False)
-    assert nothing.exit_code == 1
-    assert nothing.stderr == (
-        "error: no file matches '*.parquet': check the pattern, and the folder it starts from\n"
-    )
-
-
-def test_wrong_arguments_say_what_to_do(logs, tmp_path, monkeypatch):
-    with pytest.raises(AllanjaxError, match=r"no file matches '.*none\*.csv': check the pattern"):
-        characterize_fleet([logs / "unit_1.parquet", logs / "none*.csv"], tmp_path)
-    with pytest.raises(AllanjaxError, match="no recordings: give files"):
-        characterize_fleet([], tmp_path)
-    with pytest.raises(AllanjaxError, match="at least 1, not 0"):
-        characterize_fleet(logs / "unit_1.parquet", tmp_path, workers=0)
-    with pytest.raises(AllanjaxError, match="leave out one of the two"):
-        characterize_fleet(logs / "unit_1.parquet", tmp_path, workers=1, scheduler="tcp://127.0.0.1:1")
-    monkeypatch.setattr(fleet_cluster, "_CONNECT_SECONDS", 0.2)
-    with pytest.raises(AllanjaxError, match="no Dask scheduler answers at"):
-        characterize_fleet(logs / "unit_1.parquet", tmp_path, scheduler="tcp://127.0.0.1:1")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(AllanjaxError, match=r'pip install "allanjax\[fleet\]"'):
-        characterize_fleet(logs / "unit_1.parquet", tmp_path)
-
-
-def test_reasons_say_what_to_do(logs, tmp_path, monkeypatch):
-    from concurrent.futures import CancelledError
-
-    from distributed import KilledWorker
-
-    file = logs / "unit_1.parquet"
-    failures = [KilledWorker("task", None, 3), CancelledError("gone"), MemoryError("too much")]
-    monkeypatch.setattr(fleet, "connected", lambda *arguments: nullcontext())
-    messages = []
-    for failure in failures:
-        monkeypatch.setattr(fleet, "outcomes", lambda *_, failure=failure: [("unit_1", failure)])
-        result = characterize_fleet(file, tmp_path)
-        (error,) = result.errors
-        messages.append(error["message"])
-        assert len(result.table) == 0
-    assert "died, most likely for want of memory; use fewer workers=" in messages[0]
-    assert "run again: what is done is kept" in messages[1]
-    assert messages[2] == "MemoryError: too much"
-
-
-def test_patterns_find_each_file_once_and_no_results(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("b/imu.csv", "a/imu.csv", "log[1].csv", "out/fleet.csv", "a/deeper/x.csv"):
-        Path(name).parent.mkdir(parents=True, exist_ok=True)
-        Path(name).touch()
-    found = matching_files(["b/*.csv", "**/*.csv", "log[1].csv", "gone.csv"], Path("out"))
-    names = [path.as_posix() for path in found]
-    assert names == ["b/imu.csv", "a/deeper/x.csv", "a/imu.csv", "log[1].csv", "gone.csv"]
-
-
-def test_the_folder_of_a_bag_is_one_recording(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("bags/one/metadata.yaml", "bags/one/one_0.mcap", "bags/imu.csv", "bags/notes/a.csv"):
-        Path(name).parent.mkdir(parents=True, exist_ok=True)
-        Path(name).touch()
-    for pattern, names in (
-        ("bags/*", ["bags/imu.csv", "bags/one"]),
-        ("**/*", ["bags/imu.csv", "bags/notes/a.csv", "bags/one"]),
-        ("**/*.mcap", ["bags/one/one_0.mcap"]),
-    ):
-        assert [path.as_posix() for path in matching_files(pattern, Path("out"))] == names
-    before = key_of(Path("bags/one"), FitOptions())
-    Path("bags/one/one_0.mcap").write_text("more")
-    assert key_of(Path("bags/one"), FitOptions()) != before
-
-
-def test_names_of_recordings_tell_them_apart():
-    paths = ["x/a/imu.csv", "y/a/imu.csv", "y/b/imu.csv.gz", "y/b/imu.npz", "z/gyro.1.csv"]
-    names = recording_names([Path(path) for path in paths])
-    assert names == ["x_a_imu", "y_a_imu", "imu.csv.gz", "imu.npz", "gyro.1"]
-
-
-# ---------------------------------------------------------------------------- table and picture
-def fleet_table(rows):
-    """A table as `characterize_fleet` makes it."""
-    table, _ = judged(table_of(rows))
-    return table
-
-
-def row(unit, axis, coefficient, value, *, detected=True, outlying=False, group=""):
-    return {
-        "recording": f"unit_{unit}",
-        "file": f"unit_{unit}.csv",
-        "group": group,
-        "axis": axis,
-        "sensor": axis.split("_")[0],
-        "coefficient": coefficient,
-        "value": value if detected else 0.0,
-        "std": 0.05 * value,
-        "lower_95": 0.9 * value if detected else 0.0,
-        "upper_95": 1.1 * value,
-        "unit": "deg/√h",
-        "detected": detected,
-        "upper_limit_95": 1.08 * value,
-        "measured": True,
-        "p_value": 0.5,
-        "terms": "angle_random_walk",
-        "outlying": outlying,
-        "warnings": "",
-    }
-
-
-def test_the_table_has_its_types_when_all_has_failed(tmp_path):
-    full = fleet_table([row(k, "gyro_x", "angle_random_walk", 1.0 + 0.01 * k) for k in range(4)])
-    empty = fleet_table([])
-    assert len(empty) == 0
-    assert list(empty.columns) == table_schema().names
-    assert dict(empty.dtypes) == dict(full.dtypes)
-    figure = plot_fleet(empty, tmp_path / "empty.png")
-    assert [text.get_text() for text in figure.texts] == ["0 units", "no results"]
-    plt.close(figure)
-
-
-def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units():
-    rows = [
-        row(k, axis, "angle_random_walk", 1.0 + 0.01 * k) for k in range(8) for axis in ("gyro_x", "gyro_y")
-    ]
-    rows += [row(8, "gyro_y", "angle_random_walk", 30.0)]
-    rows += [row(k, "gyro_x", "bias_instability", 2.0 + 0.1 * k, detected=k < 5) for k in range(8)]
-    rows += [row(k, "accel_z", "angle_random_walk", 2.0 + 0.1 * k) for k in range(8)]
-    rows += [
-        {**row(k, "gyro_x", "markov_correlation_time", 9.0), "lower_95": 9.0, "upper_95": 9.0} for k in (0, 1)
-    ]
-    figure = plot_fleet(fleet_table(rows))
-    panels = {panel.get_title(loc="left"): panel for panel in figure.axes}
-    assert list(panels) == [
-        "gyros: angle random walk",
-        "accelerometers: velocity random walk",
-        "gyros: bias instability",
-    ]
-    walk, instability = panels["gyros: angle random walk"], panels["gyros: bias instability"]
-    assert [text.get_text() for text in walk.texts] == ["unit_8"]
-    assert [label.get_text() for label in walk.get_xticklabels()] == ["gyro_x", "gyro_y"]
-    assert walk.get_yscale() == "log"
-    assert not instability.texts
-    (limits,) = [line for line in instability.lines if line.get_marker() == "v"]
-    np.testing.assert_allclose(limits.get_ydata(), 1.08 * (2.0 + 0.1 * np.arange(5, 8)))
-    plt.close(figure)
-    with pytest.raises(AllanjaxError, match="column outlying"):
-        plot_fleet(fleet_table(rows).drop(columns="outlying"))
-
-
-def test_the_picture_names_its_axes_units_and_groups():
-    groups = ["mems", "mems", "mems", "$tactical$", "$tactical$", "$tactical$"]
-    rows = [
-        row(k, axis, "angle_random_walk", 1.0 + k, group=group)
-        for k, group in enumerate(groups)
-        for axis in ("gyro_x", "gyro_y")
-    ]
-    # Neither an estimate nor a limit: held, and no measurement.
-    rows += [{**row(8, "gyro_x", "angle_random_walk", 50.0, group="mems"), "lower_95": None, "std": None}]
-    figure = plot_fleet(fleet_table(rows))
-    (panel,) = figure.axes
-    assert panel.get_ylabel() == "angle random walk [deg/√h]"
-    first, facts = (text.get_text() for text in figure.texts)
-    assert first == "7 units"
-    assert facts.replace("\n", " ") == (
-        "none of them outlying; left to right: unit_0, unit_1, unit_2, unit_8 | unit_3, unit_4, unit_5"
-    ).replace("$", r"\$")
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels[:2] == ["group mems (4)", r"group \$tactical\$ (3)"]
-    # On each axis a group's points, side by side, and its own median.
-    points = [c for c in panel.containers if len(c.lines[0].get_xdata())]
-    drawn = [(c.lines[0].get_color(), c.lines[0].get_ydata().tolist()) for c in points]
-    assert [y for _, y in drawn] == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]] * 2
-    assert drawn[0][0] != drawn[1][0]
-    x = np.concatenate([c.lines[0].get_xdata() for c in points[:2]])
-    assert np.all(np.diff(x) > 0.0)
-    assert x[3] - x[2] > 1.5 * (x[1] - x[0])
-    medians = [line.get_ydata()[0] for line in panel.lines if line.get_linewidth() == 1.4]
-    assert medians == [2.0, 5.0, 2.0, 5.0]
-    plt.close(figure)
-
-
-def test_the_printed_table_has_two_digits_of_the_scatter():
-    values = [1.0, 1.06, 0.94, 1.03, 0.97]
-    rows = [row(k, "gyro_x", "angle_random_walk", value) for k, value in enumerate(values)]
-    rows += [row(k, "gyro_x", "bias_instability", 12347.0 * v, detected=k < 1) for k, v in enumerate(values)]
-    headings, (walk, instability) = cells(fleet_table(rows))
-    assert headings[2:] == ("detected", "median ± scatter", "5 … 95 %", "outlying (× median)")
-    # Their standard deviation is 0.0474; quantiles are 0.946 and 1.054.
-    assert walk[2:] == ("5 of 5", "1.000 ± 0.047 deg/√h", "0.946 … 1.054", "")
-    # Of one alone its own error.
-    assert instability[2:] == ("1 of 5", "12,350 ± 620 deg/√h", "", "")
+    assert "6 recordings: 5 without an error, 1 with; 0 taken" in str(result)
+    assert (out / "notes.txt").read_text(encoding="utf-8").splitlines() == list(result.notes)
+    assert result.files == tuple(sorted(logs.iterdir()))
 
 
 @pytest.mark.parametrize("stretch", [{}, {"start": 100.003, "stop": 1_400.0}])
-def test_a_long_recording_is_divided_and_put_together(client, tmp_path, stretch):
-    """The workers' pieces give what one accumulator of the whole gives."""
+def test_a_long_recording_is_divided_and_put_together(cluster, tmp_path, stretch):
+    """The pieces give what one accumulator of the whole gives."""
     rng = np.random.default_rng(3)
     x = rng.standard_normal((150_000, 1)) + np.cumsum(rng.standard_normal((150_000, 1)), axis=0) * 1e-3
     np.save(tmp_path / "long.npy", x)
     reading = {"rate": 100.0, "gyro_unit": "rad/s", "columns": "gyro_x", **stretch}
-    address = client.scheduler.address
-    options = {"scheduler": address, "piece": 100_000, **reading}
-    result = characterize_fleet(tmp_path / "long.npy", tmp_path / "out", MODEL, **options)
-    assert not result.errors
-    rows = slice(
-        *(int(np.ceil(t * 100.0)) for t in (stretch.get("start", 0.0), stretch.get("stop", 1_500.0)))
+    result = aj.characterize_fleet(
+        tmp_path / "long.npy", tmp_path / "out", "N + K", scheduler=cluster, piece=100_000, **reading
     )
-    accumulator = AllanAccumulator(100.0, ["gyro_x"])
-    accumulator.update(x[rows])
-    whole = accumulator.fit(MODEL)["gyro_x"].coefficients
-    for label, coefficient in whole.items():
+    assert not result.errors
+    begin, end = (int(np.ceil(t * 100.0)) for t in (stretch.get("start", 0.0), stretch.get("stop", 1_500.0)))
+    accumulator = aj.AllanAccumulator(100.0, ["gyro_x"])
+    accumulator.update(x[begin:end])
+    whole = accumulator.fit("N + K")["gyro_x"].coefficients
+    for label, c in whole.items():
         (row,) = result.table[result.table["coefficient"] == label].to_dict("records")
-        scale = coefficient.in_unit(row["unit"]).value / row["value"] if row["detected"] else 1.0
-        assert scale == pytest.approx(1.0, rel=1e-9)
-        assert row["detected"] == coefficient.detected
+        assert row["value"] == pytest.approx(c.in_unit(row["unit"]).value, rel=1e-9)
+        assert row["std"] == pytest.approx(c.in_unit(row["unit"]).std, rel=1e-6)
 
 
-def test_pieces_must_be_worth_a_task(tmp_path):
-    with pytest.raises(AllanjaxError, match="piece"):
-        characterize_fleet(tmp_path / "any.npy", tmp_path / "out", MODEL, piece=10)
+# --- What a later run takes ---------------------------------------------------------------------------------
+
+
+def test_a_second_run_computes_only_what_is_not_there(characterized, logs, cluster):
+    out, first = characterized
+
+    def times():
+        return {path.stem: path.stat().st_mtime_ns for path in (out / "recordings").iterdir()}
+
+    before, counts = times(), []
+
+    def again(files):
+        counts.clear()
+        options = {"plain": True, "scheduler": cluster, "progress": lambda *told: counts.append(told)}
+        return aj.characterize_fleet(files, out, "N + K", **options)
+
+    second = again(logs / "*.parquet")
+    # The corrupt one is tried again.
+    assert counts == [(5, 0, 6), (6, 1, 6)]
+    assert second.resumed == 5
+    assert times() == before
+    pd.testing.assert_frame_equal(second.table, first.table)
+    os.utime(logs / "unit_2.parquet")
+    (out / "recordings" / "unit_4.json").write_text('{"key": ', encoding="utf-8")
+    third = again(logs / "unit_*.parquet")
+    assert {name for name, time in times().items() if time != before[name]} == {"unit_2", "unit_4"}
+    assert (third.resumed, third.errors) == (3, ())
+    pd.testing.assert_frame_equal(third.table, first.table)
+
+
+@pytest.fixture
+def three(fleet):
+    """A fleet of three files with stored fits."""
+    for name in ("a", "b", "c"):
+        fleet.store(name, [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])])
+    return fleet
+
+
+# Each option, another value than the default, and as the stored key and the command have it.
+OPTIONS = {
+    "rate": (200.0, "200.0", ["--rate", "200"]),
+    "gyro_unit": ("deg/h", "deg/h", ["--gyro-unit", "deg/h"]),
+    "accel_unit": ("mg", "mg", ["--accel-unit", "mg"]),
+    "columns": ("gyro_x", "gyro_x", ["--columns", "gyro_x"]),
+    "time": ("clock", "clock", ["--time", "clock"]),
+    "time_unit": ("ms", "ms", ["--time-unit", "ms"]),
+    "start": (1.0, "1.0", ["--start", "1"]),
+    "stop": (9.0, "9.0", ["--stop", "9"]),
+    "topic": ("/imu", "/imu", ["--topic", "/imu"]),
+    "instance": (1, "1.0", ["--instance", "1"]),
+    "gaps": ("fill", "fill", ["--gaps", "fill"]),
+    "objective": ("whittle", "whittle", ["--objective", "whittle"]),
+    "regressors": (["temperature"], ["temperature"], ["--regressors", "temperature"]),
+    "as_is": (True, True, ["--as-is"]),
+    "vibrating": (True, True, ["--vibrating"]),
+    "plain": (True, True, ["--plain"]),
+}
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("name", OPTIONS)
+def test_each_option_is_part_of_a_results_key(three, cluster, name):
+    """With it all is computed anew; what was stored with it is taken, by the call and by the command."""
+    value, stored, words = OPTIONS[name]
+    files = [three.file(each) for each in "abc"]
+    assert three.run(files).resumed == 3
+    changed = three.run(files, scheduler=cluster, **{name: value})
+    assert changed.resumed == 0
+    assert len(changed.errors) == 3
+    of = three.key["options"] if name in three.key["options"] else three.key["options"]["reading"]
+    of[name] = stored
+    three.store("a", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])])
+    assert three.run(files[:1], **{name: value}).resumed == 1
+    outcome = run("fleet", files[0], "--out", three.out, *words)
+    assert "1 recordings: 1 without an error, 0 with; 1 taken from an earlier run" in outcome.stdout
+    assert outcome.exit_code == 0
+
+
+MODELS = {
+    "held": aj.Markov(correlation_time=10.0).hold("correlation_time"),
+    "free": aj.Markov(correlation_time=10.0),
+    "started elsewhere": aj.Markov(correlation_time=10.000000001),
+    "first order": aj.LowPass(bandwidth=3.0),
+    "second order": aj.LowPass(bandwidth=3.0, order=2),
+    "held amplitude": "N=1 deg/sqrt(h) held + B",
+    "free amplitude": "N + B",
+    "none": None,
+}
+
+
+def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
+    """Of a recording without a quiet part, so that nothing is fitted: without result is a result, too."""
+    x, t = np.random.default_rng(7).standard_normal(30_000), np.arange(30_000) / 100.0
+    for k in range(6):
+        x += 300.0 * np.exp(-abs(t - 25.0 - 50.0 * k) / 0.5) * np.sin(200.0 * t)
+    recording = aj.Recording.from_array(x * 1e-3, 100.0, gyro_unit="rad/s", names=["gyro_x"])
+    aj.write(recording, fleet.folder / "knocks.parquet")
+    for model in MODELS.values():
+        for resumed in (0, 1):
+            result = fleet.run([fleet.folder / "knocks.parquet"], model=model, scheduler=cluster)
+            assert result.resumed == resumed
+            (error,) = result.errors
+            assert error["message"].startswith("gyro_x: no result")
+
+
+def test_another_version_and_another_file_are_computed_anew(three, cluster):
+    files = [three.file(name) for name in "abc"]
+    os.utime(files[0])
+    files[1].write_text("00\n")
+    three.key["allanjax_version"] = "99.0"
+    three.store("c", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])])
+    assert three.run(files, scheduler=cluster).resumed == 0
+
+
+def test_an_axis_without_result_is_an_error_again(three):
+    bad = axis("gyro_y", [], converged=False, reason="constant", p_value=None)
+    three.store("b", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)]), bad])
+    result = three.run([three.file(name) for name in "abc"])
+    assert result.errors == ({"file": str(three.file("b")), "message": "gyro_y: no result, constant"},)
+    assert "2 without an error, 1 with" in str(result)
+    assert len(result.table) == 3
+
+
+def test_terms_for_which_an_axis_was_corrected_have_no_rows(three):
+    """Nor has what was chosen between: the column of terms names the set that was."""
+    both = [coefficient(ARW, 1.0, 0.1), coefficient("sinusoid", 2.0, 0.1)]
+    sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
+    three.store("b", [axis("gyro_x", both, extension={"further": ["sinusoid"]}, selection=sets)])
+    rows = three.run([three.file("b")]).table.to_dict("records")
+    assert [(row["coefficient"], row["terms"]) for row in rows] == [(ARW, f"{ARW} + flicker")]
+    three.store("b", [axis("gyro_x", both)])
+    rows = three.run([three.file("b")]).table.to_dict("records")
+    assert [(row["coefficient"], row["terms"]) for row in rows] == [
+        (c, f"{ARW} + sinusoid") for c in (ARW, "sinusoid")
+    ]
+
+
+def test_recordings_that_are_left_out_are_told(three):
+    result = three.run([three.file("c")])
+    assert result.resumed == 1
+    assert list(result.table["recording"]) == ["c"]
+    for word in ("2 recordings", str(three.file("a")), str(three.file("b")), "fleet.parquet"):
+        assert word in result.notes[0]
+    # Named again they are there again, and nothing is said.
+    whole = three.run([three.file(name) for name in "abc"])
+    assert whole.resumed == 3
+    assert not any("left out" in note for note in whole.notes)
+
+
+def test_names_tell_recordings_apart_and_may_change_from_run_to_run(fleet):
+    names = {}
+    for path in ("x/a/imu.csv", "y/a/imu.csv", "y/b/imu.csv.gz", "y/b/imu.npz", "z/gyro.1.csv"):
+        names[path] = fleet.file(path.removesuffix(".csv")) if path.endswith(".csv") else fleet.folder / path
+        names[path].parent.mkdir(parents=True, exist_ok=True)
+        names[path].touch()
+    for k, path in enumerate(names.values()):
+        fleet.store(f"stored_{k}", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], path)
+    result = fleet.run([*names.values()])
+    assert result.resumed == 5
+    assert list(result.table["recording"]) == ["x_a_imu", "y_a_imu", "imu.csv.gz", "imu.npz", "gyro.1"]
+    alone = fleet.run([names["y/a/imu.csv"]])
+    assert (alone.resumed, list(alone.table["recording"])) == (1, ["imu"])
+    stored = {path.name for path in (fleet.out / "recordings").iterdir()}
+    assert stored == {"imu.json", "x_a_imu.json", "imu.csv.gz.json", "imu.npz.json", "gyro.1.json"}
+
+
+def test_what_is_no_result_is_passed_over(three, cluster):
+    for name, text in (("a", "{"), ("b", "[1]"), ("c", '{"key": 1, "fit": {}}'), ("note", '"x"')):
+        (three.out / "recordings" / f"{name}.json").write_text(text, encoding="utf-8")
+    result = three.run([three.file(name) for name in "abc"], scheduler=cluster)
+    assert result.resumed == 0
+    assert not any("left out" in note for note in result.notes)
+    assert len(result.table) == 0
+    full = three.judged(("gyro", ARW, np.ones((3, 1)), 0.1)).table
+    assert dict(result.table.dtypes) == dict(full.dtypes)
+
+
+def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch):
+    """The folder of a bag is one recording, whose files are none of their own."""
+    monkeypatch.chdir(fleet.folder)
+    there = "b/imu.csv a/imu.csv log[1].csv out/x.csv a/deeper/x.csv one/metadata.yaml one/0.mcap"
+    for name in there.split():
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    for patterns, found in (
+        (
+            ["b/*.csv", "**/*.csv", "log[1].csv", "gone.csv"],
+            "b/imu.csv a/deeper/x.csv a/imu.csv log[1].csv gone.csv",
+        ),
+        ("*", "log[1].csv one"),
+        ("**/*.mcap", "one/0.mcap"),
+    ):
+        result = aj.characterize_fleet(patterns, "out", scheduler=cluster)
+        assert [path.as_posix() for path in result.files] == found.split()
+        assert len(result.errors) == len(result.files)
+    # A bag is another one when a file in it has changed.
+    status = [path.stat() for path in Path("one").iterdir()]
+    fleet.store("one", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], Path("one"))
+    stored = Path("out/recordings/one.json")
+    document = json.loads(stored.read_text())
+    document["key"] |= {
+        "size": sum(s.st_size for s in status),
+        "modified_ns": max(s.st_mtime_ns for s in status),
+    }
+    stored.write_text(json.dumps(document))
+    assert aj.characterize_fleet("one", "out").resumed == 1
+    Path("one/0.mcap").write_text("more")
+    assert aj.characterize_fleet("one", "out", scheduler=cluster).resumed == 0
+
+
+# --- Groups -------------------------------------------------------------------------------------------------
+
+GROUPED = {"mems_a": "logs/mems/a", "b": "logs/mems/b", "fog_a": "logs/fog/a"}
+CSV = {
+    "by file": "file,group\nlogs/mems/a.csv,mems\nb.csv,mems\nlogs/fog/a.csv,fog\nunused.csv,x\n",
+    "by recording": "\ufeffgroup, recording\nmems, mems_a\nmems, b\nfog, fog_a\n",
+    "among others": "id,file,group\n1,logs/mems/a.csv,mems\n2,logs/mems/b.csv,mems\n3,logs/fog/a.csv,fog\n",
+    "other columns": "name,grade\na,x\n",
+    "empty": "",
+}
+GROUPS = {
+    "pattern": r"logs/(\w+)/",
+    "whole match": "mems|fog",
+    "of path or name": "^([a-z]+)_|/(mems)/",
+    "paths, files, names": {"logs/mems/a.csv": "mems", "b.csv": "mems", "fog_a": "fog", "other.csv": "x"},
+    "function": lambda path: path.parent.name,
+    **dict.fromkeys(("by file", "by recording", "among others"), "groups.csv"),
+}
+NO_GROUPS = {
+    "one without": ("logs/(mems)/", "1 of 3|logs/fog/a.csv|logs/(mems)/"),
+    "no expression": ("logs/(", "group=|--group"),
+    "no file": ("gone/groups.csv", "gone/groups.csv"),
+    "two without": ({"mems_a": "mems"}, "2 of 3|group="),
+    "two groups": ({"mems_a": "x", "logs/mems/a.csv": "y"}, "logs/mems/a.csv|'x' and 'y'"),
+    "a name of two": ({"a.csv": "x", "b.csv": "x"}, "2 of 3"),
+    "function": (lambda path: "", "3 of 3|group="),
+    "other columns": ("groups.csv", "group|name, grade"),
+    "empty": ("groups.csv", "group|nothing"),
+}
+
+
+@pytest.fixture
+def grouped(fleet, monkeypatch):
+    """Runs three recordings in folders, in one of which a file of groups may be."""
+    monkeypatch.chdir(fleet.folder)
+    paths = {name: fleet.file(path).relative_to(fleet.folder) for name, path in GROUPED.items()}
+    for name, path in paths.items():
+        fleet.store(name, [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], path)
+
+    def run_with(group, content=None):
+        if content is not None:
+            Path("groups.csv").write_text(content, encoding="utf-8")
+        return fleet.run([*paths.values()], group=group)
+
+    return run_with
+
+
+def test_groups(grouped):
+    expected = {"logs/mems/a.csv": "mems", "logs/mems/b.csv": "mems", "logs/fog/a.csv": "fog"}
+    for kind, group in GROUPS.items():
+        table = grouped(group, CSV.get(kind)).table
+        assert dict(zip(table["file"], table["group"], strict=True)) == expected, kind
+    assert {*grouped(None).table["group"]} == {""}
+
+
+def test_what_is_wrong_with_groups_is_said(grouped):
+    for kind, (group, words) in NO_GROUPS.items():
+        with pytest.raises(aj.AllanjaxError) as caught:
+            grouped(group, CSV.get(kind))
+        assert all(word in str(caught.value) for word in words.split("|")), kind
+
+
+# Arguments of `characterize_fleet`, and what the error names.
+WRONG = {
+    "pattern": ({"files": "none*.csv"}, "none*.csv"),
+    "no files": ({"files": []}, "files"),
+    "workers": ({"workers": 0}, "workers=|0"),
+    "workers of another": ({"workers": 1, "scheduler": "tcp://127.0.0.1:1"}, "workers=|scheduler="),
+    "no scheduler": ({"scheduler": "nonsense://"}, "nonsense|--scheduler"),
+    "piece": ({"piece": 99_999}, "piece=|100000"),
+    "objective": ({"gaps": "drop"}, "gaps="),
+}
+
+
+def test_wrong_arguments_are_named(tmp_path):
+    (tmp_path / "a.csv").write_text("0\n")
+    for change, words in WRONG.values():
+        with pytest.raises(aj.AllanjaxError) as caught:
+            aj.characterize_fleet(**{"files": tmp_path / "a.csv", "out": tmp_path / "out", **change})
+        assert all(word in str(caught.value) for word in words.split("|"))
+
+
+def test_dask_that_is_not_there_is_named(tmp_path, monkeypatch):
+    (tmp_path / "a.csv").write_text("0\n")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(aj.AllanjaxError, match=r"allanjax\[fleet\]"):
+        aj.characterize_fleet(tmp_path / "a.csv", tmp_path / "out")
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_the_command_runs_a_cluster_of_its_own(characterized, logs, tmp_path):
+    """The one test with processes; a recording that fails stops no others, and the exit code tells."""
+    _, first = characterized
+    outcome = run(
+        "fleet",
+        logs / "unit_0.parquet",
+        "missing.csv",
+        "--terms",
+        "N + K",
+        "--plain",
+        "--workers",
+        1,
+        "--out",
+        "out",
+    )
+    assert outcome.exit_code == 1
+    assert "2 recordings: 1 without an error, 1 with; 0 taken" in outcome.stdout
+    assert "missing.csv" in outcome.stderr
+    table = pd.read_parquet("out/fleet.parquet")
+    expected = first.table[first.table["recording"] == "unit_0"]
+    np.testing.assert_allclose(table["value"], expected["value"], rtol=1e-8)
+    assert json.loads(Path("out/recordings/unit_0.json").read_text())["fit"]["axes"][0]["name"] == "gyro_x"
+    nothing = run("fleet", "*.parquet")
+    assert nothing.exit_code == 1
+    assert "*.parquet" in nothing.stderr
+
+
+# --- Table and picture --------------------------------------------------------------------------------------
+
+
+def test_the_printed_table_has_median_scatter_and_quantiles(fleet):
+    """Of estimates without outlying ones; of one alone its own error."""
+    values = np.array([1.0, 1.06, 0.94, 1.03, 0.97, 9.0])[:, None]
+    limits = np.array([np.nan, *5 * [20_000.0]])[:, None]
+    few = ("gyro", "bias_instability", 12_347.0 * np.ones((6, 1)), 0.05)
+    result = fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))
+    # Their standard deviation is 0.0474; quantiles are 0.946 and 1.054; and 9 is nine times the median.
+    walk = ("6 of 6", "1.000 ± 0.047 deg/√h", "0.946 … 1.054", "unit_5 (9.0)")
+    instability = ("1 of 6", "12,350 ± 620 deg/√h")
+    for title, words in (("angle random walk", walk), ("bias instability", instability)):
+        (line,) = (line for line in str(result).splitlines() if title in line)
+        assert all(word in line for word in words)
+    # Where the others have limits alone, there is no median.
+    (line,) = (line for line in str(fleet.judged((*few, limits / 1e4))).splitlines() if "bias inst" in line)
+    assert "unit_0" in line
+    assert "nan" not in line
+
+
+@pytest.mark.usefixtures("no_windows")
+def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units(fleet, monkeypatch):
+    """Estimates with their intervals, limits as marks; of each group side by side, with its median."""
+    monkeypatch.undo()
+    values = np.column_stack([1.0 + 0.02 * np.arange(9), 2.0 + 0.02 * np.arange(9)])
+    values[8, 1] = 30.0
+    limits = np.where(np.arange(9) < 5, np.nan, 3.0 + np.arange(9))[:, None]
+    parts = [("gyro", ARW, values, 0.05), ("accel", ARW, values[:, :1], 0.05)]
+    fleet.out.mkdir()
+    result = fleet.judged(*parts, ("gyro", "bias_instability", 1.0 + values[:, :1], 0.05, limits))
+    figure = result.plot()
+    panels = {panel.get_title(loc="left"): panel for panel in figure.axes}
+    assert [*panels] == [
+        "gyros: angle random walk",
+        "accelerometers: velocity random walk",
+        "gyros: bias instability",
+    ]
+    walk, _, instability = panels.values()
+    assert [text.get_text() for text in walk.texts] == ["unit_8"]
+    assert [label.get_text() for label in walk.get_xticklabels()] == ["gyro_x", "gyro_y"]
+    (marks,) = [line for line in instability.lines if line.get_marker() == "v"]
+    np.testing.assert_allclose(marks.get_ydata(), limits[5:, 0])
+    grouped = fleet.judged(("gyro", ARW, values[:8], 0.05), group=["a"] * 3 + ["b"] * 5).plot()
+    (panel,) = grouped.axes
+    points = [c for c in panel.containers if len(c.lines[0].get_xdata())]
+    expected = [values[:3, 0], values[3:8, 0], values[:3, 1], values[3:8, 1]]
+    for found, y in zip(points, expected, strict=True):
+        np.testing.assert_allclose(found.lines[0].get_ydata(), y)
+        bars = np.array(found.lines[2][0].get_segments())[:, :, 1]
+        np.testing.assert_allclose(bars, np.outer(y, np.exp([-0.098, 0.098])), rtol=1e-9)
+    medians = [line.get_ydata()[0] for line in panel.lines if line.get_linewidth() == 1.4]
+    np.testing.assert_allclose(medians, [np.median(y) for y in expected])
+    with pytest.raises(aj.AllanjaxError, match="outlying"):
+        aj.FleetResult(result.table.drop(columns="outlying"), (), (), 0).plot()

@@ -1,62 +1,139 @@
-"""Which units of a fleet are unlike the others: marks, false marks, and groups that nobody named."""
+"""Which units of a fleet are unlike the others: marks, false marks, and grades that nobody named."""
 
 import numpy as np
 import pytest
+from fleets import ARW, axis, coefficient, marks
 from scipy.integrate import quad
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from allanjax.fleet import outlying_units as outliers
-from allanjax.fleet.outlying_units import FALSE_ALARMS, log_values, outlying
-from allanjax.fleet.summary import judged
-from allanjax.fleet.table import table_of
-
-ARW = "angle_random_walk"
+BI = "bias_instability"
 
 
-def values_of(value, error, limit=None):
-    """Estimates with relative standard errors; a limit stands in for what was not detected."""
-    value = np.asarray(value, float)
-    error = np.broadcast_to(error, len(value))
-    ratio = np.exp(1.96 * error)
-    limit = np.full(len(value), np.nan) if limit is None else np.asarray(limit, float)
-    detected = np.isnan(limit)
-    shown = np.where(detected, value, 0.0)
-    return log_values(shown, shown / ratio, shown * ratio, limit, detected)
+def integral(x, s, unit, scale):
+    """Probability of a unit at least so far out on its side: over scatter and centre of the others.
+
+    Prior of the scatter: Student's t with 8 degrees of freedom, folded at zero; of the centre: flat.
+    """
+    others = np.arange(len(x)) != unit
+    sign = np.sign(x[unit] - np.median(x[others]))
+
+    def weighed(width):
+        w = 1.0 / (width**2 + s[others] ** 2)
+        mean = np.sum(w * x[others]) / w.sum()
+        density = np.prod(norm.pdf(x[others], mean, 1.0 / np.sqrt(w))) / np.sqrt(w.sum())
+        tail = norm.sf(sign * (x[unit] - mean) / np.sqrt(width**2 + s[unit] ** 2 + 1.0 / w.sum()))
+        return student.pdf(width / scale, 8) * density, tail
+
+    total = quad(lambda w: weighed(w)[0], 0.0, 5.0, limit=200)[0]
+    return quad(lambda w: np.prod(weighed(w)), 0.0, 5.0, epsabs=0.0, limit=200)[0] / total
 
 
-def marks(value, error, probability=FALSE_ALARMS, limit=None):
-    """Marked units of one axis."""
-    return list(np.flatnonzero(outlying([values_of(value, error, limit)], probability, ARW)))
+@pytest.mark.parametrize(
+    ("label", "scale", "units", "high", "further"),
+    [(ARW, 0.12, 4, True, 0), (ARW, 0.12, 9, False, 0), (BI, 0.4, 6, True, 0), (ARW, 0.12, 6, True, 2)],
+)
+def test_a_mark_is_as_improbable_as_it_says(fleet, label, scale, units, high, further):
+    """The value at which a unit begins to be marked is where its probability is what each test may have.
+
+    In all one like fleet in a hundred may have a mark; half of that is for tests of several suspects, the
+    rest is shared by the coefficients, the two sides, and the units of which it is the most extreme.
+    """
+    rng = np.random.default_rng(units)
+    x = 0.05 * rng.standard_normal(units)
+    s = rng.uniform(0.02, 0.05, units)
+    others = [("accel", f"{name}", np.ones((units, 1)), 0.1) for name in (ARW, BI)[:further]]
+    low, top = (0.0, 3.0) if high else (0.0, -3.0)
+    for _ in range(9):
+        x[0] = 0.5 * (low + top)
+        found = marks(fleet.judged(("gyro", label, np.exp(x)[:, None], s[:, None]), *others))
+        assert found in ([], [("unit_0", "gyro_x")])
+        low, top = (low, x[0]) if found else (x[0], top)
+    # A sum over 49 widths, and an end that is known to 0.006.
+    allowed = 0.01 * 0.5 / (1 + further) / (2.0 * units)
+    assert integral(x, s, 0, scale) == pytest.approx(allowed, rel=0.08)
 
 
-def unit_rows(sensor, coefficient, value, error=0.03, group=None):
-    """Rows of a fleet's table for values [units, axes]."""
-    rows = []
-    for (u, k), v in np.ndenumerate(value):
-        rows.append(
-            {
-                "recording": f"unit_{u}",
-                "file": f"unit_{u}.csv",
-                "group": "" if group is None else str(group[u]),
-                "axis": f"{sensor}_{'xyz'[k]}",
-                "sensor": sensor,
-                "coefficient": coefficient,
-                "value": v,
-                "std": error * v,
-                "lower_95": v * np.exp(-1.96 * error),
-                "upper_95": v * np.exp(1.96 * error),
-                "unit": "deg/√h",
-                "detected": True,
-                "upper_limit_95": None,
-                "measured": True,
-                "p_value": 0.5,
-                "terms": coefficient,
-                "outlying": False,
-                "warnings": "",
-            }
-        )
-    return rows
+def test_like_units_are_not_marked(fleet):
+    """At most one fleet in a hundred: none of 24, of as few as three units and as many as 24."""
+    rng = np.random.default_rng(1)
+    for k in range(24):
+        units = (3, 6, 12, 24)[k % 4]
+        error = rng.uniform(0.01, 0.1, (units, 3))
+        value = np.exp(rng.uniform(0.0, 0.15) * rng.standard_normal((units, (1, 3)[k % 2])) * np.ones(3))
+        result = fleet.judged(("gyro", ARW, value * np.exp(error * rng.standard_normal((units, 3))), error))
+        assert marks(result) == []
+        assert result.notes == ()
+
+
+@pytest.mark.parametrize("units", [3, 4, 8])
+def test_a_unit_at_four_times_the_median_is_marked_on_all_its_axes(fleet, units):
+    value = np.exp(0.05 * np.random.default_rng(units).standard_normal((units, 3)))
+    value[1] *= 4.0
+    assert marks(fleet.judged(("gyro", ARW, value, 0.03))) == [("unit_1", f"gyro_{a}") for a in "xyz"]
+    # A single bad axis is the only one that is.
+    value[1, [0, 2]] /= 4.0
+    assert marks(fleet.judged(("gyro", ARW, value, 0.03))) == [("unit_1", "gyro_y")]
+
+
+def test_axes_together_show_what_one_alone_does_not(fleet):
+    value = np.exp(0.1 * np.random.default_rng(4).standard_normal((12, 3)))
+    value[5] = 1.5
+    assert {unit for unit, _ in marks(fleet.judged(("gyro", ARW, value, 0.03)))} == {"unit_5"}
+    for k in range(3):
+        assert marks(fleet.judged(("gyro", ARW, value[:, k : k + 1], 0.03))) == []
+
+
+def test_several_odd_units_do_not_hide_each_other_and_an_interval_excuses_one(fleet):
+    value = np.exp(0.05 * np.random.default_rng(3).standard_normal((20, 3)))
+    value[[2, 7, 11]] *= [[2.0], [3.5], [0.2]]
+    result = fleet.judged(("gyro", ARW, value, 0.02))
+    assert marked_axes(result) == {"unit_2": 3, "unit_7": 3, "unit_11": 3}
+    # An eighth of all and more may be a grade.
+    assert any(note.startswith("3 of 20 units") for note in result.notes)
+    error = np.full((20, 3), 0.02)
+    error[7] = 0.7
+    assert marked_axes(fleet.judged(("gyro", ARW, value, error))) == {"unit_2": 3, "unit_11": 3}
+
+
+def test_limits_are_never_marked_but_what_is_far_above_them_is(fleet):
+    limit = np.exp(0.2 * np.random.default_rng(5).standard_normal((12, 1)))
+    limit[0], limit[1] = np.nan, 50.0
+    value = np.full((12, 1), 20.0)
+    assert marks(fleet.judged(("gyro", ARW, value, 0.1, limit))) == [("unit_0", "gyro_x")]
+    # Far below limits nothing is unusual.
+    assert marks(fleet.judged(("gyro", ARW, value / 400.0, 0.1, limit))) == []
+
+
+def test_few_units_are_judged_as_far_as_they_can_be(fleet):
+    for values, unit in (([1.0, 100.0], None), ([1.0, 1.1, 100.0], "unit_2"), ([1.0, 1.1, 1.5], None)):
+        found = marks(fleet.judged(("gyro", ARW, np.array(values)[:, None], 0.01)))
+        assert [name for name, _ in found] == ([unit] if unit else [])
+    (note,) = fleet.judged(("gyro", ARW, np.ones((2, 1)), 0.1)).notes
+    assert note.startswith("2 units: too few")
+    value = np.exp(0.1 * np.random.default_rng(1).standard_normal((12, 3)))
+    (note,) = fleet.judged(("gyro", ARW, value, 0.03), group=["a"] * 2 + ["b"] * 10).notes
+    assert note.startswith("group a (2): too few")
+
+
+def test_what_has_no_error_is_neither_marked_nor_compared_with(fleet):
+    """Not a measurement, or held: also if there are more of these, whose value would be the usual one."""
+    usual = [1.0, 1.02, 0.97, 1.01, 0.99, 8.0]
+    for spoilt in (
+        {"measured": False, "std": None, "interval_95": [None, None]},
+        {"interval_95": [8.0, 8.0]},
+    ):
+        for u, value in enumerate([*usual, *9 * [8.0]]):
+            more = spoilt if u > 5 else {}
+            fleet.store(f"unit_{u}", [axis("gyro_x", [coefficient(ARW, value, 0.025, **more)])])
+        files = [fleet.file(f"unit_{u}") for u in range(15)]
+        result = fleet.run(files)
+        assert marks(result) == [("unit_5", "gyro_x")]
+        if "measured" in spoilt:
+            assert any("unit_6 gyro_x" in note for note in result.notes)
+
+
+# --- Grades -------------------------------------------------------------------------------------------------
 
 
 def two_grades(seed, ratio=6.0, scatter=0.1, bad=(4.0, 3.0), sizes=(4, 8)):
@@ -68,202 +145,75 @@ def two_grades(seed, ratio=6.0, scatter=0.1, bad=(4.0, 3.0), sizes=(4, 8)):
     return value, grade
 
 
-def marked_axes(table):
+def marked_axes(result):
     """How many axes of each unit are marked, of those that have a mark."""
-    counts = table.groupby("recording", sort=False)["outlying"].sum()
-    return counts[counts > 0].to_dict()
+    return result.outlying.groupby("recording", sort=False)["axis"].count().to_dict()
 
 
-def test_the_probability_is_the_integral_over_centre_and_scatter():
-    """Against quadrature over τ of the predictive law, with the prior written down anew."""
-    x, s = np.array([0.1, -0.05, 0.02, 1.1]), np.array([0.03, 0.05, 0.02, 0.04])
-    values = values_of(np.exp(x), s)
-
-    def weight(width):
-        w = 1.0 / (width**2 + s[:3] ** 2)
-        mean = np.sum(w * x[:3]) / w.sum()
-        density = np.prod(norm.pdf(x[:3], mean, 1.0 / np.sqrt(w))) / np.sqrt(w.sum())
-        return student.pdf(width / 0.12, 8) * density, mean, w.sum()
-
-    def tail(width):
-        density, mean, total = weight(width)
-        return density * norm.sf((x[3] - mean) / np.sqrt(width**2 + s[3] ** 2 + 1.0 / total))
-
-    exact = quad(tail, 0.0, 3.0, epsabs=0.0, limit=200)[0] / quad(lambda w: weight(w)[0], 0.0, 3.0)[0]
-    found = outliers._tail(values, 3, np.arange(3), outliers.log_prior_of(ARW))
-    # A sum over 49 widths.
-    assert found == pytest.approx(exact, rel=0.02)
+def groups(result):
+    """The group of each unit."""
+    return result.table.groupby("recording", sort=False)["group"].first().tolist()
 
 
-@pytest.mark.parametrize("units", [3, 4, 6, 12, 24])
-def test_fleets_of_like_units_are_marked_at_most_as_often_as_they_say(units):
-    """At one mark in ten fleets; at one in a hundred see benchmarks/studies/fleet_outliers.py."""
-    rng = np.random.default_rng(units)
-    fleets, alarms = 150, 0
-    for _ in range(fleets):
-        scatter, error = rng.uniform(0.0, 0.15), rng.uniform(0.01, 0.1, (units, 3))
-        # Of the unit, or of each axis.
-        shared = rng.random() < 0.5
-        value = np.exp(scatter * rng.standard_normal((units, 1 if shared else 3)) * np.ones(3))
-        value *= np.exp(error * rng.standard_normal((units, 3)))
-        axes = [values_of(value[:, k], error[:, k]) for k in range(3)]
-        alarms += bool(outlying(axes, 0.1, ARW).any())
-    # Three standard errors.
-    assert alarms <= fleets * 0.1 + 3.0 * np.sqrt(fleets * 0.1 * 0.9)
-
-
-def test_a_unit_at_four_times_the_median_is_marked_on_all_its_axes():
-    for units in (3, 4, 8):
-        value = np.exp(0.05 * np.random.default_rng(units).standard_normal((units, 3)))
-        value[1] *= 4.0
-        marked = outlying([values_of(value[:, k], 0.03) for k in range(3)], FALSE_ALARMS, ARW)
-        assert marked[1].all()
-        assert marked.sum() == 3
-
-
-def test_axes_together_show_what_one_alone_does_not():
-    value = np.exp(0.1 * np.random.default_rng(4).standard_normal((12, 3)))
-    value[5] = 1.5
-    axes = [values_of(value[:, k], 0.03) for k in range(3)]
-    assert not np.any([outlying([axis], FALSE_ALARMS / 3.0, ARW) for axis in axes])
-    marked = outlying(axes, FALSE_ALARMS, ARW)
-    assert list(np.flatnonzero(marked.any(axis=1))) == [5]
-
-
-def test_a_single_bad_axis_is_the_only_one_marked():
-    value = np.exp(0.05 * np.random.default_rng(2).standard_normal((8, 3)))
-    value[3, 1] *= 4.0
-    marked = outlying([values_of(value[:, k], 0.03) for k in range(3)], FALSE_ALARMS, ARW)
-    assert np.argwhere(marked).tolist() == [[3, 1]]
-
-
-def test_several_odd_units_do_not_hide_each_other():
-    value = np.exp(0.05 * np.random.default_rng(3).standard_normal(20))
-    value[[2, 7, 11, 13]] *= [2.5, 3.0, 3.0, 0.3]
-    assert marks(value, 0.01) == [2, 7, 11, 13]
-
-
-def test_an_interval_excuses_a_value():
-    value = np.exp(0.03 * np.random.default_rng(4).standard_normal(16))
-    value[[3, 8]] = 2.5
-    error = np.full(16, 0.02)
-    error[8] = 0.5
-    assert marks(value, error) == [3]
-
-
-def test_limits_are_never_marked_but_what_is_far_above_them_is():
-    rng = np.random.default_rng(5)
-    limit = np.exp(0.2 * rng.standard_normal(12))
-    limit[0], limit[1] = np.nan, 50.0
-    value = np.full(12, 20.0)
-    assert marks(value, 0.1, limit=limit) == [0]
-    # Far below limits nothing is unusual.
-    assert marks(value / 400.0, 0.1, limit=limit) == []
-
-
-def test_few_units_are_judged_as_far_as_they_can_be():
-    assert marks([1.0, 100.0], 0.01) == []
-    assert marks([1.0, 1.1, 100.0], 0.01) == [2]
-    # Three units may scatter so.
-    assert marks([1.0, 1.1, 1.5], 0.01) == []
-    assert marks([2.0] * 5, 0.01) == []
-
-
-def test_what_has_no_error_is_neither_marked_nor_compared_with():
-    value = np.array([1.0, 1.02, 0.97, 1.01, 0.99, 8.0])
-    lower, upper, none = 0.95 * value, 1.05 * value, np.full(6, np.nan)
-    detected = np.ones(6, bool)
-    assert outlying([log_values(value, lower, upper, none, detected)], 0.01, ARW)[5, 0]
-    # Not a measurement; held; and more of these than others, so that their value would be the usual one.
-    for low, high in ((np.nan, np.nan), (1.0, 1.0)):
-        spoilt = [np.append(a, [b] * 9) for a, b in ((value, 8.0), (lower, 8.0 * low), (upper, 8.0 * high))]
-        axis = log_values(*spoilt, np.full(15, np.nan), np.ones(15, bool))
-        assert np.flatnonzero(outlying([axis], 0.01, ARW)).tolist() == [5]
-
-
-# ---------------------------------------------------------------------------- groups
-@pytest.mark.parametrize(("seed", "ratio"), [(1, 4.0), (2, 6.0), (3, 10.0)])
-def test_bad_units_are_found_in_their_groups_and_no_grade_is(seed, ratio):
+@pytest.mark.parametrize(("seed", "ratio"), [(1, 4.0), (3, 10.0)])
+def test_bad_units_are_found_in_their_groups_and_no_grade_is(fleet, seed, ratio):
     value, grade = two_grades(seed, ratio)
-    table, notes = judged(table_of(unit_rows("gyro", ARW, value, group=grade)))
-    assert marked_axes(table) == {"unit_0": 3, "unit_4": 3}
-    assert notes == ()
+    result = fleet.judged(("gyro", ARW, value, 0.03), group=grade)
+    assert marked_axes(result) == {"unit_0": 3, "unit_4": 3}
+    assert result.notes == ()
 
 
-@pytest.mark.parametrize(("seed", "ratio"), [(1, 4.0), (2, 6.0), (3, 10.0)])
-def test_a_fleet_of_two_grades_is_said_to_be_one(seed, ratio):
-    value, grade = two_grades(seed, ratio, bad=(1.0, 3.0))
-    table, notes = judged(table_of(unit_rows("gyro", ARW, value)))
-    (note,) = notes
-    assert note.startswith("gyro angle random walk falls into two groups, ")
+@pytest.mark.parametrize(("seed", "ratio", "sizes"), [(1, 4.0, (4, 8)), (3, 10.0, (4, 8)), (5, 7.0, (3, 9))])
+def test_a_fleet_of_two_grades_is_said_to_be_one(fleet, seed, ratio, sizes):
+    """Three of which one is bad are a grade below nine others; and no outliers."""
+    value, grade = two_grades(seed, ratio, 0.07, (2.0 if sizes[0] == 3 else 1.0, 3.0), sizes)
+    result = fleet.judged(("gyro", ARW, value, 0.03))
+    (note,) = result.notes
     apart = float(note.split("two groups, ")[1].split(" times")[0])
-    assert apart == pytest.approx(ratio, rel=0.15)
-    assert "1 (4 units: unit_0, unit_1, unit_2, unit_3), 2 (8 units: unit_4," in note
-    assert "group= (--group)" in note
-    groups = table.groupby("recording", sort=False)["group"].unique().map(list)
-    assert groups.tolist() == [[str(g + 1)] for g in grade]
-    assert marked_axes(table) == {"unit_4": 3}
+    medians = np.median(np.log(value[grade == 1])), np.median(np.log(value[grade == 0]))
+    assert apart == pytest.approx(np.exp(medians[0] - medians[1]), rel=0.15)
+    assert f"1 ({sizes[0]} units: unit_0, unit_1" in note
+    assert f"2 ({sizes[1]} units: unit_{sizes[0]}," in note
+    assert groups(result) == [str(g + 1) for g in grade]
+    assert marked_axes(result) == {f"unit_{sizes[0]}": 3}
 
 
-def test_two_good_units_and_a_bad_one_are_no_outliers_below_nine_others():
-    value, grade = two_grades(5, ratio=7.0, scatter=0.05, bad=(2.0, 3.0), sizes=(3, 9))
-    table, notes = judged(table_of(unit_rows("gyro", ARW, value)))
-    assert "falls into two groups" in notes[0]
-    assert marked_axes(table) == {"unit_3": 3}
-    groups = table.groupby("recording", sort=False)["group"].first()
-    assert groups.tolist() == [str(g + 1) for g in grade]
-
-
-def test_a_bad_coefficient_does_not_carry_a_unit_into_another_grade():
+def test_a_bad_coefficient_does_not_carry_a_unit_into_another_grade(fleet):
     """N of a gyro at four times its grade's is that of the other grade; others say which it is."""
     value, _ = two_grades(5, ratio=4.0, bad=(4.0, 1.0))
     others, _ = two_grades(6, ratio=5.0, bad=(1.0, 1.0))
     drift, _ = two_grades(7, ratio=3.0, bad=(1.0, 1.0))
-    rows = unit_rows("gyro", ARW, value) + unit_rows("accel", ARW, others)
-    table, notes = judged(table_of(rows + unit_rows("gyro", "rate_random_walk", drift)))
-    assert len(notes) == 1
-    assert set(table.loc[table["recording"] == "unit_0", "group"]) == {"1"}
-    assert marked_axes(table) == {"unit_0": 3}
+    result = fleet.judged(
+        ("gyro", ARW, value, 0.03), ("gyro", "rate_random_walk", drift, 0.03), ("accel", ARW, others, 0.03)
+    )
+    assert len(result.notes) == 1
+    assert groups(result)[0] == "1"
+    assert marked_axes(result) == {"unit_0": 3}
 
 
-def test_like_units_with_some_odd_ones_are_one_group():
-    """In one of these 80 fleets a group may be seen that is none."""
+def test_like_units_with_some_odd_ones_are_one_group(fleet):
     rng = np.random.default_rng(8)
-    said = 0
-    for _ in range(80):
-        units = int(rng.choice([4, 6, 8, 12, 24]))
+    for units in (4, 6, 8, 12, 24, 24):
         value = np.exp(rng.uniform(0.0, 0.15) * rng.standard_normal((units, 3)))
         value[: units // 8] *= rng.uniform(1.5, 5.0, (units // 8, 1))
-        _, notes = judged(table_of(unit_rows("gyro", ARW, value)))
-        said += any("groups" in note for note in notes)
-    assert said <= 1
+        assert not any("groups" in note for note in fleet.judged(("gyro", ARW, value, 0.03)).notes)
 
 
-def test_a_group_too_small_to_judge_is_named():
-    value = np.exp(0.1 * np.random.default_rng(1).standard_normal((12, 3)))
-    _, (note,) = judged(table_of(unit_rows("gyro", ARW, value, group=["a"] * 2 + ["b"] * 10)))
-    assert note.startswith("group a (2): too few to say whether one is unlike the others, which takes 3")
-
-
-def test_three_bad_units_may_be_a_grade():
-    value = np.exp(0.05 * np.random.default_rng(3).standard_normal((20, 3)))
-    value[[2, 7, 11]] *= [[2.0], [3.5], [5.0]]
-    table, notes = judged(table_of(unit_rows("gyro", ARW, value)))
-    assert marked_axes(table) == {"unit_2": 3, "unit_7": 3, "unit_11": 3}
-    assert [note.split(":")[0] for note in notes] == ["3 of 20 units are outlying in gyro angle random walk"]
-
-
-def test_warnings_and_what_is_no_measurement_are_told():
-    rows = unit_rows("gyro", ARW, np.ones((4, 2)))
-    for row in rows[:2]:
-        row.update(measured=False, detected=False, std=None, lower_95=None, upper_95=None, value=9.0)
-    rows[2]["warnings"] = rows[3]["warnings"] = "too short for B and K"
-    rows[4]["warnings"] = rows[5]["warnings"] = "0–5 s are 170 times noisier\ntoo short for B and K"
-    table, notes = judged(table_of(rows))
-    assert not table["outlying"].any()
-    assert notes[:3] == (
+def test_warnings_and_what_is_no_measurement_are_told(fleet):
+    for u in range(4):
+        warnings = {1: ["too short"], 2: ["0–5 s are noisier", "too short"]}.get(u, [])
+        spoilt = {"measured": False, "std": None, "interval_95": [None, None]} if u == 0 else {}
+        both = [axis(f"gyro_{a}", [coefficient(ARW, 1.0, 0.03, **spoilt)]) for a in "xy"]
+        fleet.store(f"unit_{u}", both, warnings=warnings, stretch_s=[u, 9.0])
+    result = fleet.run([fleet.file(f"unit_{u}") for u in range(4)])
+    assert marks(result) == []
+    assert result.notes[:3] == (
         "2 recordings with warnings",
-        "  unit_1, unit_2: too short for B and K",
-        "  unit_2: 0–5 s are 170 times noisier",
+        "  unit_1, unit_2: too short",
+        "  unit_2: 0–5 s are noisier",
     )
-    assert "not a measurement of the sensor: unit_0 gyro_x, gyro_y. They are not compared" in notes[3]
+    assert "unit_0 gyro_x, gyro_y" in result.notes[3]
+    table = result.table.groupby("recording", sort=False).first()
+    assert table["warnings"].tolist() == ["", "too short", "0–5 s are noisier\ntoo short", ""]
+    assert table["start_s"].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert (table["stop_s"] == 9.0).all()

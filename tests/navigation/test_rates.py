@@ -170,7 +170,7 @@ def test_it_is_told_drawn_and_exported(results):
 
 @pytest.mark.parametrize(
     ("aliased", "expected"),
-    [([0.0, 0.02, 0.3, 0.01], 100.0), ([0.0, 0.049, 0.05, 0.01], 20.0), ([0.0, 0.06, 0.0, 0.0], 200.0)],
+    [([0.0, 0.02, 0.3, 0.01], 100.0), ([0.0, 0.049, 0.05, 0.01], 20.0), ([0.0, 0.0501, 0.0, 0.0], 200.0)],
 )
 def test_the_lowest_rate_before_the_curves_part(results, aliased, expected):
     rates = np.array([200.0, 100.0, 50.0, 20.0])

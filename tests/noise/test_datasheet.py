@@ -1,250 +1,301 @@
-"""Coefficients from the figures of data sheets."""
+"""Coefficients from the figures of data sheets, by hand; sheets and presets that come with the package."""
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.integrate
-import scipy.signal
 from commands import run
 
 import allanjax as aj
-from allanjax.base.errors import AllanjaxError, UnitError
-from allanjax.noise.datasheet import MINIMUM, datasheet
 
-DEG = math.pi / 180.0
-G0 = 9.80665
-# The front page of the ADIS16470's data sheet; that a minimum of the Allan deviation is meant, and that the
-# density is a one-sided one, is how Analog Devices explain such figures.
+DEG, HOUR, G0 = math.pi / 180.0, 3600.0, 9.80665
+ARCSEC = DEG / HOUR
+# Least Allan deviation of flicker noise over B, √(2 ln 2/π).
+LEAST = 0.664283
+# The front page of the ADIS16470's data sheet.
 ADIS16470 = """
 name = "ADIS16470"
-source = "Analog Devices, data sheet ADIS16470, front page"
-
+source = "Analog Devices, front page"
 [gyro]
 noise_density = "0.008 °/sec/√Hz rms"
 sided = "one"
 in_run_bias_instability = "8 °/hr"
 reading = "minimum"
-
 [accel]
 in_run_bias_instability = "13 μg"
 reading = "minimum"
 """
 
 
-@pytest.fixture
-def sheet(tmp_path):
-    path = tmp_path / "adis16470.toml"
-    path.write_text(ADIS16470, encoding="utf-8")
-    return path
+def values(model: aj.Model) -> dict[str, float]:
+    return {label: float(x) for label, x in model.values.items() if math.isfinite(x)}
 
 
-def gyro(**figures):
-    return datasheet({"gyro": figures})["gyro"]
+# --- Figures ------------------------------------------------------------------------------------------------
+
+FIGURES = [
+    ({"random_walk": "0.34 deg/√h"}, {"angle_random_walk": 0.34 * DEG / 60}),
+    ({"noise_density": "0.1 deg/s/√Hz", "sided": "one"}, {"angle_random_walk": 0.1 * DEG / math.sqrt(2)}),
+    ({"noise_density": "0.1 deg/s/√Hz rms", "sided": "two"}, {"angle_random_walk": 0.1 * DEG}),
+    (
+        {"in_run_bias_instability": "8 deg/h", "reading": "minimum"},
+        {"bias_instability": 8 * DEG / HOUR / LEAST},
+    ),
+    ({"in_run_bias_instability": "8 deg/h", "reading": "B"}, {"bias_instability": 8 * DEG / HOUR}),
+    ({"rate_random_walk": "2 deg/h/√h"}, {"rate_random_walk": 2 * DEG / HOUR / 60}),
+    (
+        {"lsb": "0.1 arcsec", "random_walk": "0.01 deg/√h"},
+        {"quantization": 0.1 * ARCSEC / math.sqrt(12), "angle_random_walk": 0.01 * DEG / 60},
+    ),
+    # Steps q of a rate f are white noise of the variance q²/12, N²·f.
+    *(
+        ({"lsb": step, "rate": "0.2 kHz"}, {"angle_random_walk": 0.02 * DEG / math.sqrt(12 * 200)})
+        for step in ("0.02 deg/s", "20 mdps/LSB", "50 LSB/(deg/s)", "50 LSB/dps")
+    ),
+]
 
 
-def test_a_sheet_from_a_file(sheet):
-    found = aj.datasheet(sheet)
-    assert (found.name, *found.models) == ("ADIS16470", "gyro", "accel")
-    values = {label: float(value) for label, value in found["gyro"].values.items() if "cutoff" not in label}
-    assert values == pytest.approx(
-        {
-            "angle_random_walk": 0.008 * DEG / math.sqrt(2.0),
-            "bias_instability": 8.0 * DEG / 3600.0 / 0.66428,
-        },
-        rel=1e-5,
-    )
-    B = float(found["accel"].values["bias_instability"])
-    assert pytest.approx(13e-6 * G0 / 0.66428, rel=1e-5) == B
-    text = str(found)
-    assert "0.339 deg/√h" in text
-    assert "note: gyro: noise_density is taken as one-sided, √2·N" in text
-    assert any("B is at most this" in line for line in found.statements)
-    with pytest.raises(AllanjaxError, match="no 'mag'; it has gyro, accel"):
-        found["mag"]
-
-
-def test_one_sided_densities_are_those_of_a_spectrum_analyser():
-    """Welch's estimate of SciPy is one-sided; its mean over 8000 levels is known to about 2 %."""
-    model = gyro(noise_density="0.1 deg/s/√Hz", sided="one")
-    x = np.asarray(aj.simulate(model, 100_000, 100.0, 1))
-    f, density = scipy.signal.welch(x, 100.0, nperseg=1000)
-    inside = (f > 1.0) & (f < 49.0)
-    assert math.sqrt(density[inside].mean()) / DEG == pytest.approx(0.1, rel=0.03)
-    two = gyro(noise_density="0.1 deg/s/√Hz", sided="two")
-    assert float(two.values["angle_random_walk"]) == pytest.approx(0.1 * DEG)
+def test_figures_are_converted():
+    for figures, expected in FIGURES:
+        assert values(aj.datasheet({"gyro": figures})["gyro"]) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["first-order", "noise"])
 def test_rms_noise_is_the_integral_of_the_density(kind):
     """Of the two-sided density N² times the filter's response, over all frequencies."""
-    N = float(
-        gyro(rms_noise="0.05 deg/s rms", bandwidth="30 Hz", bandwidth_is=kind).values["angle_random_walk"]
-    )
+    figures = {"rms_noise": "0.05 deg/s rms", "bandwidth": "30 Hz", "bandwidth_is": kind}
+    N = values(aj.datasheet({"gyro": figures})["gyro"])["angle_random_walk"]
 
     def response(f):
         return 1.0 / (1.0 + (f / 30.0) ** 2) if kind == "first-order" else float(abs(f) < 30.0)
 
-    whole = 2.0 * sum(
-        scipy.integrate.quad(response, *ends)[0] for ends in ((0.0, 30.0), (30.0, 1e3), (1e3, np.inf))
-    )
+    ends = ((0.0, 30.0), (30.0, 1e3), (1e3, np.inf))
+    whole = 2.0 * sum(scipy.integrate.quad(response, *pair)[0] for pair in ends)
     assert N * math.sqrt(whole) == pytest.approx(0.05 * DEG, rel=1e-5)
 
 
-@pytest.mark.parametrize("reading", ["minimum", "B"])
-def test_bias_instability_by_its_reading(reading):
-    """The least Allan deviation of flicker noise without a cutoff is where clusters are long."""
-    model = gyro(in_run_bias_instability="8 deg/h", reading=reading)
-    time = np.geomspace(1.0, 1e6, 30)
-    least = float(np.sqrt(np.asarray(model.sampled(1000.0).allan_variance(time))).min())
-    expected = 8.0 if reading == "minimum" else 8.0 * 0.66428
-    assert least / DEG * 3600.0 == pytest.approx(expected, rel=1e-4)
-    assert pytest.approx(0.664, abs=5e-4) == MINIMUM
-
-
-@pytest.mark.parametrize("lsb", ["0.02 deg/s", "20 mdps/LSB", "50 LSB/(deg/s)", "50 LSB/dps"])
-def test_steps_of_rates_are_white_noise(lsb):
-    """Rounding of noise that exceeds the step: its error is that of the model's N, to its own scatter."""
-    model = gyro(lsb=lsb, rate="100 Hz")
-    N = float(model.values["angle_random_walk"])
-    x = np.random.default_rng(0).normal(0.0, 0.05, 100_000)
-    error = (np.round(x / 0.02) * 0.02 - x) * DEG
-    # σ/√(2n) = 0.2 % for a normal law, and less for a uniform one.
-    assert N * math.sqrt(100.0) == pytest.approx(error.std(), rel=0.01)
-
-
-def test_steps_of_increments_are_quantization_noise():
-    model = gyro(lsb="0.1 arcsec", random_walk="0.01 deg/√h")
-    assert float(model.values["quantization"]) == pytest.approx(0.1 * DEG / 3600.0 / math.sqrt(12.0))
-    assert float(model.values["angle_random_walk"]) == pytest.approx(0.01 * DEG / 60.0)
-    K = gyro(rate_random_walk="2 deg/h/√h").values["rate_random_walk"]
-    assert float(K) == pytest.approx(2.0 * DEG / 3600.0 / 60.0)
-
-
-def test_a_notebook_shows_source_and_assumptions():
-    figures = {"noise_density": "0.007 deg/s/√Hz", "sided": "one"}
-    told = datasheet({"source": "page <5>", "gyro": figures})._repr_html_()
-    assert "source: page &lt;5&gt;" in told
-    assert "taken as one-sided" in told
-
-
-def test_what_figures_contradict_is_stated():
-    found = datasheet(
-        {
-            "gyro": {
-                "random_walk": "0.34 deg/√h",
-                "noise_density": "0.008 deg/s/√Hz",
-                "sided": "two",
-                "lsb": "0.1 deg/s",
-                "rate": "2000 Hz",
-            }
-        }
+def test_what_is_assumed_and_what_differs_is_stated():
+    """The first figure of N counts; others are compared with it."""
+    figures = {"random_walk": "0.34 deg/√h", "noise_density": "0.008 deg/s/√Hz", "sided": "two"}
+    figures |= {"lsb": "0.1 deg/s", "rate": "2000 Hz", "conditions": "at 25 °C"}
+    found = aj.datasheet({"gyro": figures, "source": "page <5>"})
+    assert values(found["gyro"])["angle_random_walk"] == pytest.approx(0.34 * DEG / 60)
+    told = "\n".join(found.statements)
+    # 0.008·60/0.34, and the share of the steps' power in N².
+    share = (0.1 / math.sqrt(12 * 2000) * 60 / 0.34) ** 2
+    assert "gyro: at 25 °C" in told
+    assert f"noise_density gives {0.008 * 60 / 0.34:.2f} times" in told
+    assert f"{100 * share:.2g} %" in told
+    assert "page &lt;5&gt;" in found._repr_html_()
+    rms = aj.datasheet(
+        {"gyro": {"rms_noise": "1 deg/s", "bandwidth": "30 Hz", "bandwidth_is": "first-order"}}
     )
-    assert float(found["gyro"].values["angle_random_walk"]) == pytest.approx(0.34 * DEG / 60.0)
-    assert "gyro: N is that of random_walk; noise_density gives 1.41 times as much" in found.statements
-    share = (0.1 / math.sqrt(12.0 * 2000.0) * 60.0 / 0.34) ** 2
-    said = f"gyro: steps make {100.0 * share:.2g} % of the power of N, and are not added to it"
-    assert said in found.statements
+    assert f"{30 * math.pi / 2:.4g} Hz" in rms.statements[0]
 
 
 @pytest.mark.parametrize(
-    ("figures", "said"),
+    ("figures", "error", "word"),
     [
-        ({"noise_density": "1 deg/s/√Hz"}, 'noise_density needs sided = "one" or "two"'),
-        ({"noise_density": "1 deg/s/√Hz", "sided": "both"}, "or \"two\", not 'both'"),
-        ({"noise_density": "1 deg/√h", "sided": "one"}, "is not per √Hz"),
-        ({"random_walk": "1 deg/s/√Hz"}, "is per √Hz: give it as noise_density"),
-        ({"in_run_bias_instability": "1 deg/h"}, 'needs reading = "minimum" or "B"'),
-        ({"rms_noise": "1 deg/s"}, 'needs bandwidth = e.g. "100 Hz"'),
-        ({"rms_noise": "1 deg/s", "bandwidth": "9 Hz"}, 'needs bandwidth_is = "first-order" or "noise"'),
-        ({"lsb": "0.1 deg/s"}, "lsb needs rate"),
-        ({"random_walk": 0.1}, 'must be a positive number with its unit, as in "0.1 deg/s", not 0.1'),
-        ({"random_walk": "-1 deg/√h"}, "must be a positive number"),
-        ({"arw": "0.1 deg/√h"}, "unknown key 'arw'; there may be random_walk, noise_density"),
-        ({}, "no figure"),
+        ({"noise_density": "1 deg/s/√Hz"}, aj.AllanjaxError, "sided"),
+        ({"noise_density": "1 deg/s/√Hz", "sided": "both"}, aj.AllanjaxError, "both"),
+        ({"noise_density": "1 deg/√h", "sided": "one"}, aj.AllanjaxError, "random_walk"),
+        ({"random_walk": "1 deg/s/√Hz"}, aj.AllanjaxError, "noise_density"),
+        ({"in_run_bias_instability": "1 deg/h"}, aj.AllanjaxError, "reading"),
+        ({"rms_noise": "1 deg/s"}, aj.AllanjaxError, "bandwidth"),
+        ({"rms_noise": "1 deg/s", "bandwidth": "9 Hz"}, aj.AllanjaxError, "bandwidth_is"),
+        ({"lsb": "0.1 deg/s"}, aj.AllanjaxError, "rate"),
+        ({"random_walk": 0.1}, aj.AllanjaxError, "random_walk"),
+        ({"random_walk": "-1 deg/√h"}, aj.AllanjaxError, "positive"),
+        ({"random_walk": "0 deg/√h"}, aj.AllanjaxError, "positive"),
+        ({"arw": "0.1 deg/√h"}, aj.AllanjaxError, "arw"),
+        ({}, aj.AllanjaxError, "no figure"),
+        ("0.1 deg/√h", aj.AllanjaxError, "no table"),
+        ({"random_walk": "0.1 deg/h"}, aj.UnitError, "deg/h"),
+        ({"random_walk": "0.1 m/s/√h"}, aj.UnitError, "accelerometer"),
+        ({"lsb": "0.1 mg"}, aj.UnitError, "mg"),
+        ({"noise_density": "0.1 foo", "sided": "one"}, aj.UnitError, "foo"),
     ],
 )
-def test_what_is_left_open_is_asked_for(figures, said):
-    with pytest.raises(AllanjaxError) as error:
-        datasheet({"gyro": figures})
-    assert str(error.value).startswith("data sheet: [gyro]")
-    assert said in str(error.value)
+def test_what_is_left_open_is_asked_for(figures, error, word):
+    with pytest.raises(error, match=word) as caught:
+        aj.datasheet({"gyro": figures})
+    assert "[gyro]" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("figures", "said"),
-    [
-        ({"random_walk": "0.1 deg/h"}, "[gyro] random_walk: cannot convert 'deg/h'"),
-        ({"random_walk": "0.1 m/s/√h"}, "looks like a unit of an accelerometer"),
-        ({"lsb": "0.1 mg"}, "'mg' is a unit of an accelerometer"),
-        ({"noise_density": "0.1 foo", "sided": "one"}, "noise_density: unknown unit 'foo'"),
-    ],
-)
-def test_units_that_do_not_fit(figures, said):
-    with pytest.raises(UnitError) as error:
-        datasheet({"gyro": figures})
-    assert said in str(error.value)
+def test_files_and_names(tmp_path, monkeypatch):
+    """A path is a file, and a name with a suffix is that of one."""
+    monkeypatch.chdir(tmp_path)
+    Path("sheet.toml").write_text(ADIS16470, encoding="utf-8")
+    Path("bad.toml").write_text("[gyro\n")
+    Path("mine").write_text("[gyro]\nrandom_walk = '0.1 deg/√h'\n", encoding="utf-8")
+    found = aj.datasheet("sheet.toml")
+    assert (found.name, found.source, *found.models) == (
+        *("ADIS16470", "Analog Devices, front page"),
+        *("gyro", "accel"),
+    )
+    assert values(found["accel"]) == pytest.approx({"bias_instability": 13e-6 * G0 / LEAST}, rel=1e-5)
+    assert list(aj.datasheet("mine").models) == ["gyro"]
+    for text in ("ICM-42688-P", "icm42688p", "ICM 42688-P"):
+        assert aj.datasheet(text).name == "ICM-42688-P"
+    refused = [("bad.toml", "TOML"), ("none.toml", "none.toml"), ("bmi088.toml", "TOML"), ("BMI88", "BMI088")]
+    refused += [("xyz", "xyz"), (Path("BMI088"), "TOML"), ({"gyros": {}}, "gyros"), ({}, "no sensor")]
+    for name, word in refused:
+        with pytest.raises(aj.AllanjaxError, match=word):
+            aj.datasheet(name)
+    with pytest.raises(aj.AllanjaxError, match="mag"):
+        found["mag"]
 
 
-def test_files_that_are_no_data_sheets(tmp_path):
-    (tmp_path / "bad.toml").write_text("[gyro\n")
-    with pytest.raises(AllanjaxError, match=r"bad.toml: .*; give a file of TOML"):
-        datasheet(tmp_path / "bad.toml")
-    with pytest.raises(AllanjaxError, match=r"none.toml: No such file"):
-        datasheet(tmp_path / "none.toml")
-    with pytest.raises(AllanjaxError, match=r"unknown key 'gyros'; there may be name, source, \[gyro\]"):
-        datasheet({"gyros": {}})
-    with pytest.raises(AllanjaxError, match="no sensor"):
-        datasheet({"name": "x"})
-    with pytest.raises(AllanjaxError, match="is no table"):
-        datasheet({"gyro": "0.1 deg/√h"})
+# --- Sheets that come with the package ----------------------------------------------------------------------
+
+# N and B of gyro and accelerometer as printed: a walk in deg/√h, or a one- or two-sided density in deg/s/√Hz,
+# and deg/h; m/s/√h, or g/√Hz, and g.
+SHEETS = {
+    "ADIS16448": ((0.66, "w", 14.5), (0.11, "w", 0.25e-3)),
+    "ADIS16470": ((0.34, "w", 8.0), (0.037, "w", 13e-6)),
+    "BMI088": ((0.014, "1", None), (190e-6, "1", None)),
+    "BMI160": ((0.007, "1", None), (180e-6, "1", None)),
+    "HG4930-CA51": ((0.04, "w", 0.25), (0.03, "w", 0.025e-3)),
+    "ICM-42688-P": ((2.8e-3, "1", None), (70e-6, "1", None)),
+    "LSM6DSO": ((3.8e-3, "1", None), (70e-6, "1", None)),
+    "MTi-300": ((0.01, "1", 10.0), (60e-6, "1", 15e-6)),
+    "STIM300": ((0.15, "w", 0.3), (0.024, "w", 0.005e-3)),
+    "VN-100": ((0.0035, "2", 10.0), (0.14e-3, "2", 0.04e-3)),
+}
+# What the sheets print as rms noise beside the density: number in SI, and its bandwidth in Hz.
+RMS = [
+    ("BMI088", "gyro", 0.1 * DEG, 47.0),
+    ("BMI270", "accel", 1.51e-3 * G0, 80.0),
+    ("ICM-20602", "gyro", 0.04 * DEG, 100.0),
+    ("ICM-20602", "accel", 1.0e-3 * G0, 100.0),
+    ("ICM-42688-P", "gyro", 0.028 * DEG, 100.0),
+    ("ICM-42688-P", "accel", 0.70e-3 * G0, 100.0),
+    ("MPU-6050", "gyro", 0.05 * DEG, 100.0),
+    ("MPU-9250", "gyro", 0.1 * DEG, 92.0),
+]
 
 
-def test_convert_tells_both_densities():
-    one, two = run("convert", 0.003, "deg/s/√Hz", "--to", "deg/√h").stdout.splitlines()
-    assert one.startswith(f"0.003 deg/s/√Hz = {0.18 / math.sqrt(2.0):.6g} deg/√h if the density is one-sided")
-    assert two.startswith("0.003 deg/s/√Hz = 0.18 deg/√h if it is two-sided")
-    back = run("convert", 0.18, "deg/rt-hr", "--to", "dps/sqrt(Hz)", "--sided", "one").stdout
-    assert back == f"0.18 deg/rt-hr = {0.003 * math.sqrt(2.0):.6g} dps/sqrt(Hz) (one-sided density)\n"
-    squares = run("convert", 2, "(deg/h)²/Hz", "--to", "deg²/h", "--sided", "one").stdout
-    assert squares.startswith(f"2 (deg/h)²/Hz = {1.0 / 3600.0:.6g} deg²/h")
+def test_sheets_are_those_by_hand():
+    scales = {"w": (DEG / 60, 1 / 60), "1": (DEG / math.sqrt(2), G0 / math.sqrt(2)), "2": (DEG, G0)}
+    for name, printed in SHEETS.items():
+        for k, (N, kind, B) in enumerate(printed):
+            expected = {"angle_random_walk": N * scales[kind][k]}
+            if B is not None:
+                expected["bias_instability"] = B * (DEG / HOUR, G0)[k] / LEAST
+            found = aj.datasheet(name)[("gyro", "accel")[k]]
+            assert values(found) == pytest.approx(expected, rel=1e-5), name
 
 
-@pytest.mark.parametrize(
-    ("value", "unit", "to", "expected"),
-    [
+def test_every_sheet_can_be_read_and_has_a_source():
+    assert list(aj.datasheets()) == sorted(aj.datasheets(), key=str.casefold)
+    for name in aj.datasheets():
+        found = aj.datasheet(name)
+        assert found.name == name
+        assert "data sheet" in found.source or "leaflet" in found.source or "," in found.source
+        assert {s.partition(":")[0] for s in found.statements} == set(found.models)
+
+
+def test_densities_are_one_sided_by_the_rms_of_the_sheet():
+    """White noise of two-sided density N² has 2N² times the bandwidth.
+
+    Were the densities two-sided, these would differ by 41 %; figures of one digit do by some per cent.
+    """
+    for name, sensor, rms, bandwidth in RMS:
+        N = values(aj.datasheet(name)[sensor])["angle_random_walk"]
+        assert N * math.sqrt(2.0 * bandwidth) == pytest.approx(rms, rel=0.06), name
+
+
+# --- The command --------------------------------------------------------------------------------------------
+
+
+def test_convert_by_units_alone():
+    for value, unit, to, expected in [
         (3.0, "mdps/√Hz", "deg/h/√Hz", 10.8),
         (3.0, "mdps/rt-Hz", "deg/s/root-Hz", 0.003),
         (150.0, "ug/sqrt(Hz)", "m/s²/√Hz", 150e-6 * G0),
         (2.0, "dph", "deg/s", 2.0 / 3600.0),
         (1.0, "m/s/√h", "µg·√s", 1e6 / 60.0 / G0),
-    ],
-)
-def test_convert_by_units_alone(value, unit, to, expected):
-    done = run("convert", value, unit, "--to", to)
-    assert done.exit_code == 0, done.stderr
-    assert done.stdout == f"{value:g} {unit} = {expected:.6g} {to}\n"
+    ]:
+        assert run("convert", value, unit, "--to", to).stdout == f"{value:g} {unit} = {expected:.6g} {to}\n"
+    one, two = run("convert", 0.003, "deg/s/√Hz", "--to", "deg/√h").stdout.splitlines()
+    assert f"= {0.18 / math.sqrt(2.0):.6g} deg/√h" in one
+    assert "= 0.18 deg/√h" in two
+    back = run("convert", 0.18, "deg/rt-hr", "--to", "dps/sqrt(Hz)", "--sided", "one").stdout
+    assert f"= {0.003 * math.sqrt(2.0):.6g} dps/sqrt(Hz)" in back
+    squares = run("convert", 2, "(deg/h)²/Hz", "--to", "deg²/h", "--sided", "one").stdout
+    assert f"= {1.0 / 3600.0:.6g} deg²/h" in squares
 
 
-def test_convert_says_what_is_possible():
-    done = run("convert", 3, "mdps/√Hz", "--to", "µg")
-    assert done.exit_code == 1
-    assert "possible are deg/√h, deg/s/√Hz, deg/h/√Hz, rad/√s" in done.stderr
-    assert run("convert", 3, "foo", "--to", "g").exit_code == 1
+def test_convert_a_sheet(tmp_path):
+    sheet = tmp_path / "adis16470.toml"
+    sheet.write_text(ADIS16470, encoding="utf-8")
+    walk = json.loads(run("convert", "--sheet", sheet, "--json").stdout)["coefficients"][0]
+    assert (walk["sensor"], walk["coefficient"], walk["unit"]) == ("gyro", "angle_random_walk", "deg/√h")
+    assert walk["value"] == pytest.approx(0.008 * 60.0 / math.sqrt(2.0))
+    assert walk["si"] == pytest.approx(0.008 * DEG / math.sqrt(2.0))
+    assert "0.150 deg/√h" in run("convert", "--sheet", "stim300").stdout
+    listed = run("convert", "--list").stdout.splitlines()
+    assert [line.split()[0] for line in listed] == list(aj.datasheets())
+    for words in ((3, "mdps/√Hz", "--to", "µg"), (3, "foo", "--to", "g"), ("--sheet", "BMI88")):
+        assert run("convert", *words).exit_code == 1
     for words in ([], [3], [3, "g"], ["--sheet", "a.toml", "--to", "g"], [3, "g", "--to", "mg", "--json"]):
         assert run("convert", *words).exit_code == 2
 
 
-def test_convert_a_sheet(sheet):
-    done = run("convert", "--sheet", sheet)
-    assert done.exit_code == 0, done.stderr
-    assert "N angle random walk" in done.stdout
-    document = json.loads(run("convert", "--sheet", sheet, "--json").stdout)
-    walk = document["coefficients"][0]
-    assert (walk["sensor"], walk["coefficient"], walk["unit"]) == ("gyro", "angle_random_walk", "deg/√h")
-    assert walk["value"] == pytest.approx(0.008 * 60.0 / math.sqrt(2.0))
-    sheet.write_text("[gyro]\nnoise_density = '1 deg/s/√Hz'\n", encoding="utf-8")
-    refused = run("convert", "--sheet", sheet)
-    assert refused.exit_code == 1
-    assert "needs sided" in refused.stderr
+# --- Presets: tables 5.2, 5.4 and 5.5 of Hou (2004) ---------------------------------------------------------
+
+UNITS = {
+    "arcsec": ARCSEC,
+    "deg/√h": DEG / 60,
+    "deg/h": DEG / HOUR,
+    "m/h": 1 / HOUR,
+    "m/s/√h": 1 / 60,
+    "m/s/h": 1 / HOUR,
+    "m/s/h/√h": 1 / HOUR / 60,
+    "m/s/h²": 1 / HOUR**2,
+}
+# Rate of the sensor; and of each coefficient the unit, the values of x, y and z, and their errors.
+TABLES = {
+    ("cimu", "gyro", 200.0): {
+        "quantization": ("arcsec", (0.9732, 0.5174, 0.5770), (0.0738, 0.0197, 0.0155)),
+        "angle_random_walk": ("deg/√h", (0.0015, 0.0019, 0.0018), (0.0005, 0.0006, 0.0006)),
+    },
+    ("cimu", "accel", 200.0): {
+        "quantization": ("m/h", (1.6801, 1.2980, 0.8785), (0.1275, 0.0985, 0.0666)),
+        "drift_ramp": ("m/s/h²", (2.6364, 0.8915, 0.3915), (0.8795, 0.2974, 0.1309)),
+    },
+    ("hg1700", "gyro", 100.0): {
+        "quantization": ("arcsec", (5.1154, 1.2742, 1.2316), (0.0683, 0.0032, 0.0028)),
+        "angle_random_walk": ("deg/√h", (0.0936, 0.0883, 0.0753), (0.0312, 0.0295, 0.0251)),
+    },
+    ("hg1700", "accel", 100.0): {
+        "quantization": ("m/h", (2.1188, 2.1988, 2.1845), (0.0673, 0.1176, 0.0583)),
+        "rate_random_walk": ("m/s/h/√h", (0.7637, 1.1572, 3.3514), (0.2548, 0.3860, 1.1180)),
+    },
+    ("motionpak2", "gyro", 100.0): {
+        "angle_random_walk": ("deg/√h", (0.5121, 0.4859, 0.4891), (0.0068, 0.0065, 0.0065)),
+        "bias_instability": ("deg/h", (13.58, 11.69, 16.79), (1.36, 1.17, 1.68)),
+    },
+    ("motionpak2", "accel", 1000.0): {
+        "angle_random_walk": ("m/s/√h", (0.01664, 0.01593, 0.01612), (3e-5, 3e-5, 3e-5)),
+        "bias_instability": ("m/s/h", (4.36, 4.09, 4.36), (0.04, 0.08, 0.08)),
+    },
+}
+
+
+def test_presets_are_the_tables():
+    for (name, sensor, rate), table in TABLES.items():
+        preset = aj.SENSORS[name]
+        for k, axis in enumerate("xyz"):
+            found = preset[f"{sensor}_{axis}"]
+            assert preset.rate(found.name) == found.rate == rate
+            expected = {label: row[1][k] * UNITS[row[0]] for label, row in table.items()}
+            assert values(preset.model(found.name)) == pytest.approx(expected, rel=1e-12)
+            assert [c.error for c in found.coefficients.values()] == [row[2][k] for row in table.values()]
+            assert [c.unit for c in found.coefficients.values()] == [row[0] for row in table.values()]
+        assert len(preset.axes) == 6
+    with pytest.raises(aj.AllanjaxError, match="gyro_w"):
+        aj.SENSORS["cimu"].model("gyro_w")

@@ -1,4 +1,4 @@
-"""A value and its unit are one thing: whatever the class, the parameter and the unit."""
+"""A value and its unit are one thing: whatever the parameter and the unit; widened, unmeasured, told."""
 
 import dataclasses
 import math
@@ -6,187 +6,171 @@ import re
 
 import numpy as np
 import pytest
+from noise_terms import TERMS, TRANSIENT
 
 import allanjax as aj
-from allanjax.noise.estimate import Estimate
-from allanjax.noise.notation import term_classes
-from allanjax.noise.parameter import Parameter
-from allanjax.record.recording import Axis
-from allanjax.record.units import UnitError, si_unit, unit_scale
 
 DEG, H, G0 = math.pi / 180.0, 3600.0, 9.80665
 
-# Units by the dimension of what they measure, with their factors to SI worked out by hand.
-GYRO = {
-    1.0: {"rad": 1.0, "deg": DEG, "arcsec": DEG / H, "mrad": 1e-3},
-    0.5: {"rad/√s": 1.0, "deg/√h": DEG / 60, "deg/sqrt(h)": DEG / 60, "deg/h/√Hz": DEG / H, "deg/√s": DEG},
-    0.25: {"rad/s^0.75": 1.0, "deg/s^0.75": DEG},
-    0.0: {"rad/s": 1.0, "deg/s": DEG, "deg/h": DEG / H, "°/h": DEG / H, "mdeg/s": 1e-3 * DEG},
-    -0.5: {"rad/s/√s": 1.0, "deg/h/√h": DEG / H / 60, "deg/s/√s": DEG, "rad/s²/√Hz": 1.0},
-    -1.0: {"rad/s²": 1.0, "deg/h²": DEG / H**2, "deg/h/s": DEG / H},
+# Units by the dimension of what they measure, with their factors to SI worked out by hand; SI's own first,
+# then the one for people.
+AMPLITUDES = {
+    ("gyro", 1.0): {"rad": 1.0, "arcsec": DEG / H, "deg": DEG, "mrad": 1e-3},
+    ("gyro", 0.5): {"rad/√s": 1.0, "deg/√h": DEG / 60, "deg/sqrt(h)": DEG / 60, "deg/h/√Hz": DEG / H},
+    ("gyro", 0.25): {"rad/s^0.75": 1.0, "deg/s^0.75": DEG},
+    ("gyro", 0.0): {"rad/s": 1.0, "deg/h": DEG / H, "°/h": DEG / H, "mdeg/s": 1e-3 * DEG},
+    ("gyro", -0.5): {"rad/s/√s": 1.0, "deg/h/√h": DEG / H / 60, "deg/s/√s": DEG, "rad/s²/√Hz": 1.0},
+    ("gyro", -1.0): {"rad/s²": 1.0, "deg/h²": DEG / H**2, "deg/h/s": DEG / H},
+    ("accel", 1.0): {"m/s": 1.0, "mm/s": 1e-3, "ft/s": 0.3048},
+    ("accel", 0.5): {"m/s/√s": 1.0, "m/s/√h": 1 / 60, "µg/√Hz": 1e-6 * G0, "m/s²/√Hz": 1.0},
+    ("accel", 0.25): {"m/s^1.75": 1.0, "m/h^1.75": H**-1.75},
+    ("accel", 0.0): {"m/s²": 1.0, "µg": 1e-6 * G0, "m/s/h": 1 / H, "Gal": 1e-2},
+    ("accel", -0.5): {"m/s²/√s": 1.0, "m/s/h/√h": 1 / H / 60, "µg/√h": 1e-6 * G0 / 60},
+    ("accel", -1.0): {"m/s³": 1.0, "m/s/h²": H**-2, "µg/h": 1e-6 * G0 / H},
 }
-ACCEL = {
-    1.0: {"m/s": 1.0, "mm/s": 1e-3, "ft/s": 0.3048},
-    0.5: {"m/s/√s": 1.0, "m/s/√h": 1 / 60, "µg/√Hz": 1e-6 * G0, "m/s²/√Hz": 1.0},
-    0.25: {"m/s^1.75": 1.0, "m/h^1.75": H**-1.75},
-    0.0: {"m/s²": 1.0, "µg": 1e-6 * G0, "mg": 1e-3 * G0, "m/s/h": 1 / H, "Gal": 1e-2},
-    -0.5: {"m/s²/√s": 1.0, "m/s/h/√h": 1 / H / 60, "µg/√h": 1e-6 * G0 / 60},
-    -1.0: {"m/s³": 1.0, "m/s/h²": H**-2, "µg/h": 1e-6 * G0 / H},
+SHAPES = {
+    "time": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": H},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0, "1/h": 1 / H},
+    "number": {"1": 1.0},
 }
-TIMES = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": H}
-FREQUENCIES = {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0, "1/h": 1 / H}
-AXES = {"gyro": Axis("gyro_x", "gyro", "deg/s"), "accel": Axis("accel_z", "accel", "g")}
+SHAPES["line"] = SHAPES["frequency"]
+AXES = {"gyro": aj.Axis("gyro_x", "gyro", "deg/s"), "accel": aj.Axis("accel_z", "accel", "g")}
+OWN = dataclasses.replace(aj.AngleRandomWalk.parameters()[0], time_exponent=0.25)
+EVERY = [(term.name(), p) for term in (TERMS | TRANSIENT).values() for p in term.parameters()]
+PARAMETERS = {f"{name}_{p.name}": p for name, p in EVERY} | {"own": OWN}
+N = PARAMETERS["angle_random_walk_coefficient"]
+T_C = PARAMETERS["markov_correlation_time"]
+F0 = PARAMETERS["sinusoid_frequency"]
 
 
-def units_of(parameter: Parameter, sensor: str) -> dict[str, float]:
-    if parameter.kind == "amplitude":
-        return {"gyro": GYRO, "accel": ACCEL}[sensor][float(parameter.time_exponent)]
-    return {"time": TIMES, "frequency": FREQUENCIES, "line": FREQUENCIES}.get(parameter.kind, {"1": 1.0})
+def units_of(parameter, sensor):
+    if parameter.is_amplitude:
+        return AMPLITUDES[sensor, float(parameter.time_exponent)]
+    return SHAPES[parameter.kind]
 
 
-PARAMETERS = [(name, p) for name, cls in term_classes().items() for p in cls.parameters()]
-PARAMETERS += [("user's", dataclasses.replace(aj.AngleRandomWalk.parameters()[0], time_exponent=0.25))]
+def estimate(parameter=N, sensor="gyro", **changes):
+    """Of skewed intervals, in SI."""
+    numbers = {"value": 3.0, "std": 0.1, "interval": (2.7, 3.25), "interval_68": (2.85, 3.12)}
+    numbers |= {"upper_limit": 3.17} | changes
+    return aj.Estimate(axis=AXES[sensor], label="angle_random_walk", parameter=parameter, **numbers)
 
 
-def estimates(sensor: str, parameter: Parameter, label: str, size: float) -> list:
-    """One from every source and in every state, of this size in SI."""
-    axis = AXES[sensor]
-    numbers = {
-        "axis": axis,
-        "value": 3.0 * size,
-        "std": 0.1 * size,
-        "interval": (2.8 * size, 3.2 * size),
-        "interval_68": (2.9 * size, 3.1 * size),
-    }
-    names = {"label": label, "term": label, "parameter": parameter}
-    limit = 3.17 * size
-    of_amplitude = limit if parameter.kind == "amplitude" else None
-    found = Estimate(**numbers, **names, upper_limit=of_amplitude, detected=True)
-    absent = dataclasses.replace(found, value=0.0, std=0.0, upper_limit=limit, detected=False)
-    shape = dataclasses.replace(absent, upper_limit=None)
-    held = dataclasses.replace(found, std=0.0, held=True)
-    marginal = Estimate(
-        source="posterior", **numbers, **names, upper_limit=of_amplitude, detected=True, bayes_factor=0.01
-    )
-    walk = Estimate(
-        source="spectrum",
-        **numbers,
-        **names,
-        upper_limit=None,
-        detected=True,
-        band=(1.0, 7.0),
-        excess=0.03 * size,
-    )
-    derived = Estimate(
-        source="posterior", **numbers, label=label, usual_unit=found.usual_unit, remark="extrapolated"
-    )
-    # A shape that may be anywhere below is detected, and has a limit.
-    below = [] if of_amplitude else [dataclasses.replace(found, upper_limit=limit)]
-    return [found, absent, shape, held, marginal, walk, derived, *below]
+def numbers_of(e):
+    return np.array([e.value, e.std, *e.interval, *e.interval_68, e.upper_limit, e.lower_limit, e.excess])
 
 
-def in_si(estimate, factor: float) -> list[float]:
-    """Every number of it that has the unit, in SI by this factor."""
-    numbers = [estimate.value, estimate.std, *estimate.interval, *estimate.interval_68]
-    numbers += [x for name in ("upper_limit", "excess") if (x := getattr(estimate, name, None)) is not None]
-    return [x * factor for x in numbers]
+@pytest.mark.parametrize("sensor", AXES)
+def test_every_number_is_in_the_unit(sensor):
+    """Of each parameter of each term, there and back, and from each unit to each other."""
+    for label, p in PARAMETERS.items():
+        units = units_of(p, sensor)
+        e = estimate(p, sensor, lower_limit=2.6, excess=0.03)
+        si = next(iter(units))
+        assert (e.unit, e.si_unit, e.kind, e.symbol) == (si, si, p.kind, p.symbol), label
+        assert units[e.usual_unit] == units_of(p, sensor)[e.in_unit().unit]
+        for unit, factor in units.items():
+            shown = e.in_unit(unit)
+            assert shown.unit == unit
+            np.testing.assert_allclose(numbers_of(shown) * factor, numbers_of(e), rtol=1e-12)
+            assert shown.in_unit(unit) == shown
+            for other, into in units.items():
+                np.testing.assert_allclose(numbers_of(shown.in_unit(other)) * into, numbers_of(e), rtol=1e-12)
 
 
-CASES = [
-    pytest.param(sensor, name, p, id=f"{sensor}-{name}-{p.name}") for sensor in AXES for name, p in PARAMETERS
+def test_usual_units_are_those_of_people():
+    for (sensor, exponent), units in AMPLITUDES.items():
+        p = dataclasses.replace(N, time_exponent=exponent)
+        if exponent != 0.25:
+            usual = {"accel": {1.0: "m/s", 0.0: "µg"}}.get(sensor, {}).get(exponent, list(units)[1])
+            assert estimate(p, sensor).usual_unit == usual
+    assert (estimate(T_C).usual_unit, estimate(F0).usual_unit) == ("s", "Hz")
+
+
+@pytest.mark.parametrize("sensor", AXES)
+def test_a_unit_of_something_else_is_refused(sensor):
+    own = [AMPLITUDES[sensor, 0.5], SHAPES["time"], SHAPES["frequency"], SHAPES["number"]]
+    for p in (N, T_C, F0, PARAMETERS["resonance_quality_factor"]):
+        e = estimate(p, sensor)
+        mine = units_of(p, sensor)
+        for units in [*own, AMPLITUDES["gyro", 0.0], AMPLITUDES["accel", 0.0], {"furlong": 1.0}]:
+            for unit in units:
+                if unit not in mine:
+                    with pytest.raises(aj.UnitError):
+                        e.in_unit(unit)
+    with pytest.raises(aj.UnitError, match="usual_unit"):
+        estimate(None)
+
+
+def test_what_is_no_parameter_may_have_a_unit_of_another_sensor():
+    tilt = estimate(None, "accel", usual_unit="deg")
+    assert (tilt.unit, tilt.in_unit().value) == ("rad", pytest.approx(3.0 / DEG))
+    assert (tilt.symbol, tilt.kind, tilt.is_amplitude) == ("", "", False)
+    assert "95 %" in tilt.describe()
+
+
+def test_widened():
+    """Ends of positive values in proportion, about the value otherwise; zero stays an end."""
+    e = estimate(lower_limit=2.6)
+    wide = e.widened(1.5)
+    assert (wide.value, wide.std) == (3.0, pytest.approx(0.15))
+    assert wide.interval == pytest.approx([3.0 * (x / 3.0) ** 1.5 for x in (2.7, 3.25)])
+    assert wide.interval_68 == pytest.approx([3.0 * (x / 3.0) ** 1.5 for x in (2.85, 3.12)])
+    assert (wide.upper_limit, wide.lower_limit) == (pytest.approx(3.17 * 1.5), pytest.approx(2.6 / 1.5))
+    absent = estimate(value=0.0, interval=(0.0, 0.8), interval_68=(0.0, 0.4), upper_limit=None).widened(1.5)
+    assert absent.interval == pytest.approx((0.0, 1.2))
+    assert absent.interval_68 == pytest.approx((0.0, 0.6))
+    assert absent.upper_limit is None
+    signed = estimate(value=1.0, interval=(-2.0, 4.0)).widened(2.0)
+    assert signed.interval == pytest.approx((-5.0, 16.0))
+    assert e.widened(1.0) == e
+
+
+def test_unmeasured():
+    found = estimate().unmeasured()
+    assert (found.value, found.upper_limit, found.detected, found.measured) == (3.0, None, False, False)
+    assert np.isnan([found.std, *found.interval, *found.interval_68]).all()
+    held = estimate(held=True)
+    assert held.unmeasured() is held
+
+
+NAN = math.nan
+# What is told of each state, in deg/√h: numbers, and one word.
+TOLD = [
+    (N, {}, ["3.00", "0.10"], "±"),
+    (N, {"detected": False}, ["3.17", "95"], "below"),
+    (N, {"detected": False, "rivals": ("markov",)}, ["3.17"], "markov"),
+    (N, {"detected": False, "upper_limit": None}, [], "not determined"),
+    (N, {"held": True, "value": 0.125}, ["0.125"], "held"),
+    (N, {"measured": False, "detected": False}, ["3.00"], "not a measurement"),
+    (N, {"measured": False, "detected": False, "value": 0.0}, [], "none"),
+    (N, {"remark": "extrapolated"}, ["3.00", "0.10"], "extrapolated"),
+    (T_C, {"upper_limit": None}, ["3.00", "0.10"], "s"),
+    (T_C, {}, ["3.17"], "below"),
+    (T_C, {"lower_limit": 2.6, "upper_limit": None}, ["2.60"], "above"),
+    (T_C, {"std": NAN, "upper_limit": None}, [], "not determined"),
+    (T_C, {"detected": False, "upper_limit": None}, [], "not detectable"),
 ]
 
 
-@pytest.mark.parametrize(("sensor", "label", "parameter"), CASES)
-def test_number_and_unit_agree_in_every_unit(sensor, label, parameter):
-    units = units_of(parameter, sensor)
-    size = float(np.random.default_rng(len(label)).lognormal(-5.0, 6.0))
-    for e in estimates(sensor, parameter, label, size):
-        exact = in_si(e, 1.0)
-        # What is not given a unit is in SI.
-        assert units[e.unit] == 1.0
-        assert e.in_unit().unit == e.usual_unit
-        for unit, factor in units.items():
-            shown = e.in_unit(unit)
-            assert type(shown) is type(e)
-            assert shown.unit == unit
-            assert in_si(shown, factor) == pytest.approx(exact, rel=1e-12)
-            assert shown.in_unit(unit) == shown
-            for further, other in units.items():
-                assert in_si(shown.in_unit(further), other) == pytest.approx(exact, rel=1e-12)
-            assert in_si(shown.in_unit(e.unit), 1.0) == pytest.approx(exact, rel=1e-12)
-            assert shown.in_unit().unit == shown.usual_unit == e.usual_unit
-            assert (shown.axis, shown.title, shown.si_unit) == (e.axis, e.title, e.unit)
+def test_what_is_printed_is_what_is_held():
+    """Two digits of an error, three of a limit, up to six of what is held."""
+    for parameter, changes, expected, word in TOLD:
+        unit = "deg/√h" if parameter is N else "s"
+        told = estimate(parameter, unit=unit, usual_unit=unit, **changes).describe()
+        assert word in told, changes
+        found = re.findall(r"\d+\.\d+", told)
+        assert found[: len(expected)] == [x for x in expected if "." in x], told
+        assert not expected or unit in told
 
 
-def numbers(text: str) -> list[float]:
-    """The numbers of a text, those in `(1.23 ± 0.04)e-05` included."""
-    found = []
-    for bracket, power, plain in re.findall(
-        r"\(([\d.]+ ± [\d.]+)\)e([+-]\d+)|(\d[\d.,]*(?:e[+-]\d+)?)", text.split(": ", 1)[1]
-    ):
-        found += [float(x) * 10.0 ** int(power) for x in bracket.split(" ± ")] if bracket else []
-        found += [float(plain.rstrip(".,").replace(",", ""))] if plain else []
-    return found
-
-
-@pytest.mark.parametrize(("sensor", "label", "parameter"), CASES)
-def test_what_is_printed_is_what_is_held(sensor, label, parameter):
-    every = estimates(sensor, parameter, label, 7.3e-4)
-    shape = every[2]
-    for e in every:
-        for unit, factor in units_of(parameter, sensor).items():
-            shown = e.in_unit(unit)
-            name = "" if unit == "1" else f" {unit}"
-            assert str(shown).startswith(f"{e.axis.name} {e.title}: ")
-            assert shown.describe() == e.describe(unit)
-            told = str(shown)
-            if e is shape:
-                assert shown.describe() == "not determined: its term is not detectable"
-                continue
-            assert name in shown.describe()
-            assert name in told
-            first = numbers(f": {shown.describe()}")[0]
-            is_shape = parameter.kind != "amplitude" and getattr(e, "upper_limit", None) is not None
-            limit = (is_shape or not getattr(e, "detected", True)) and not getattr(e, "held", False)
-            # Two digits of an error a thirtieth of the value, three of a limit, six of what is held.
-            assert first * factor == pytest.approx(e.upper_limit if limit else e.value, rel=5e-3)
-            assert numbers(told)[0] == first
-            if shown.unit != shown.usual_unit:
-                assert shown.in_unit().describe().split(" (95")[0].split(";")[0].split("below ")[-1] in told
-
-
-@pytest.mark.parametrize(("sensor", "label", "parameter"), CASES)
-def test_a_unit_of_something_else_is_refused(sensor, label, parameter):
-    own = units_of(parameter, sensor)
-    others = [u for table in (*GYRO.values(), *ACCEL.values(), TIMES, FREQUENCIES) for u in table]
-    dimensions = {tuple(sorted(si_unit(u))) for u in own}
-    for e in estimates(sensor, parameter, label, 1.0):
-        for unit in (u for u in others if tuple(sorted(si_unit(u))) not in dimensions):
-            with pytest.raises(UnitError):
-                e.in_unit(unit)
-        with pytest.raises(UnitError, match="unknown unit 'furlong'"):
-            e.in_unit("furlong")
-
-
-def test_a_fit_prints_both_units_and_a_second_conversion_changes_nothing(small_fit):
-    c = small_fit["gyro_x"]["angle_random_walk"]
-    assert c.unit == "rad/√s"
-    usual = c.in_unit("deg/√h")
-    assert usual.value == pytest.approx(c.value / (DEG / 60), rel=1e-12)
-    assert usual.in_unit("deg/√h") == usual.in_unit() == usual
-    assert str(usual) == f"gyro_x angle random walk: {usual.describe()}"
-    assert str(c) == f"gyro_x angle random walk: {c.describe()} = {usual.describe()}"
-    assert usual.in_unit("rad/s/√Hz").value == pytest.approx(c.value, rel=1e-12)
-    absent = next(c for c in small_fit["gyro_x"].coefficients.values() if not c.detected)
-    assert re.fullmatch(
-        r"gyro_x [\w ]+: not detectable, below \S+ rad\S* = \S+ (deg|arcsec)\S* \(95 %\)", str(absent)
-    )
-
-
-def test_every_usual_unit_has_an_si_unit():
-    for table in (*GYRO.values(), *ACCEL.values(), TIMES, FREQUENCIES):
-        for unit, factor in table.items():
-            assert unit_scale(unit) == pytest.approx(factor, rel=1e-12)
-            assert table[si_unit(unit)] == 1.0
-    assert unit_scale(si_unit("deg²/h")) == 1.0
+def test_an_estimate_is_told_in_both_units():
+    e = estimate(value=0.512 * DEG / 60, std=0.007 * DEG / 60, interval=(0.498 * DEG / 60, 0.526 * DEG / 60))
+    assert e.describe("deg/√h") == e.in_unit().describe() == "0.5120 ± 0.0070 deg/√h"
+    assert e.in_unit().describe_interval() == "0.4980 … 0.5260"
+    assert str(e) == f"gyro_x angle random walk: {e.describe()} = {e.describe('deg/√h')}"
+    assert str(e.in_unit()) == f"gyro_x angle random walk: {e.describe('deg/√h')}"
+    assert estimate(sensor="accel").title == "velocity random walk"
+    assert e.median == e.value
+    undetermined = estimate(None, usual_unit="deg", value=NAN, remark="too short")
+    assert undetermined.describe().endswith("too short")

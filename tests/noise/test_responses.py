@@ -9,27 +9,27 @@ from scipy import signal
 import allanjax as aj
 
 F = np.linspace(0.0, RATE / 2.0, 41)
-# What may pass a filter: terms that have parts of each kind, white, differences, walks, poles, pairs of poles.
+# What may pass a filter: terms that have parts of each kind, white, differences, walks, poles and pairs.
 PASSING = ["quantization", "white", "walk", "flicker", "markov", "short markov", "resonance"]
 PASSING += ["wandering resonance"]
 # A pole at zero, a quarter of the rate: G is that of one moved by 10⁻⁵.
 MOVED = "butterworth 3"
 
 
-@pytest.mark.parametrize("name", RESPONSES)
-def test_power_is_that_of_the_pulse(name):
+def test_power_is_that_of_the_pulse():
     """The cosine sum of the pulse's autocorrelation; its rounding is what the deepest stop band shows."""
-    r = dense.pulse_autocorrelation(RESPONSES[name], RATE)
-    d = np.arange(len(r))
-    expected = (np.where(d > 0, 2.0, 1.0) * r) @ np.cos(2.0 * np.pi * np.outer(d, F) / RATE)
-    np.testing.assert_allclose(RESPONSES[name].power(F, RATE), expected, rtol=1e-9, atol=1e-13)
-    assert RESPONSES[name].power(0.0, RATE) == pytest.approx(1.0, rel=1e-12)
+    for name, filter_ in RESPONSES.items():
+        r = dense.pulse_autocorrelation(filter_, RATE)
+        d = np.arange(len(r))
+        expected = (np.where(d > 0, 2.0, 1.0) * r) @ np.cos(2.0 * np.pi * np.outer(d, F) / RATE)
+        np.testing.assert_allclose(filter_.power(F, RATE), expected, rtol=1e-9, atol=1e-13, err_msg=name)
+        assert filter_.power(0.0, RATE) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_digital_filters_are_those_that_scipy_designs():
     """Deep in the stop band, at low and high bandwidths; Bessel's of two poles has Q = 1/√3."""
     f = np.linspace(0.0, 0.499 * RATE, 60)
-    for share in (2e-4, 0.1, 0.25, 0.47):
+    for share in (2e-4, 0.1, 0.25, 0.496):
         for order in (1, 2, 3, 4):
             H = signal.freqz_sos(signal.butter(order, share * RATE, fs=RATE, output="sos"), f, fs=RATE)[1]
             found = aj.Butterworth(share * RATE, order).power(f, RATE)

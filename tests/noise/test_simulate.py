@@ -5,6 +5,7 @@ import math
 import dense
 import jax
 import jax.numpy as jnp
+import mpmath as mp
 import numpy as np
 import pytest
 from noise_terms import DETERMINISTIC, RANDOM, RATE, RESPONSES, TRANSIENT, rounds
@@ -12,7 +13,7 @@ from scipy.stats import binom
 
 import allanjax as aj
 
-N = 24
+N, LONG = 24, 1 << 17
 INNER = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(4e-3)
 
 
@@ -119,11 +120,12 @@ STATIONARY = ["markov", "short markov", "resonance", "damped resonance", "wander
 STATIONARY += ["low pass of order 2", "white", "quantization"]
 
 
-@pytest.mark.parametrize("name", STATIONARY)
-def test_stationary_noise_is_so_from_the_first_sample_on(maps, name):
+def test_stationary_noise_is_so_from_the_first_sample_on(maps):
     """All of these but the last two remember for longer than a sample: a start at rest would show."""
-    C = dense.covariance(RANDOM[name], N, RATE)
-    np.testing.assert_allclose(maps[name] @ maps[name].T, C, rtol=1e-9, atol=1e-10 * abs(C).max())
+    for name in STATIONARY:
+        C = dense.covariance(RANDOM[name], N, RATE)
+        found = maps[name] @ maps[name].T
+        np.testing.assert_allclose(found, C, rtol=1e-9, atol=1e-10 * abs(C).max(), err_msg=name)
 
 
 def test_walks_and_flicker_begin_near_zero(maps):
@@ -143,13 +145,27 @@ def test_long_records_of_a_users_term_gain_no_spurious_drift(monkeypatch):
     assert float(found @ found) / 2.0 == pytest.approx(RATE / m, rel=0.02)
 
 
+def test_increments_far_apart_have_the_covariance_of_the_phase(monkeypatch):
+    """Flicker's fourth difference at long lags, where rounding of G would drown it, with 15 more digits."""
+    f, size = linear(lambda key: RANDOM["flicker"].simulate(key, 512, RATE), monkeypatch)
+    lags = [0, 40, 90, 200, 400]
+    steps = np.array([np.eye(512)[k + 1] - np.eye(512)[k] for k in lags])
+    back = jax.jit(lambda z, c: jax.vmap(lambda w: jax.vjp(f, z)[1](w)[0])(c))
+    rows = np.asarray(back(np.zeros(size), steps))
+    with mp.workdps(30):
+        G = [mp.mpf(k) ** 2 * mp.log(max(k, 1)) / (2 * mp.pi) for k in range(403)]
+        weights = dict(zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))
+        exact = [float(sum(w * G[abs(k + d)] for d, w in weights.items())) for k in lags]
+    np.testing.assert_allclose(rows @ rows[0] / 4.1e-5**2, exact, rtol=1e-6)
+
+
 # --- What is not Gaussian -----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def drawn():
     """Two draws of telegraph noise, lines, ramps and transients, from one compiled program."""
-    n = 1 << 14
+    n = LONG
     terms = (
         DETERMINISTIC
         | TRANSIENT
@@ -186,13 +202,13 @@ def test_telegraph_paths_begin_at_either_level():
 
 def test_lines_have_their_amplitude_and_a_phase_of_their_own(drawn):
     """Ω0 is that of the samples, or of the continuous line that they are means of, damped by a sinc."""
-    t = (np.arange(1 << 14) + 0.5) / RATE
+    t = (np.arange(LONG) + 0.5) / RATE
     waves = np.exp(2j * np.pi * 3.7112 * t)
     damped = np.sinc(3.7112 / RATE)
     found = {
         name: [2.0 * np.mean(d[name] * waves.conj()) for d in drawn] for name in drawn[0] if "line" in name
     }
-    # Over 1,520 periods what is left of the other frequencies is a thousandth.
+    # Over ten thousand periods what is left of the other frequencies is less than a thousandth.
     assert abs(np.abs(found["line of samples"]) / 7.7e-4 - 1.0).max() < 2e-3
     assert abs(np.abs(found["line"]) / (7.7e-4 * damped) - 1.0).max() < 2e-3
     assert abs(found["line"][0] - found["line"][1]) > 1e-4
@@ -202,12 +218,12 @@ def test_lines_have_their_amplitude_and_a_phase_of_their_own(drawn):
 
 
 def test_ramps_and_transients_are_their_columns(drawn):
-    t, found = (np.arange(1 << 14) + 0.5) / RATE, drawn[0]
+    t, found = (np.arange(LONG) + 0.5) / RATE, drawn[0]
     np.testing.assert_allclose(found["ramp"], 3.3e-5 * t, rtol=1e-12)
     np.testing.assert_allclose(found["falling ramp"], -3e-5 * t, rtol=1e-12)
     np.testing.assert_allclose(found["step"], 4.3e-4 * (t > 2.0), rtol=1e-12)
     np.testing.assert_allclose(found["warm-up"], 6.1e-4 * np.exp(-t / 1.3), rtol=1e-9, atol=1e-300)
-    np.testing.assert_allclose(found["given"], 2.0 * np.arange(1 << 14) / RATE, rtol=1e-9)
+    np.testing.assert_allclose(found["given"], 2.0 * np.arange(LONG) / RATE, rtol=1e-9)
     # A channel that is not given leaves its effect out.
     assert not np.any(found["effect"])
 

@@ -201,6 +201,30 @@ def test_what_claims_to_be_large_takes_no_memory(tmp_path, write, claim):
         aj.read(path, rate=RATE, **UNITS)
 
 
+def test_what_is_compressed_as_far_as_it_can_be_is_read(tmp_path):
+    np.savez_compressed(
+        tmp_path / "imu.npz", gyro=np.tile(NOISE[:50, :3], (4000, 1)), accel=np.zeros((200_000, 3))
+    )
+    assert aj.read(tmp_path / "imu.npz", rate=RATE, **UNITS).n == 200_000
+
+
+def test_elements_of_matlab_that_would_end_the_program(tmp_path):
+    """Kinds and sizes that an array can not have, at their places in the file."""
+    path = tmp_path / "imu.mat"
+    for place, value, word in (
+        (176, 8, "kind 8"),
+        (144, 6 | 0x800, "without its numbers"),
+        (132, 10**9, "1000000000 bytes"),
+        (128, 6, "kind 6"),
+    ):
+        savemat(path, {"gyro": NOISE[:50, :3]})
+        content = bytearray(path.read_bytes())
+        content[place : place + 4] = value.to_bytes(4, "little")
+        path.write_bytes(content)
+        with pytest.raises(aj.RecordingError, match=word):
+            aj.read(path, rate=RATE, **UNITS)
+
+
 # --- In chunks ----------------------------------------------------------------------------------------------
 
 

@@ -202,6 +202,16 @@ def test_a_completed_record_has_the_spectrum_of_a_whole_one(kind):
         assert np.mean(of_zeros[-5000:] / low[-5000:]) > 5.0
 
 
+def test_a_line_goes_on_through_gaps():
+    """Ten times the noise, through gaps of 18 periods; what is drawn beside it is noise of its own level."""
+    n, rng = 16_384, np.random.default_rng(9)
+    line = 10.0 * np.sin(2.0 * np.pi * 0.3 * np.arange(n) + 1.0)
+    lost = np.arange(n) % 600 >= 540
+    y = filled(np.where(lost, np.nan, line + rng.standard_normal(n))[:, None]).values[:, 0]
+    # 1,620 samples: 1.75 %; and what the line's own error adds.
+    assert np.std((y - line)[lost]) == pytest.approx(1.05, abs=0.1)
+
+
 def test_intervals_and_degrees_of_freedom_allow_for_what_is_missing():
     """With a share f missing, n(1 − f) determine a level, and f·n draws add their scatter."""
     x = whole(2048).iloc[:, 1:4].to_numpy(copy=True)
@@ -271,6 +281,17 @@ def test_segments_takes_the_longest_stretch_and_keeps_others(written):
     assert cut.n == 400
     assert sorted(map(len, cut.others)) == [*range(67, 82)]
     assert any("64 to 463" in note and "longest of 20" in note for note in cut.notes)
+
+
+def test_stretches_of_another_rate_are_not_kept(written):
+    """Stamps of a stretch may give a rate that is a hundredth off that of the longest."""
+    x = np.random.default_rng(1).standard_normal(1200)
+    for off, kept in ((1.009, [200, 300]), (1.011, [300])):
+        intervals = np.concatenate([np.full(700, 0.01), np.full(300, 0.01), np.full(200, 0.01 * off)])
+        times = np.cumsum(intervals) + np.repeat([0.0, 0.5, 1.0], (700, 300, 200))
+        recording = aj.read(written(pd.DataFrame({"time [s]": times, "gx [rad/s]": x})), gaps="segments")
+        assert recording.n == 700
+        assert sorted(map(len, recording.others)) == kept
 
 
 @pytest.mark.parametrize(

@@ -324,6 +324,9 @@ def test_raw_samples_of_ardupilot(tmp_path):
     check(aj.read(path))
     check(aj.read(path, topic="IMU"), VALUES[:50], 1e6 / 15_000)
     check(aj.read(path, topic="ACC"), VALUES[:, 3:], names=SIX[3:])
+    # As older ones tell it.
+    old = structured(TimeMS=(micros() // 1000).astype("u4"), **columns(SAMPLES, "Gyr", "Acc"))
+    check(aj.read(write_dataflash(tmp_path / "old.bin", {"IMU": old})))
     refused(path, "GYR,IMU|ACC 0, GYR 0, IMU 0", topic="GYR,IMU")
 
 

@@ -1,6 +1,7 @@
 """Text: delimiters, headers, comments, encodings, the meaning of columns, and time stamps."""
 
 import gzip
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -26,13 +27,11 @@ def check(recording, rate=RATE, close=1e-9):
 
 
 @pytest.mark.parametrize("mark", [",", ", ", ";", "\t", " ", "   "])
-@pytest.mark.parametrize("header", [None, HEADER])
-def test_delimiters(tmp_path, mark, header):
-    """With a header and without, below comments and lines of names and values."""
-    path = tmp_path / "imu.txt"
-    lines = [mark.join(header), *rows(NOISE, mark=mark)] if header else rows(NOISE, mark=mark)
-    for before in ([], ["# recorded in the lab", "% static", ""]):
-        path.write_text("\n".join([*before, *lines, ""]), encoding="utf-8")
+def test_delimiters(tmp_path, mark):
+    """With a header and without, below comments and blank lines."""
+    path, comments = tmp_path / "imu.txt", ["# recorded in the lab", "% static", ""]
+    for header, before in itertools.product(([], [mark.join(HEADER)]), ([], comments)):
+        path.write_text("\n".join([*before, *header, *rows(NOISE, mark=mark), ""]), encoding="utf-8")
         recording = aj.read(path, rate=RATE, **({} if header else UNITS))
         check(recording)
         assert recording.name == "imu"
@@ -113,16 +112,14 @@ NO_AXES = (
 )
 
 
-@pytest.mark.parametrize("labels", AXES)
-def test_axes_are_recognised_by_their_labels(tmp_path, labels):
-    name, unit = AXES[labels]
-    told = {f"{name.split('_')[0]}_unit": unit}
-    for label in labels.split():
-        stated = label.endswith(("dps", "s]", "s)", "radps", "mg", "ms2", "mps2"))
-        recording = aj.read(
-            write_text(tmp_path / "imu.csv", [label], NOISE[:, 0]), rate=RATE, **({} if stated else told)
-        )
-        assert (recording.names, recording.axes[0].unit) == ((name,), unit), label
+def test_axes_are_recognised_by_their_labels(tmp_path):
+    stated = ("dps", "s]", "s)", "radps", "mg", "ms2", "mps2")
+    for labels, (name, unit) in AXES.items():
+        for label in labels.split():
+            path = write_text(tmp_path / "imu.csv", [label], NOISE[:, 0])
+            told = {} if label.endswith(stated) else {f"{name.split('_')[0]}_unit": unit}
+            recording = aj.read(path, rate=RATE, **told)
+            assert (recording.names, recording.axes[0].unit) == ((name,), unit), label
 
 
 def test_what_is_no_axis_is_kept_beside(tmp_path):
@@ -281,34 +278,38 @@ def test_euroc(tmp_path, header):
     assert [axis.unit for axis in recording.axes] == [*3 * ["rad/s"], *3 * ["m/s²"]]
 
 
-def vectornav(kind, *before):
-    """Lines of a message with fields before its accelerations and angular rates, each with its check sum."""
+def vectornav(kind, before=(), after=()):
+    """Lines of a message with fields about the samples, and their check sums."""
     lines = []
     for row in NOISE.round(6):
-        body = ",".join([kind, *(f"{x:+.6f}" for x in (*before, *row[3:], *row[:3]))])
+        body = ",".join([kind, *(f"{x:+.6f}" for x in (*before, *row[3:], *row[:3], *after))])
         lines.append(f"${body}*{np.bitwise_xor.reduce(np.frombuffer(body.encode(), np.uint8)):02X}")
     return lines
 
 
-@pytest.mark.parametrize("kind", ["VNYMR 6", "VNQMR 7", "VNMAR 3", "VNDTV 1"])
-def test_vectornav(tmp_path, kind):
-    kind, before = kind.split()
-    lines = vectornav(kind, *np.arange(int(before)))
-    # Cut within the first line, as when the log is begun; with other messages between.
+@pytest.mark.parametrize(
+    ("kind", "before", "after"),
+    [("VNYMR", 6, 0), ("VNQMR", 7, 0), ("VNMAR", 3, 0), ("VNIMU", 3, 2), ("VNDTV", 1, 0)],
+)
+def test_vectornav(tmp_path, kind, before, after):
+    """Cut within the first line, as when the log is begun; with other messages between."""
+    lines = vectornav(kind, 7.0 + np.arange(before), 31.0 + np.arange(after))
     lines = [lines[0][30:], *(text for x in lines for text in (x, "$VNRRG,05,+1.0*00", "# a comment", ""))]
     (tmp_path / "imu.csv").write_text("\r\n".join(lines) + "\r\n")
-    recording = aj.read(tmp_path / "imu.csv", rate=40.0)[SIX]
-    scale, order = ([*3 * [1.0], *3 * [1.0]], slice(None))
+    recording = aj.read(tmp_path / "imu.csv", rate=40.0)
+    scale, order = 1.0, slice(None)
     if kind == "VNDTV":
         # Increments of angles [deg] come first.
         scale, order = [*3 * [40.0 * DEG], *3 * [40.0]], [3, 4, 5, 0, 1, 2]
-    np.testing.assert_allclose(recording.values, NOISE.round(6)[:, order] * scale, rtol=1e-12)
+    np.testing.assert_allclose(recording[SIX].values, NOISE.round(6)[:, order] * scale, rtol=1e-12)
+    others = [*recording.auxiliary.values()]
+    assert [x[0] for x in others] == [*(7.0 + np.arange(before)), *(31.0 + np.arange(after))]
     assert any(f"{N} lines of ${kind}" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize("damage", ["a digit", "a field", "the beginning", "all of it"])
 def test_a_damaged_line_of_vectornav(tmp_path, damage):
-    lines = vectornav("VNMAR", 1.0, 2.0, 3.0)
+    lines = vectornav("VNMAR", (1.0, 2.0, 3.0))
     whole = lines[40]
     digit = whole.replace(whole[20], "9" if whole[20] != "9" else "8", 1)
     lines[40] = {"a digit": digit, "a field": whole[:30], "the beginning": whole[15:], "all of it": "x"}[

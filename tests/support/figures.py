@@ -2,12 +2,30 @@
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 
 def panels(figure: Figure) -> dict[str, Axes]:
     """Axes by the name above them."""
     return {axes.get_title(loc="left"): axes for axes in figure.axes if axes.get_title(loc="left")}
+
+
+def lines_of(panel: Axes) -> dict[str, Line2D]:
+    """Lines by their labels."""
+    return {str(line.get_label()): line for line in panel.get_lines()}
+
+
+def points_of(panel: Axes) -> dict[str, ErrorbarContainer]:
+    """Points with error bars by their labels."""
+    return {str(c.get_label()): c for c in panel.containers}
+
+
+def strip_of(figure: Figure) -> Axes:
+    """The panel of residuals in per cent."""
+    return next(axes for axes in figure.axes if "[%]" in axes.get_ylabel())
 
 
 def texts(figure: Figure) -> list[str]:
@@ -22,9 +40,15 @@ def check_texts_apart(figure: Figure) -> int:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     renderer = canvas.get_renderer()
-    drawn = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label, axes.yaxis.label)]
-    drawn += [axes._left_title for axes in figure.axes] + list(figure.texts)
-    drawn += figure.legends[0].get_texts()
+    drawn: list[Text] = []
+    for axes in figure.axes:
+        drawn += [*axes.texts, axes.xaxis.label, axes.yaxis.label]
+    titles = {axes: axes.get_title(loc="left") for axes in figure.axes}
+    drawn += [
+        t for axes, title in titles.items() for t in axes.findobj(Text) if title and t.get_text() == title
+    ]
+    drawn += list(figure.texts)
+    drawn += [text for legend in figure.legends for text in legend.get_texts()]
     boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in drawn if text.get_text()]
     for i, (first, a) in enumerate(boxes):
         assert 0 <= a.x0 < a.x1 <= figure.bbox.x1, first

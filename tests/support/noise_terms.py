@@ -18,6 +18,7 @@ RANDOM: dict[str, aj.NoiseTerm] = {
     "walk": aj.RateRandomWalk(6.2e-6),
     "markov": aj.Markov(5.2e-5, 8.0),
     "short markov": aj.Markov(4.2e-3, 3e-3),
+    "long markov": aj.Markov(2.2e-6, 9e3),
     "resonance": aj.Resonance(2.9e-4, 5.3, 12.0),
     "damped resonance": aj.Resonance(2.1e-4, 0.7, 0.6),
     "wandering resonance": aj.WanderingResonance(1.3e-4, 7.0, 9.0, 0.3),

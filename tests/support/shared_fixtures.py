@@ -8,6 +8,7 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import jaxtyping
@@ -117,6 +118,22 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ALLANJAX_CACHE", "off")
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("MPLBACKEND", "agg")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_are_not_rendered() -> Iterator[None]:
+    """Figures are saved as the signature of a PNG: tests look at artists, and to render takes seconds."""
+    from matplotlib.figure import Figure
+
+    original = Figure.savefig
+
+    def saved(figure: Figure, path: str | os.PathLike[str], **options: Any) -> None:
+        Path(path).write_bytes(b"\x89PNG\r\n\x1a\n")
+
+    saved.original = original  # type: ignore[attr-defined]
+    Figure.savefig = saved  # type: ignore[method-assign, assignment]
+    yield
+    Figure.savefig = original  # type: ignore[method-assign]
 
 
 @pytest.fixture

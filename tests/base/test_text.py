@@ -1,0 +1,156 @@
+"""Numbers and words as they are written, by estimates and commands, in any encoding."""
+
+import dataclasses
+import io
+import re
+import sys
+
+import bench
+import numpy as np
+import pytest
+
+import allanjax as aj
+from allanjax.cli.app import main
+
+NUMBER = r"-?[\d,]+(?:\.\d+)?"
+#: A value with its error, as it has to be written.
+WRITTEN = {
+    (0.512, 0.0068): "0.5120 ± 0.0068",
+    (5.0, 0.0996): "5.00 ± 0.10",
+    (0.99951, 0.0999): "1.00 ± 0.10",
+    (99.96, 9.96): "100 ± 10",
+    (12226.0, 19.6): "12,226 ± 20",
+    (310756.0, 1234.0): "310,800 ± 1,200",
+    (-0.001, 0.3): "0.00 ± 0.30",
+    (1e-4, 1e-5): "0.000100 ± 0.000010",
+    (0.99999e-4, 1e-6): "(10.00 ± 0.10)e-05",
+    (1.68e-5, 1.3e-7): "(1.680 ± 0.013)e-05",
+    (1e7, 1e5): "(1.000 ± 0.010)e+07",
+    (0.25, 0.0): "0.25",
+    (0.25, float("nan")): "0.25",
+}
+AXIS = aj.Axis("accel_x", "accel", "m/s²")
+
+
+def estimate(value, std, interval=None, unit="m", **more):
+    """A quantity that follows from a model."""
+    ends = (value - 1.96 * std, value + 2.3 * std) if interval is None else interval
+    numbers = {"value": value, "std": std, "interval": ends, "interval_68": ends}
+    return aj.Estimate(axis=AXIS, label="height", unit=unit, usual_unit=unit, **numbers, **more)
+
+
+@pytest.mark.parametrize(("value", "std"), WRITTEN)
+def test_an_error_has_two_digits_and_its_value_as_many_decimals(value, std):
+    text = estimate(value, std).describe().partition(" m")[0]
+    assert text == WRITTEN[value, std]
+    if not std > 0.0:
+        return
+    power = float(f"1{text.partition(')')[2]}") if ")" in text else 1.0
+    last = 10.0 ** (np.floor(np.log10(float(f"{std:.1e}"))) - 1.0)
+    shown, error = (float(x.replace(",", "")) * power for x in re.findall(NUMBER, text)[:2])
+    assert abs(shown - value) <= 0.5001 * last
+    assert abs(error - std) <= 0.5001 * last
+
+
+def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
+    e = estimate(0.5121, 0.0068, (0.49877, 0.52774))
+    assert e.describe_interval() == "0.4988 … 0.5277"
+    assert e.describe() == "0.5121 ± 0.0068 m (95 %: 0.4988 … 0.5277)"
+    # Where only the interval is known, its width says how many digits there are.
+    assert estimate(1.2, 0.0, (1.0, 1.4)).describe_interval() == "1.00 … 1.40"
+    assert estimate(1.68e-5, 1.3e-7, (1.66e-5, 1.70e-5)).describe_interval() == "(1.660 … 1.700)e-05"
+    limit = bench.fit("small")["gyro_x"]["quantization"]
+    assert not limit.detected
+    told = re.search(rf"below ({NUMBER}) arcsec", limit.in_unit().describe())[1]
+    assert float(told) == pytest.approx(limit.in_unit().upper_limit, rel=5e-3)
+    assert len(told.replace(".", "").lstrip("0")) == 3
+    N = bench.fit("small")["gyro_x"]["N"]
+    assert dataclasses.replace(N.in_unit(), held=True, value=0.25).describe() == "0.25 deg/√h (held)"
+    assert (
+        dataclasses.replace(N, detected=False, rivals=("markov",), upper_limit=1.0).describe().count("markov")
+        == 1
+    )
+
+
+@pytest.mark.parametrize(
+    ("n", "rate", "text"),
+    [
+        (64, 1280.0, "0.05 s"),
+        (64, 0.32, "200 s"),
+        (1500, 1.0, "25 min"),
+        (3600, 1.0, "60 min"),
+        (100, 0.01, "2.78 h"),
+    ],
+)
+def test_short_records_are_in_seconds_long_ones_in_hours(n, rate, text):
+    recording = aj.Recording.from_array(np.arange(float(n)) % 7.0, rate, gyro_unit="deg/s")
+    assert f"({text})" in repr(recording) or text in repr(recording)
+
+
+# Encodings.
+
+
+class Outputs:
+    """Standard output and error of an encoding, and a command that writes to them."""
+
+    def __init__(self, monkeypatch, encoding):
+        self.encoding, self.monkeypatch = encoding, monkeypatch
+        self.streams = [io.TextIOWrapper(io.BytesIO(), encoding) for _ in range(2)]
+
+    def run(self, *words):
+        for name, stream in zip(("stdout", "stderr"), self.streams, strict=True):
+            self.monkeypatch.setattr(sys, name, stream)
+        self.monkeypatch.setattr(sys, "argv", ["allanjax", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, *map(self.text, self.streams)
+
+    def text(self, stream):
+        stream.flush()
+        return stream.buffer.getvalue().decode(self.encoding)
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize(
+    ("encoding", "angle", "file"),
+    [
+        ("ascii", "deg/sqrt(h)", r"gr\xfcn"),
+        ("cp1252", "deg/sqrt(h)", "grün"),
+        ("cp437", "deg/√h", "grün"),
+        ("utf-8", "deg/√h", "grün"),
+    ],
+)
+def test_a_command_writes_in_any_encoding(monkeypatch, tmp_path, encoding, angle, file):
+    """Units in words, frames of tables in signs of equal length, names of files by their numbers."""
+    aj.write_json(bench.fit("small"), tmp_path / "fit.json")
+    code, out, err = Outputs(monkeypatch, encoding).run("horizon", "fit.json", "--horizon", 10)
+    assert (code, err) == (0, "")
+    assert angle in out
+    lines = [line for line in out.splitlines() if line[:1] in ("+", "┏", "└", "┌")]
+    assert lines
+    assert len(set(map(len, lines))) == 1
+    code, _, err = Outputs(monkeypatch, encoding).run("horizon", "grün.json", "--horizon", 10)
+    assert code == 1
+    assert f"{file}.json" in err
+    _, out, _ = Outputs(monkeypatch, encoding).run("horizon", "fit.json", "--horizon", 10, "--json")
+    assert "√" in out or r"\u221a" in out
+
+
+def test_objects_are_printed_in_ascii(monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    print(bench.fit("small"), bench.fit("small")["gyro_x"]["N"])
+    stream.flush()
+    text = stream.buffer.getvalue().decode("ascii")
+    assert "0.15148 +- 0.00098 deg/sqrt(h)" in text
+    assert "chi^2" in text
+
+
+def test_names_are_data():
+    """Not markup of a terminal or of a notebook's page."""
+    from IPython.core.formatters import HTMLFormatter
+
+    name = "[/red] x $a$ :smile: <b>& grün"
+    named = dataclasses.replace(bench.fit("small"), name=name)
+    assert str(named).startswith(name)
+    assert "&lt;b&gt;&amp;" in HTMLFormatter()(named)

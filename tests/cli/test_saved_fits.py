@@ -1,0 +1,236 @@
+"""Commands that need no recording, or a fit that was saved: their numbers are those of the functions."""
+
+import json
+import math
+from pathlib import Path
+
+import bench
+import jsonschema
+import numpy as np
+import pandas as pd
+import pytest
+from commands import run
+from turned_sensors import at_rest
+
+import allanjax as aj
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
+DEG = np.pi / 180.0
+
+
+@pytest.fixture
+def saved(tmp_path):
+    path = tmp_path / "small.json"
+    aj.write_json(bench.fit("small"), path)
+    return path
+
+
+def ran(*words):
+    """What a command that succeeds prints."""
+    done = run(*words)
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
+
+
+def lines_of(text):
+    return [line.rstrip() for line in str(text).strip().splitlines()]
+
+
+@pytest.mark.parametrize("process", ["walk", "markov"])
+def test_horizon(saved, process):
+    options = {"axes": "accel_z", "process": process, "probability": 0.9}
+    words = (
+        "horizon",
+        saved,
+        "--horizon",
+        10,
+        "--axis",
+        "accel_z",
+        "--process",
+        process,
+        "--probability",
+        0.9,
+    )
+    expected = aj.horizon(aj.load(saved), 10.0, **options)
+    assert lines_of(ran(*words)) == lines_of(expected)
+    document = json.loads(ran(*words, "--json"))
+    jsonschema.Draft202012Validator(json.loads(ran("schema", "horizon"))).validate(document)
+    (axis,), result = document["axes"], expected["accel_z"]
+    assert (document["process"], document["horizon_s"], document["probability"]) == (process, 10.0, 0.9)
+    for name in ("white", "walk"):
+        c, told = getattr(result, name), axis[name]
+        np.testing.assert_allclose([told["si"]["value"], told["si"]["std"]], [c.value, c.std])
+        np.testing.assert_allclose(told["si"]["interval_95"], c.interval)
+    # 1 m/s/√h is 1/60 m/s/√s.
+    assert (axis["white"]["unit"], axis["white"]["value"]) == (
+        "m/s/√h",
+        pytest.approx(60.0 * result.white.value),
+    )
+    assert (axis["correlation_time"] is None) == (process == "walk")
+    assert axis["curves_si"]["error"] == result.error.tolist()
+
+
+def test_navigate(saved, tmp_path):
+    words = ("navigate", saved, "--latitude", 51, "--azimuth", "0.1deg", "--time", 1, "--time", 10)
+    words += ("--calibration", 50, "--gyro-bias", "2 deg/h", "--accel-bias", "1 mg")
+    biases = {"gyro_bias": "2 deg/h", "accel_bias": "1 mg"}
+    fit = aj.load(saved)
+    tables = [aj.navigate(fit, [1, 10], calibration=50, **biases), aj.align(fit, 51, "0.1 deg", **biases)]
+    told = ran(*words, "--out", tmp_path / "a.png")
+    assert lines_of(told)[:-1] == lines_of("\n".join(map(str, tables)))
+    assert (tmp_path / "a.png").exists()
+    document = json.loads(ran(*words, "--json", "--schuler"))
+    expected = aj.navigate(fit, [1, 10], calibration=50, schuler=True, **biases)
+    assert document["navigation"] == json.loads(json.dumps(expected.to_dict()))
+    assert document["alignment"] == json.loads(json.dumps(tables[1].to_dict()))
+
+
+@pytest.mark.parametrize("form", ["matlab", "c", "npz"])
+def test_statespace(saved, tmp_path, form):
+    out = tmp_path / "file.npz"
+    options = ("--rate", 20, "--duration", 50, "--format", form)
+    told = ran("statespace", saved, "--axis", "gyro_y", *options, "-o", out)
+    assert "at 20 Hz" in told
+    expected = aj.load(saved)["gyro_y"].model.state_space(20.0, duration=50.0)
+    if form != "npz":
+        text = expected.to_matlab() if form == "matlab" else expected.to_c_header()
+        assert out.read_text(encoding="utf-8") == text
+        return
+    with np.load(out) as file:
+        for name in ("A", "Q", "H", "R", "P0"):
+            np.testing.assert_allclose(file[name], getattr(expected, name))
+        # The mean of white noise of density N² over a sample interval.
+        N = bench.fit("small")["gyro_y"]["N"].value
+        assert file["R"][0, 0] == pytest.approx(N**2 * 20.0, rel=0.02)
+
+
+def test_kalman_with_a_fit_and_files(saved, tmp_path):
+    recording = bench.recording("small").between(0.0, 20.48)
+    aj.write(recording, tmp_path / "a.parquet")
+    files = ("--out", tmp_path / "a.png", "--out", tmp_path / "a.csv")
+    told = ran("kalman", "a.parquet", "--fit", saved, "--smooth", *files)
+    expected = aj.kalman_filter(recording, aj.load(saved), smooth=True)
+    assert lines_of(told)[1:-1] == lines_of(expected)[1:]
+    table = pd.read_csv(tmp_path / "a.csv")
+    for name, rows in table.groupby("axis"):
+        np.testing.assert_allclose(rows["bias"], expected[name].bias, rtol=1e-9)
+    (axis, *_) = json.loads(ran("kalman", "a.parquet", "--fit", saved, "--json"))["axes"]
+    filtered = aj.kalman_filter(recording, aj.load(saved))["gyro_x"]
+    assert axis["log_likelihood"] == pytest.approx(filtered.log_likelihood, rel=1e-9)
+    assert axis["nis"]["p_value"] == pytest.approx(filtered.nis.p_value, rel=1e-6)
+
+
+def test_calibrate_by_names_of_files_and_by_options(tmp_path):
+    """Two positions of an accelerometer, with all options."""
+    levels = {"up": 0.05 + 1.001 * 9.81, "down": 0.05 - 1.001 * 9.81}
+    records = {way: at_rest([x], 64, 20.0, axes="z") for way, x in levels.items()}
+    for way, recording in records.items():
+        pd.DataFrame({"accel_z [m/s^2]": recording.values[:, 0]}).to_csv(f"{way}.csv", index=False)
+    aj.write_json(bench.fit("small"), "noise.json")
+    common = ("--rate", 20, "--as-is", "--gravity", 9.81, "--fit", "noise.json")
+    told = ran("calibrate", "up.csv", "down.csv", *common, "--out", "out")
+    assert "scale factor" in told
+    document = json.loads(Path("out/calibration.json").read_text(encoding="utf-8"))
+    assert document["sensors"]["accel"]["M"][2][2] == pytest.approx(1.001, abs=1e-6)
+    assert document["sensors"]["accel"]["b"][2] == pytest.approx(0.05, abs=1e-5)
+    assert Path("out/calibration.png").exists()
+    positions = ("--position", "z+=up.csv", "--position", "z down=down.csv", "--starts", "0,100", "--json")
+    more = ("--latitude", 51, "--height", 100, "--orientation-error", 0.1, "--fit", "noise.json")
+    document = json.loads(ran("calibrate", *positions, "--rate", 20, "--as-is", *more))
+    options = {"latitude": 51.0, "height": 100.0, "starts": [0.0, 100.0], "orientation_error": 0.1 * DEG}
+    files = {"z up": "up.csv", "z down": "down.csv"}
+    expected = aj.calibrate(files, rate=20.0, as_is=True, fit=aj.load("noise.json"), **options).to_dict()
+    for told, own in zip(document["parameters"], json.loads(json.dumps(expected))["parameters"], strict=True):
+        assert told == pytest.approx(own, nan_ok=True)
+    assert [p["start_s"] for p in document["positions"]] == [0.0, 100.0]
+    assert document["gravity_m_s2"] == expected["gravity_m_s2"]
+
+
+def test_simulate_terms_and_sensors():
+    """0.3 deg/√h at 50 Hz, ± 1 % of 5,000 samples; accelerometers that are faster have their own file."""
+    words = ("simulate", "--rate", 50, "--duration", 100, "--seed", 7)
+    assert "a.csv: gyro; 5,000 samples at 50 Hz" in ran(*words, "--terms", "N=0.3 deg/√h", "--out", "a.csv")
+    recording = aj.read("a.csv")
+    expected = aj.simulate_recording({"gyro": "N=0.3 deg/√h"}, 5000, 50.0, 7)
+    np.testing.assert_allclose(recording.values, expected.values, rtol=1e-9)
+    assert recording.values.std() == pytest.approx(0.3 * DEG / 60.0 * math.sqrt(50.0), rel=0.04)
+    ran(*words, "--sensor", "accel", "--terms", "N=0.3 m/s/√h", "--out", "b.parquet")
+    assert aj.read("b.parquet").names == ("accel",)
+    assert "100 Hz, 1000 Hz" in ran("simulate", "--list")
+    ran("simulate", "motionpak2", "--duration", "4", "--out", "m.npz")
+    assert aj.read("m_1000Hz.npz").names == ("accel_x", "accel_y", "accel_z")
+    assert aj.read("m_100Hz.npz").n == 400
+
+
+@pytest.mark.parametrize(
+    ("words", "numbers"),
+    [
+        ("3600 deg/h --to deg/s", [3600.0, 1.0]),
+        ("0.01 deg/s/√Hz --to deg/√h --sided one", [0.01, 0.6 / math.sqrt(2.0)]),
+        ("0.01 deg/s/√Hz --to deg/√h --sided two", [0.01, 0.6]),
+        ("150 µg/√Hz --to m/s/√h", [150.0, 150e-6 * 9.80665 * 60.0 / math.sqrt(2.0)]),
+    ],
+)
+def test_convert(words, numbers):
+    told = ran("convert", *words.split()).replace("√", "").split(" = ")
+    found = [float(told[0].split()[0]), float(told[1].split()[0])]
+    assert found == pytest.approx(numbers, rel=1e-5)
+
+
+def test_convert_of_a_data_sheet():
+    name = aj.datasheets()[0]
+    assert name in ran("convert", "--list")
+    document = json.loads(ran("convert", "--sheet", name, "--json"))
+    assert document == json.loads(json.dumps(aj.datasheet(name).to_dict()))
+
+
+@pytest.mark.parametrize("name", ["check", "fit", "critique", "fleet", "horizon"])
+def test_schemas_are_schemas(name):
+    jsonschema.Draft202012Validator.check_schema(json.loads(ran("schema", name)))
+
+
+@pytest.mark.notebook
+def test_the_demo_finds_what_was_put_in():
+    told = ran("demo")
+    names = {path.name.removeprefix("demo").lstrip("_") for path in Path("allanjax-demo").iterdir()}
+    assert names == {".csv", ".json", "allan.csv", "allan.png", "coefficients.csv", "psd.png"}
+    assert told.count("inside") >= 26
+    assert told.count("inside") + told.count("OUTSIDE") == 30
+    means = aj.read("allanjax-demo/demo.csv").values.mean(axis=0)
+    np.testing.assert_allclose(means, [0.0, 0.0, 0.0, 0.0, 0.0, 9.80665], atol=0.1)
+    found = json.loads(Path("allanjax-demo/demo.json").read_text(encoding="utf-8"))
+    walks = [c["value"] for axis in found["axes"] for c in axis["coefficients"] if c["symbol"] == "N"]
+    np.testing.assert_allclose(walks, [0.20, 0.25, 0.15, 0.05, 0.06, 0.08], rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "word"),
+    [
+        ("horizon none.json --horizon 10", 1, "none.json"),
+        ("horizon small.json --horizon -1", 1, "horizon"),
+        ("horizon small.json --horizon 10 --axis gyro_w", 1, "gyro_w"),
+        ("navigate small.json --latitude 90", 1, "latitude"),
+        ("navigate small.json --latitude 51 --gyro-bias 2", 1, "unit"),
+        ("statespace small.json --axis gyro_w -o x.npz", 1, "gyro_w"),
+        ("calibrate", 2, "recordings"),
+        ("calibrate --position file.csv", 1, "orientation"),
+        ("calibrate none_up.csv --gravity 9.81", 1, "none_up.csv"),
+        ("simulate --out a.csv", 2, "--terms"),
+        ("simulate hg1700 --terms N=1deg/√h --out a.csv", 2, "--terms"),
+        ("simulate hg1701 --out a.csv", 2, "hg1700"),
+        ("simulate hg1700", 2, "--out"),
+        ("simulate --sensor accel --terms N=1deg/√h --out a.csv", 2, "gyro"),
+        ("simulate --terms N=1deg/√h --out none/a.csv", 1, "none"),
+        ("simulate --terms N=1deg/√h --out a.csv --duration nan", 2, "--duration"),
+        ("simulate --terms N=1deg/√h --out a.csv --rate 0", 2, "--rate"),
+        ("simulate --terms N=1deg/√h --duration 1 --out a.xlsx", 1, ".xlsx"),
+        ("convert 1 deg/h", 2, "--to"),
+        ("convert 1 deg/h --to m/s", 1, "m/s"),
+        ("convert --sheet none", 1, "none"),
+        ("schema colours", 2, "colours"),
+    ],
+)
+def test_what_is_wrong_is_said(saved, words, code, word):
+    done = run(*words.split())
+    assert done.exit_code == code
+    assert word in " ".join(done.stderr.replace("│", " ").split())

@@ -1,0 +1,247 @@
+"""Several axes: what acts on them is one finding with its size in each, and other axes are as they were."""
+
+import critic_records as cr
+import numpy as np
+import pytest
+from bench import critique, once, recording, truth
+from scipy.stats import beta
+
+import allanjax as aj
+from allanjax.critic import CAUSES
+
+RATE, N = 50.0, cr.N
+DURATION = N / RATE
+NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+SI = {"deg/s": np.pi / 180.0, "g": 9.80665}
+FREQUENCY = 3.2173
+
+
+def only(*names):
+    """The causes of these names."""
+    return [cause for cause in CAUSES if cause.name in names]
+
+
+def line(amplitude, frequency=FREQUENCY):
+    return amplitude * np.sin(2.0 * np.pi * frequency * np.arange(N) / RATE + 0.4)
+
+
+#: Amplitude of a line in unit white noise that gains 17.5 nats: too little where it might be anywhere.
+WEAK = np.sqrt(17.5 * 4.0 / N)
+#: Deviation of an amplitude of a line, and of a step in the middle of a record.
+LINE_STD, STEP_STD = np.sqrt(2.0 / N), 2.0 / np.sqrt(N)
+
+
+def six_axes():
+    """Lines and steps in white noise, some of them in several axes at once."""
+    x = np.random.default_rng(41).standard_normal((N, 6))
+    place = np.arange(N)
+    x[:, 0] += line(5.0 * WEAK)
+    # Whatever the noise has of this line does not count.
+    both = np.exp(2j * np.pi * FREQUENCY * place / RATE)
+    x[:, 1] += line(WEAK) - 2.0 / N * np.real(np.vdot(both, x[:, 1]) * both)
+    x[:, 2] += 11.0 * STEP_STD * (place >= 8_000)
+    x[:, 3] -= 13.0 * STEP_STD * (place >= 8_000)
+    x[:, 4] += 11.0 * STEP_STD * (place >= 9_500)
+    x[:, 5] += line(9.0 * LINE_STD, 4.4)
+    return x
+
+
+def moved():
+    """Their critique."""
+    make = lambda: aj.critique(  # noqa: E731
+        six_axes(),
+        rate=RATE,
+        gyro_unit="deg/s",
+        accel_unit="g",
+        names=NAMES,
+        causes=only("sinusoid", "bias_step"),
+        false_alarms=0.06,
+    )
+    return once("critique of six axes", make)
+
+
+def test_what_acts_on_several_axes_is_one_finding_and_what_does_not_is_not():
+    found = {(f.cause, f.axes) for f in moved().findings}
+    assert found == {
+        ("sinusoid", ("gyro_x", "gyro_y")),
+        ("bias_step", ("gyro_z", "accel_x")),
+        ("bias_step", ("accel_y",)),
+        ("sinusoid", ("accel_z",)),
+    }
+
+
+def test_a_weak_line_is_found_where_another_axis_has_a_strong_one_and_not_alone():
+    alone = aj.critique(
+        six_axes()[:, 1], rate=RATE, gyro_unit="deg/s", names=["gyro_y"], causes=only("sinusoid")
+    )
+    assert alone.findings == ()
+    both = next(f for f in moved().findings if f.axes == ("gyro_x", "gyro_y"))
+    for axis, amplitude in (("gyro_x", 5.0 * WEAK), ("gyro_y", WEAK)):
+        e = both.amplitudes[axis]
+        assert (e.unit, e.std) == ("deg/s", pytest.approx(LINE_STD, rel=0.03))
+        assert abs(e.value - amplitude) < 4.0 * LINE_STD
+    # By Baluev's law: at the places of two lines of other axes, four resolved frequencies wide; or anywhere.
+    strong, weak = both.members
+    for found, count, resolved in ((weak, 2.0, 8.0), (strong, 1.0, RATE / 2.0 * DURATION - 6.0)):
+        z = 0.5 * (found.size.value / found.size.std) ** 2
+        expected = np.log(count + resolved * np.sqrt(np.pi / 3.0 * z)) - z
+        assert np.log(found.p_value) == pytest.approx(expected, abs=0.02 + 3e-4 * z)
+
+
+@pytest.mark.parametrize("axes", [("gyro_x", "gyro_y"), ("gyro_z", "accel_x")])
+def test_numbers_of_a_finding_in_several_axes_are_those_of_its_members_together(axes):
+    both = next(f for f in moved().findings if f.axes == axes)
+    parts = [f for axis in axes for f in moved()[axis].findings]
+    assert both.members == tuple(parts)
+    assert both.gain == pytest.approx(sum(f.gain for f in parts))
+    assert both.evidence == pytest.approx(sum(f.evidence for f in parts))
+    assert both.p_value == pytest.approx(2.0 * min(f.p_value for f in parts))
+    assert both.span == (min(f.span[0] for f in parts), max(f.span[1] for f in parts))
+    (label,) = both.parameters
+    value, std = np.array([(f.parameters[label].value, f.parameters[label].std) for f in parts]).T
+    weight = 1.0 / std**2
+    mean = weight @ value / weight.sum()
+    scatter = max(1.0, np.sqrt(weight @ (value - mean) ** 2))
+    assert both.parameters[label].value == pytest.approx(mean)
+    assert both.parameters[label].std == pytest.approx(scatter / np.sqrt(weight.sum()))
+    strongest = max(parts, key=lambda f: (f.effect.size, f.gain))
+    assert (both.shown, both.effect, both.drift) == (strongest.axes[0], strongest.effect, strongest.drift)
+    assert both.coefficients == strongest.coefficients
+
+
+def test_steps_at_one_time_have_the_size_of_each_axis():
+    step = next(f for f in moved().findings if f.axes == ("gyro_z", "accel_x"))
+    assert abs(step.parameters["time"].value - 8_000 / RATE) < 4.0 * step.parameters["time"].std
+    for axis, size, unit in (("gyro_z", 11.0, "deg/s"), ("accel_x", -13.0, "g")):
+        e = step.amplitudes[axis]
+        assert e.unit == unit
+        assert abs(e.value - size * STEP_STD) < 4.0 * STEP_STD
+
+
+def test_findings_are_in_the_order_of_what_they_change_and_count_once_for_the_gain():
+    found = moved()
+    sizes = [f.effect.size for f in found.findings]
+    assert sizes == sorted(sizes, reverse=True)
+    assert found.gain == pytest.approx(sum(f.gain for f in found.findings))
+    assert found.gain == pytest.approx(sum(f.gain for axis in found.results for f in axis.findings))
+
+
+def test_a_line_and_its_harmonic_on_four_of_six_axes():
+    found, hidden = critique("lines"), truth("lines")
+    (vibration,) = found.findings
+    assert (vibration.cause, vibration.axes) == ("sinusoid", hidden.effects[0].axes)
+    assert abs(vibration.parameters["frequency"].value - 7.3) < 4.0 * vibration.parameters["frequency"].std
+    assert [e.value for e in vibration.details["harmonics"]] == [2.0]
+    sizes = {"gyro_x": 0.25, "gyro_z": 0.4, "accel_x": 0.3, "accel_y": 0.55}
+    for member in vibration.members:
+        (axis,) = member.axes
+        white = hidden.truth[axis]["angle_random_walk"] * np.sqrt(hidden.rate) / SI[found[axis].axis.unit]
+        amplitudes = [member.size, *member.details["harmonic_amplitudes"]]
+        for e, size in zip(amplitudes, (sizes[axis], 0.5 * sizes[axis]), strict=True):
+            assert e.std == pytest.approx(white * LINE_STD, rel=0.05)
+            assert abs(e.value - size * white) < 4.0 * e.std
+        assert vibration.amplitudes[axis] == member.size
+        # Fundamental and harmonic: A²n/4 of unit noise each, with their scatter A√(n/2) and a few parameters.
+        expected = 1.25 * sizes[axis] ** 2 * N / 4.0
+        assert abs(member.gain - expected) < 4.0 * sizes[axis] * np.sqrt(1.25 * N / 2.0) + 10.0
+
+
+def test_a_knock_is_one_event_with_the_peak_of_each_axis():
+    found, hidden = critique("knock"), truth("knock")
+    (knock,) = found.findings
+    (effect,) = hidden.effects
+    assert (knock.cause, knock.axes) == ("disturbance", effect.axes)
+    for label, first in (("start", min), ("end", max)):
+        e = knock.parameters[label]
+        assert abs(e.value - effect.parameters[label]) < 4.0 * e.std
+        assert e.value == first(f.parameters[label].value for f in knock.members)
+    for axis in effect.axes:
+        white = hidden.truth[axis]["angle_random_walk"] * np.sqrt(hidden.rate) / SI[found[axis].axis.unit]
+        # The largest of some samples near the peak, each with the noise.
+        assert 11.0 < knock.amplitudes[axis].value / white < 17.0
+        # By the noise before the finding, with some of the motion in it.
+        assert knock.amplitudes[axis].std == pytest.approx(white, rel=0.1)
+    assert knock.gain == pytest.approx(sum(f.gain for f in knock.members))
+
+
+def test_single_samples_of_several_axes_at_one_time_are_an_event_and_the_others_stay_outliers():
+    x = np.random.default_rng(43).standard_normal((N, 3))
+    scattered = [700, 3_100, 9_000, 12_500]
+    x[scattered, 0] += 14.0
+    for k in range(3):
+        x[6_000 + 4 * k, k] += 20.0 + 5.0 * k
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", causes=only("outliers"))
+    event, left = sorted(found.findings, key=lambda f: f.cause)
+    assert (event.cause, event.axes) == ("event", ("gyro_x", "gyro_y", "gyro_z"))
+    assert (event.parameters["start"].value, event.parameters["end"].value) == (120.0, 120.16)
+    for k, peak in enumerate(event.amplitudes.values()):
+        assert abs(peak.value - 20.0 - 5.0 * k) < 4.0 * peak.std
+    assert (left.cause, left.axes) == ("outliers", ("gyro_x",))
+    assert [t.value for t in left.details["times"]] == [k / RATE for k in scattered]
+    assert left.parameters["count"].value == 4.0
+    # What was measured once is told once: most of that axis's outliers are scattered.
+    assert found.gain == pytest.approx(event.gain + left.gain)
+    assert left.gain == found["gyro_x"].findings[0].gain
+
+
+def test_the_p_value_of_shared_noise_counts_pairs_and_bands():
+    """Ten pairs of five axes, each in all coefficients, the lowest quarter, its lowest quarter, and so on."""
+    found = cr.critique("samples")
+    (shared,) = found.shared_findings
+    whites = []
+    for axis in shared.axes:
+        stage = found[axis].stages[-1]
+        whites.append(cr.coefficients(stage.x) / np.sqrt(stage.variance))
+    tops = [N - 1, 4_095, 1_023, 255]
+    p = []
+    for top in tops:
+        a, b = (white[:top] for white in whites)
+        r = a @ b / np.sqrt((a @ a) * (b @ b))
+        p.append(beta.sf(r**2, 0.5, (top - 1) / 2.0))
+    assert shared.p_value == pytest.approx(10 * len(tops) * min(p), rel=1e-3)
+    assert shared.gain == pytest.approx(found.gain)
+
+
+#: Recordings in which an effect is on some axes; what else there is.
+UNTOUCHED = ["lines", "two_effects", "steps", "knock", "clean_1", "clean_2"]
+
+
+@pytest.mark.parametrize("name", UNTOUCHED)
+def test_what_is_left_of_each_axis_is_its_noise(name):
+    """Axes without an effect have no finding, and of all of them N and K are the true ones."""
+    found, hidden = critique(name), truth(name)
+    for axis in found:
+        concerned = any(axis in effect.axes for effect in hidden.effects)
+        assert bool(found[axis].findings) is concerned
+        model, own = found.models[axis], hidden.truth[axis]
+        N_true = own["angle_random_walk"]
+        # Of n samples N is known to 1/√(2n), a little worse beside other terms.
+        assert model["angle_random_walk"].coefficient == pytest.approx(
+            N_true, rel=4.0 * 1.3 / np.sqrt(2.0 * N)
+        )
+        if "rate_random_walk" in model.term_labels and set(own) == {"angle_random_walk", "rate_random_walk"}:
+            K = own["rate_random_walk"]
+            white, walk = N_true * np.sqrt(hidden.rate), K / np.sqrt(hidden.rate)
+            theta = {"white": white, "walk": walk}
+            others = set(model.term_labels) - set(own)
+            std = cr.spectral_bound(cr.variances, theta, hidden.rate, others)["walk"] * np.sqrt(hidden.rate)
+            assert abs(model["rate_random_walk"].coefficient - K) < 4.0 * std
+
+
+def test_coefficients_with_intervals_are_those_of_what_is_left():
+    """Of the samples less a step and a line; without that, they are far off."""
+    found, hidden = critique("two_effects"), truth("two_effects")
+    again = found.refit()
+    assert again.axes == recording("two_effects").names
+    for axis in again:
+        coefficients, own = again[axis].coefficients, hidden.truth[axis]
+        white, walk = coefficients["angle_random_walk"], coefficients["rate_random_walk"]
+        assert abs(white.value - own["angle_random_walk"]) < 4.0 * white.std
+        # By Allan variances a little worse than by all data.
+        assert 1.0 < white.std / (own["angle_random_walk"] / np.sqrt(2.0 * N)) < 1.3
+        # A random walk at the edge of detection is below its limit.
+        assert walk.value < own["rate_random_walk"] + 4.0 * walk.std + 1e-12
+        assert own["rate_random_walk"] < walk.upper_limit
+    # Of the record with its step the walk is far too large.
+    with_step = found["gyro_x"].baseline["rate_random_walk"].coefficient
+    assert with_step > 4.0 * hidden.truth["gyro_x"]["rate_random_walk"]

@@ -1,0 +1,217 @@
+"""Causes of a user's own, and by them the rule that decides what is a finding."""
+
+import numpy as np
+import pytest
+
+import allanjax as aj
+from allanjax.critic import CAUSES, Bank, Candidate, Cause, Template, View, additive, centred
+
+N, RATE = 16_384, 50.0
+NAN = float("nan")
+
+
+def critique(x, causes, **options):
+    """Critique of one gyro, looking for these causes."""
+    return aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"], causes=causes, **options)
+
+
+def white(seed):
+    return np.random.default_rng(seed).standard_normal(N)
+
+
+# --- The rule -----------------------------------------------------------------------------------------------
+
+
+class Claim(Cause):
+    """A cause that offers what it is told to, once."""
+
+    def __init__(self, name, gain, p_value=None, bound=1.0, held_out=1.0):
+        self.name, self.told = name, (gain, p_value, bound, held_out)
+        # What is seen in the samples themselves has no odds.
+        self.is_preprocessing = np.isnan(gain)
+
+    def detect(self, view: View) -> Candidate | None:
+        gain, p_value, bound, held_out = self.told
+        if self.name in view.found:
+            return None
+        size = [view.amplitude_estimate("amplitude", 0.5, 0.1)]
+        return Candidate(self.name, size, gain, p_value, view, lambda: held_out, bound=bound)
+
+
+#: What is just enough. A p-value counts by the cause's share, a fifteenth of one per cent; e^-gain, or any
+#: other bound, stands for a larger one, or for none; then there are odds that each kind of cause needs.
+ENOUGH = [
+    Claim("variance_change", 50.0, 6.6e-4),
+    Claim("temperature", 7.4, 0.5, np.exp(-7.4)),
+    Claim("warm_up", 1.01, 6.6e-4),
+    Claim("telegraph", 3.01, None, np.exp(-3.01)),
+    Claim("power_law", 4.61, None, np.exp(-4.61)),
+    Claim("markov", 1.51, 0.9),
+    Claim("my own", 3.01, 6.6e-4),
+    Claim("rounding", NAN, None, 0.0, NAN),
+]
+#: What is just too little, or does not hold on data that it was not estimated from.
+TOO_LITTLE = [
+    Claim("variance_change", 50.0, 6.7e-4),
+    Claim("temperature", 7.3, 0.5, np.exp(-7.3)),
+    Claim("warm_up", 0.99, 1e-9),
+    Claim("telegraph", 2.99, None, np.exp(-2.99)),
+    Claim("power_law", 4.6, None, np.exp(-4.6)),
+    Claim("markov", 1.49, 1e-9),
+    Claim("bias_step", 50.0, 0.0101),
+    Claim("disturbance", 11.9, 1e-9),
+    Claim("my own", 2.99, 6.6e-4),
+    Claim("saturation", NAN, None, 1e-2, NAN),
+    Claim("repeated_samples", NAN, None, 0.0, -1.0),
+    Claim("outliers", 20.0, 1e-9, 1.0, -1.0),
+    Claim("rate_random_walk", 20.0, 1e-9, 1.0, NAN),
+]
+
+
+def test_what_is_just_enough_is_a_finding():
+    found = critique(white(1), ENOUGH).findings
+    assert {f.cause for f in found} == {cause.name for cause in ENOUGH}
+    own = next(f for f in found if f.cause == "my own")
+    assert (own.evidence, own.p_value, own.gain) == (3.01, 6.6e-4, 1.0)
+    assert own.odds == pytest.approx(np.exp(3.01))
+    assert own.size.value == pytest.approx(0.5 * 180.0 / np.pi)
+    # What no cause's own odds are compared with has none.
+    seen = next(f for f in found if f.cause == "rounding")
+    assert (seen.evidence, seen.gain, seen.odds) == (None, None, None)
+
+
+def test_what_is_just_too_little_is_none():
+    assert critique(white(1), TOO_LITTLE).findings == ()
+
+
+def test_one_tenth_of_the_false_alarms_needs_ten_times_the_odds_and_a_tenth_of_the_p_value():
+    enough = [Claim("warm_up", 3.31, 6.6e-5), Claim("telegraph", 5.31, None, np.exp(-5.31))]
+    less = [Claim("markov", 3.8, 0.9), Claim("my own", 50.0, 6.7e-5), Claim("bias_step", 3.3, 1e-9)]
+    found = critique(white(1), [*enough, *less], false_alarms=0.001).findings
+    assert {f.cause for f in found} == {cause.name for cause in enough}
+
+
+def test_causes_of_ones_own_share_what_is_reserved_for_them_and_change_no_other():
+    own = [Claim("one", 9.0, 3.3e-4), Claim("other", 9.0, 3.4e-4), Claim("outliers", 9.0, 6.6e-4)]
+    assert {f.cause for f in critique(white(1), own).findings} == {"one", "outliers"}
+
+
+def test_rivals_are_what_else_was_offered_with_their_odds_against_it():
+    claims = [Claim("temperature", 12.0, 1e-9), Claim("warm_up", 9.0, 0.5), Claim("power_law", 4.0, None)]
+    (found,) = critique(white(1), claims).findings
+    assert found.cause == "temperature"
+    # Shorter than a thousand to one.
+    assert {r.cause: r.odds for r in found.rivals} == {"warm_up": pytest.approx(np.exp(3.0))}
+
+
+# --- Of one's own -------------------------------------------------------------------------------------------
+
+
+def hump(n):
+    return np.exp(-0.5 * ((np.arange(n) / n - 0.5) / 0.03) ** 2)
+
+
+class Hump(Cause):
+    """The bias is off for a while in the middle of the record."""
+
+    name = "hump"
+
+    def detect(self, view: View) -> Candidate | None:
+        shape = hump(view.n)
+        return additive(
+            view,
+            self.name,
+            Bank(centred(shape)[None, :1024]),
+            lambda k: shape,
+            lambda k, amplitude, std, likelihood: [view.amplitude_estimate("amplitude", amplitude, std)],
+            lambda k: (0.4 * view.duration, 0.6 * view.duration),
+        )
+
+
+def sawtooth(time, period):
+    """A heater that switches on and off, and a bias that follows."""
+    return time / period % 1.0
+
+
+HEATER = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
+STEP = next(cause for cause in CAUSES if cause.name == "bias_step")
+
+
+def test_a_waveform_of_ones_own_is_found_among_all_causes_with_its_size():
+    x = white(2) + 0.35 * hump(N)
+    (found,) = critique(x, [*CAUSES, Hump()]).findings
+    assert found.cause == "hump"
+    assert found.span == pytest.approx((0.4 * N / RATE, 0.6 * N / RATE))
+    std = 1.0 / np.linalg.norm(hump(N) - hump(N).mean())
+    assert found.size.unit == "deg/s"
+    assert found.size.std == pytest.approx(std, rel=0.25)
+    assert abs(found.size.value - 0.35) < 4.0 * std
+    # The matched filter's output is normal without the effect; two-sided.
+    assert critique(white(3), [Hump()]).findings == ()
+
+
+def test_a_family_of_waveforms_is_found_with_its_parameter_and_not_where_it_is_not():
+    time, period, truth = (np.arange(N) + 0.5) / RATE, 31.0, 0.28
+    x = white(4) + truth * sawtooth(time, period)
+    (found,) = critique(x, [STEP, HEATER]).findings
+    assert found.cause == "heater"
+    wave, near = sawtooth(time, period), sawtooth(time, period + 0.01)
+    columns = np.stack([wave - wave.mean(), truth * (near - wave - (near - wave).mean()) / 0.01])
+    bound = np.sqrt(np.diag(np.linalg.inv(columns @ columns.T)))
+    for label, value, std in (("amplitude", truth, bound[0]), ("period", period, bound[1])):
+        e = found.parameters[label]
+        assert abs(e.value - value) < 4.0 * e.std
+        # A saw's edge is sharper than the lowest coefficients show, and periods of the bank are 0.17 s apart.
+        assert std < 1.25 * e.std
+    assert found.parameters["period"].unit == "s"
+    assert found.parameters["period"].std < 0.3
+    nothing = critique(white(4), [STEP, HEATER])
+    assert nothing.findings == ()
+    assert nothing["gyro_x"].tests.keys() == {"bias_step", "heater"}
+
+
+def test_a_p_value_counts_the_places_of_a_bank():
+    """Of the largest of all matched filters, by our own draws of white noise; the package's are 400."""
+    x = white(5)
+    places = np.unique(np.rint(np.linspace(0.0, N, 1_026)[1:-1])).astype(int)
+    means = lambda y: np.cumsum(y, axis=-1)[..., places - 1]  # noqa: E731
+    scale = np.sqrt(places * (1.0 - places / N))
+
+    def largest(y):
+        y = y - y.mean(axis=-1, keepdims=True)
+        return np.max(abs(means(y)) / scale, axis=-1)
+
+    draws = np.array([largest(row) for row in np.random.default_rng(6).standard_normal((1_500, N))])
+    expected = np.mean(draws > largest(x))
+    found = critique(x, [STEP])["gyro_x"].tests["bias_step"]
+    assert found == pytest.approx(expected, abs=4.0 * np.sqrt(expected * (1.0 - expected) / 320.0))
+
+
+def test_the_last_bits_of_a_record_change_nothing():
+    """Numbers are the same within rounding for records that differ by a few units in the last place."""
+    x = 0.3 + white(7) + 0.4 * (np.arange(N) > 6_000)
+    warm_up = next(cause for cause in CAUSES if cause.name == "warm_up")
+    first, again = (critique(x * (1.0 + k * 2.2e-16), [STEP, warm_up]) for k in (0, 3))
+    assert first["gyro_x"].tests == pytest.approx(again["gyro_x"].tests, rel=1e-9)
+    (one,), (other,) = first.findings, again.findings
+    for label, e in one.parameters.items():
+        assert e.value == pytest.approx(other.parameters[label].value, rel=1e-6)
+        assert e.std == pytest.approx(other.parameters[label].std, rel=1e-6)
+    assert np.log(one.p_value) == pytest.approx(np.log(other.p_value), rel=1e-6)
+    assert one.gain == pytest.approx(other.gain, rel=1e-6)
+
+
+def test_the_best_of_several_channels_is_corrected_for_their_number():
+    rng = np.random.default_rng(9)
+    x = white(8)
+    channels = {name: np.convolve(rng.standard_normal(N + 600), np.hanning(601), "valid") for name in "abc"}
+    cause = [c for c in CAUSES if c.name == "temperature"]
+
+    def p_value(*names):
+        auxiliary = {name: channels[name] for name in names}
+        recording = aj.Recording.from_array(x, RATE, gyro_unit="deg/s", names=["gyro_x"], auxiliary=auxiliary)
+        return aj.critique(recording, causes=cause)["gyro_x"].tests["temperature"]
+
+    least = min(p_value(name) for name in channels)
+    # Draws of a bank are those of the record, so that its p-value is the same whatever else there is.
+    assert p_value(*channels) == pytest.approx(1.0 - (1.0 - least) ** 3, rel=0.02)

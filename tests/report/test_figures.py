@@ -1,0 +1,376 @@
+"""Figures show the numbers of their results, in the units that their axes name: artists are looked at."""
+
+import dataclasses
+import functools
+import warnings
+
+import bench
+import matplotlib as mpl
+import numpy as np
+import pytest
+from figures import check_texts_apart, lines_of, panels, points_of, strip_of, texts
+from matplotlib import pyplot as plt
+
+import allanjax as aj
+
+pytestmark = pytest.mark.usefixtures("no_windows")
+HOUR, MICRO_G = np.pi / 180.0 / 3600.0, 9.80665e-6
+SCALES = {"gyro": ("deg/h", HOUR), "accel": ("µg", MICRO_G)}
+NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_z")
+
+
+@functools.cache
+def of_small(kind):
+    recording = bench.recording("small")
+    made = {
+        "spectrum": aj.power_spectrum,
+        "autocorrelation": aj.autocorrelation,
+        "wavelets": functools.partial(aj.wavelet_variance, wavelet="db2"),
+    }
+    return made[kind](recording)
+
+
+def failed():
+    """The fit of "small", had its second axis not converged."""
+    first, second, *others = bench.fit("small").results
+    second = dataclasses.replace(second, converged=False, reason="the start was hopeless")
+    return dataclasses.replace(bench.fit("small"), results=(first, second, *others))
+
+
+def numbers_of(plot):
+    """Abscissae, values and ends of their 68 % intervals, of all axes; and the power of the unit."""
+    if plot in ("allan", "curve"):
+        curve = bench.fit("small").curve
+        return curve.cluster_time, curve.deviation, curve.confidence_interval(0.68), 1
+    if plot in ("psd", "spectrum"):
+        found = of_small("spectrum")
+        return found.frequency, found.density, None, 2
+    if plot == "wavelets":
+        found = of_small("wavelets")
+        return found.scale, found.variance, found.confidence_interval(0.68), 2
+    found = of_small("autocorrelation")
+    return found.lag, found.value, None, 2
+
+
+PLOTS = {
+    "allan": (
+        lambda *a, **o: aj.plot_allan(bench.fit("small"), *a, **o),
+        "cluster time T [s]",
+        "Allan deviation",
+    ),
+    "curve": (
+        lambda *a, **o: bench.fit("small").curve.plot(*a, **o),
+        "cluster time T [s]",
+        "Allan deviation",
+    ),
+    "psd": (
+        lambda *a, **o: aj.plot_psd(of_small("spectrum"), bench.fit("small"), *a, **o),
+        "frequency f [Hz]",
+        "one-sided PSD",
+    ),
+    "spectrum": (lambda *a, **o: of_small("spectrum").plot(*a, **o), "frequency f [Hz]", "one-sided PSD"),
+    "wavelets": (lambda *a, **o: of_small("wavelets").plot(*a, **o), "scale [s]", "wavelet variance"),
+    "autocorrelation": (
+        lambda *a, **o: of_small("autocorrelation").plot(*a, **o),
+        "lag [s]",
+        "autocorrelation",
+    ),
+}
+each = pytest.mark.parametrize("plot", PLOTS)
+
+
+def label_of(plot, sensor):
+    """Name and unit of a panel's values, e.g. "one-sided PSD [µg²/Hz]"."""
+    unit, power = SCALES[sensor][0], numbers_of(plot)[3]
+    squared = f"({unit})²" if "/" in unit else f"{unit}²"
+    density = "/Hz" if plot in ("psd", "spectrum") else ""
+    return f"{PLOTS[plot][2]}\n[{unit if power == 1 else squared + density}]"
+
+
+def check_points(panel, plot, k):
+    """Points, and their error bars, are the numbers of the k-th axis in the unit that the panel names."""
+    x, values, ends, power = numbers_of(plot)
+    scale = SCALES[NAMES[k].split("_")[0]][1] ** power
+    if plot == "autocorrelation":
+        drawn = lines_of(panel)["estimate"]
+    else:
+        drawn = (
+            next(c for c in panel.containers if c.get_label() in ("measured", "_nolegend_", ""))[0]
+            if not points_of(panel)
+            else points_of(panel)["measured"][0]
+        )
+    np.testing.assert_allclose(drawn.get_xdata(), x, rtol=1e-12)
+    np.testing.assert_allclose(drawn.get_ydata(), values[:, k] / scale, rtol=1e-12)
+    if ends is not None:
+        bars = panel.containers[0][2][0].get_segments()
+        low, high = np.array([segment[:, 1] for segment in bars]).T
+        np.testing.assert_allclose(low, ends[0][:, k] / scale, rtol=1e-9)
+        np.testing.assert_allclose(high, ends[1][:, k] / scale, rtol=1e-9)
+
+
+@each
+def test_every_axis_has_a_panel_with_its_numbers_in_its_unit(plot, tmp_path):
+    draw, xlabel, _ = PLOTS[plot]
+    figure = draw(path=tmp_path / "all.png")
+    assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
+    found = panels(figure)
+    assert tuple(found) == NAMES
+    assert [axes.get_xlabel() for axes in figure.axes].count(xlabel) >= 1
+    assert found["gyro_x"].get_ylabel() == label_of(plot, "gyro")
+    assert found["accel_z"].get_ylabel() == label_of(plot, "accel")
+    # Gyros are above, with one scale.
+    assert found["gyro_x"].get_position().y0 > found["accel_z"].get_position().y1
+    if plot != "autocorrelation":
+        assert found["gyro_x"].get_ylim() == found["gyro_y"].get_ylim() != found["accel_z"].get_ylim()
+    for k, name in enumerate(NAMES):
+        check_points(found[name], plot, k)
+    assert check_texts_apart(figure) > 4
+
+
+@each
+def test_one_axis_goes_into_axes_of_the_callers(plot):
+    draw, xlabel, _ = PLOTS[plot]
+    figure, ax = plt.subplots()
+    assert draw("accel_z", ax=ax) is figure
+    assert figure.axes == [ax]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (xlabel, label_of(plot, "accel"))
+    check_points(ax, plot, 3)
+    assert list(panels(draw(["gyro_z"]))) == ["gyro_z"]
+    with pytest.raises(aj.AllanjaxError, match="ax="):
+        draw(ax=ax)
+    for axes in (["gyro_q"], []):
+        with pytest.raises(aj.AllanjaxError, match="accel_z"):
+            draw(axes)
+
+
+# ----------------------------------------------------------------------------------- models over the points
+def model_lines(plot, fit, axis):
+    draw = aj.plot_allan if plot == "allan" else functools.partial(aj.plot_psd, of_small("spectrum"))
+    figure = draw(fit, axis)
+    return figure, lines_of(panels(figure)[axis])
+
+
+def test_lines_are_the_deviations_of_the_terms():
+    """Of an accelerometer with N and K: N/√T and K·√(T/3), and their sum of squares."""
+    fit = bench.fit("small", "N + K")
+    _, lines = model_lines("allan", fit, "accel_z")
+    T, own = lines["model"].get_xdata(), fit["accel_z"]
+    N, K = own["N"].value, own["K"].value
+    terms = {"velocity random walk": N / np.sqrt(T), "rate random walk": K * np.sqrt(T / 3.0)}
+    for name, expected in terms.items():
+        np.testing.assert_allclose(lines[name].get_ydata(), expected / MICRO_G, rtol=1e-6)
+    np.testing.assert_allclose(lines["model"].get_ydata(), np.hypot(*terms.values()) / MICRO_G, rtol=1e-6)
+    slopes = {}
+    for label, line in lines.items():
+        if label.startswith("slope "):
+            (x0, x1), (y0, y1) = np.log10(line.get_xdata()), np.log10(line.get_ydata())
+            slopes[label.removeprefix("slope ")] = (y1 - y0) / (x1 - x0)
+    assert slopes == pytest.approx({"−1": -1.0, "−½": -0.5, "0": 0.0, "+½": 0.5, "+1": 1.0})
+
+
+def test_lines_are_one_sided_densities_of_the_terms():
+    """2N²; at low frequencies the samples' density is that of the rate, 2K²/(2πf)²."""
+    fit = bench.fit("small", "N + K")
+    _, lines = model_lines("psd", fit, "accel_z")
+    f, own = lines["model"].get_xdata(), fit["accel_z"]
+    N, K = own["N"].value, own["K"].value
+    np.testing.assert_allclose(lines["velocity random walk"].get_ydata(), 2.0 * N**2 / MICRO_G**2, rtol=1e-9)
+    low = f < 1.0
+    walk = 2.0 * (K / (2.0 * np.pi * f[low])) ** 2 / MICRO_G**2
+    np.testing.assert_allclose(lines["rate random walk"].get_ydata()[low], walk, rtol=2e-3)
+    both = [lines[name].get_ydata() for name in ("velocity random walk", "rate random walk")]
+    np.testing.assert_allclose(lines["model"].get_ydata(), np.sum(both, axis=0), rtol=1e-9)
+    # Terms look as in the Allan plot.
+    _, there = model_lines("allan", fit, "accel_z")
+    for name in ("model", "velocity random walk", "rate random walk"):
+        assert lines[name].get_color() == there[name].get_color()
+        assert lines[name].get_linestyle() == there[name].get_linestyle()
+
+
+def test_strips_show_measured_over_model_in_per_cent():
+    fit, spectrum = bench.fit("small"), of_small("spectrum")
+    strip = strip_of(aj.plot_allan(fit, "gyro_y"))
+    points = points_of(strip)["residual"][0].get_ydata()
+    curve = fit.curve
+    ratio = curve.deviation[:, 1] / fit.model_deviation("gyro_y", curve.cluster_time)
+    np.testing.assert_allclose(points, 100.0 * (ratio - 1.0), atol=1e-9)
+    beyond = [line for line in strip.get_lines() if line.get_label() == "beyond the strip"]
+    marked = sum(len(line.get_xdata()) for line in beyond)
+    assert marked == (abs(points) > strip.get_ylim()[1]).sum()
+    points = points_of(strip_of(aj.plot_psd(spectrum, fit, "gyro_y")))["residual"][0].get_ydata()
+    model = fit["gyro_y"].model.sampled(100.0)
+    ratio = spectrum.density[:, 1] / (2.0 * np.asarray(model.sampled_psd(spectrum.frequency, 100.0)))
+    # The lowest ordinates stand alone; all together, weighted with their ordinates, have one mean.
+    np.testing.assert_allclose(points[:4], 100.0 * (ratio[:4] - 1.0), rtol=1e-9)
+    ordinate = np.cumsum(spectrum.count) - spectrum.count + 1
+    last = np.floor(4 * np.log2(ordinate)) == np.floor(4 * np.log2(ordinate[-1]))
+    expected = np.average(ratio[last], weights=spectrum.count[last]) - 1.0
+    assert points[-1] == pytest.approx(100.0 * expected, rel=1e-9)
+
+
+def test_the_models_own_error_is_a_band_in_the_strip():
+    fit = bench.fit("line", "N + K")
+    strip, off = strip_of(fit.plot()), 100.0 * fit["gyro_x"].misfit.rms
+    (band,) = strip.patches
+    np.testing.assert_allclose(band.get_path().get_extents(band.get_patch_transform()).intervaly, [-off, off])
+    assert 3.0 < off < strip.get_ylim()[1]
+
+
+def test_keys_tell_every_coefficient_or_limit():
+    """Detected ones beside their lines, too, to 6 % of a deviation; of a spectrum N with its band."""
+    fit, spectrum = bench.fit("small"), of_small("spectrum")
+    for figure in (aj.plot_allan(fit), aj.plot_psd(spectrum, fit)):
+        shown = " ".join(" ".join(texts(figure)).split())
+        for result in fit.results:
+            assert all(c.in_unit().describe() in shown for c in result.coefficients.values())
+    for result in fit.results:
+        walk = spectrum.random_walk(result.axis.name)
+        low, high = walk.band
+        assert f"{walk.in_unit().describe()} ({low:.3g} to {high:.3g} Hz)" in shown
+    (flat,) = [p for p in panels(figure)["gyro_x"].patches if p.get_label() == "flat part"]
+    band = spectrum.random_walk("gyro_x").band
+    assert (flat.get_x(), flat.get_x() + flat.get_width()) == pytest.approx(band)
+    panel = panels(aj.plot_allan(fit))["gyro_x"]
+    for symbol, begin in (("N", "N = "), ("B", "0.664 B, B = ")):
+        c = fit["gyro_x"][symbol].in_unit()
+        (told,) = [t.get_text().removeprefix(begin) for t in panel.texts if t.get_text().startswith(begin)]
+        assert told.split(" ")[1] == c.unit
+        assert abs(float(told.split(" ")[0]) - c.value) < 0.06 * c.std
+
+
+@pytest.mark.parametrize("plot", ["allan", "psd"])
+def test_an_axis_without_result_shows_what_was_measured_and_says_so(plot):
+    figure, lines = model_lines(plot, failed(), "gyro_y")
+    assert list(points_of(panels(figure)["gyro_y"])) == ["measured"]
+    assert "model" not in lines
+    assert "no result: the start was hopeless" in texts(figure)
+    check_texts_apart(figure)
+
+
+@pytest.mark.parametrize("plot", ["allan", "psd"])
+def test_a_term_that_cannot_be_told_from_none_has_no_line(plot):
+    fit = bench.fit("small", "N + K")
+    *others, last = fit.results
+    hidden = dataclasses.replace(last["rate_random_walk"], detected=False, rivals=())
+    unsure = dataclasses.replace(last, _coefficients={**last.coefficients, "rate_random_walk": hidden})
+    drawn = [
+        model_lines(plot, dataclasses.replace(fit, results=(*others, result)), "accel_z")[1]
+        for result in (last, unsure, last.unmeasured(moving=True))
+    ]
+    # The model is the sum of its terms as before.
+    assert set(drawn[0]) - set(drawn[1]) == {"rate random walk"}
+    assert set(drawn[0]) == set(drawn[2])
+    np.testing.assert_array_equal(drawn[1]["model"].get_ydata(), drawn[0]["model"].get_ydata())
+
+
+def of_truth(model):
+    """The fit of "small" with these terms in gyro_x, which are taken as found."""
+    fit, first = bench.fit("small"), bench.fit("small").results[0]
+    more = {"unit": "", "usual_unit": "", "upper_limit": None}
+    coefficients = {
+        p.label: dataclasses.replace(
+            first["N"],
+            label=p.label,
+            term=p.term_label,
+            parameter=p.parameter,
+            value=p.start,
+            std=p.start / 100,
+            **more,
+        )
+        for p in model.parameters
+    }
+    result = dataclasses.replace(first, _model=model, _coefficients=coefficients)
+    return dataclasses.replace(fit, template=model, results=(result, *fit.results[1:]))
+
+
+def test_a_sinusoid_is_a_vertical_line_a_resonance_a_peak_and_a_ramp_is_not_drawn():
+    """A Lorentzian of power σ² and full width f0/Q is 2σ²/(π·width) high."""
+    line, peak = aj.Sinusoid(60.0 * HOUR, 3.3), aj.Resonance(200.0 * HOUR, 20.0, 2000.0)
+    model = aj.AngleRandomWalk(6e-5) + line + peak + aj.DriftRamp(1e-6)
+    figure, lines = model_lines("psd", of_truth(model), "gyro_x")
+    assert set(lines["sinusoid"].get_xdata()) == {3.3}
+    assert "drift ramp" not in lines
+    assert "not drawn" in " ".join(" ".join(texts(figure)).split())
+    height = 2.0 * 200.0**2 / (np.pi * 20.0 / 2000.0)
+    assert lines["resonance"].get_ydata().max() == pytest.approx(height, rel=0.05)
+
+
+def test_several_are_drawn_over_one_another_axis_by_axis():
+    """A fit, a shorter recording with one axis less and one of its own, and its curve."""
+    fit, shorter = bench.fit("small"), bench.recording("small").between(0.0, 81.92)["gyro_x", "accel_z"]
+    axes = (shorter.axes[0], dataclasses.replace(shorter.axes[1], name="accel_x"))
+    other = dataclasses.replace(shorter, axes=axes, name="shorter")
+    curve = aj.allan_deviation(other)
+    figure = aj.plot_allan([fit, other, curve], labels=["fit", "recording", "curve"])
+    found = panels(figure)
+    points = {name: {label: c[0] for label, c in points_of(p).items()} for name, p in found.items()}
+    assert {name: list(p) for name, p in points.items()} == {
+        "gyro_x": ["fit", "recording", "curve"],
+        **{name: ["fit"] for name in NAMES[1:]},
+        "accel_x": ["recording", "curve"],
+    }
+    gyro = points["gyro_x"]
+    np.testing.assert_allclose(gyro["fit"].get_ydata(), fit.curve.deviation[:, 0] / HOUR)
+    np.testing.assert_allclose(gyro["recording"].get_ydata(), curve.deviation[:, 0] / HOUR)
+    np.testing.assert_allclose(points["accel_x"]["curve"].get_ydata(), curve.deviation[:, 1] / MICRO_G)
+    line = lines_of(found["gyro_x"])["fit: model"]
+    expected = fit.model_deviation("gyro_x", line.get_xdata()) / HOUR
+    np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-9)
+    assert {"recording", "curve"} <= set(texts(figure))
+    styles = {(p.get_color(), p.get_marker()) for p in gyro.values()}
+    assert len({colour for colour, _ in styles}) == len({marker for _, marker in styles}) == 3
+    assert "shorter" in texts(aj.plot_allan([fit, other], axes="accel_x"))
+    ax = plt.subplots()[1]
+    aj.plot_allan([fit, other], ["gyro_x"], labels=["a", "b"], ax=ax)
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["a", "b"]
+    check_texts_apart(aj.plot_allan([fit, failed()], labels=["a", "the other of these two, at another time"]))
+
+
+SAMPLES = np.random.default_rng(0).normal(size=(512, 2))
+
+
+@pytest.mark.parametrize(
+    ("call", "word"),
+    [
+        (lambda fit: aj.plot_allan([]), "nothing"),
+        (lambda fit: aj.plot_allan([fit, fit], labels=["a"]), "labels"),
+        (lambda fit: aj.plot_allan(fit, labels=["a"]), "labels="),
+        (lambda fit: aj.plot_allan(3), "int"),
+        (lambda fit: aj.plot_allan([fit, np.ones(3)]), "ndarray"),
+        (lambda fit: aj.plot_allan([fit, aj.allan_deviation(SAMPLES, 1.0, kind="hadamard")]), "hadamard"),
+        (lambda fit: aj.plot_allan([fit, aj.allan_deviation(SAMPLES, 1.0)]), "unit"),
+        (lambda fit: aj.plot_psd(aj.power_spectrum(SAMPLES, 100.0), fit), "fitted"),
+        (lambda fit: aj.plot_psd(dataclasses.replace(of_small("spectrum"), rate=50.0), fit), "50 Hz"),
+    ],
+)
+def test_what_cannot_be_drawn_together_is_refused(call, word):
+    with pytest.raises(aj.AllanjaxError, match=word):
+        call(bench.fit("small"))
+
+
+def test_arrays_without_a_unit_have_panels_by_number():
+    for figure, label in (
+        (aj.plot_allan(aj.allan_deviation(SAMPLES, 10.0)), "Allan deviation"),
+        (aj.power_spectrum(SAMPLES, 10.0).plot(), "one-sided PSD"),
+    ):
+        assert set(panels(figure)) == {"0", "1"}
+        assert figure.axes[0].get_ylabel() == label
+
+
+def test_figures_do_not_pile_up_and_are_drawn_again(tmp_path):
+    """The user's, one that waits, and the one that is drawn; a saved one is pyplot's no longer."""
+    own, fit = plt.figure(), bench.fit("small")
+    with warnings.catch_warnings(), mpl.rc_context({"figure.max_open_warning": 3}):
+        warnings.simplefilter("error")
+        for k in range(3):
+            saved = fit.plot(["gyro_x"], path=tmp_path / "a.png")
+            assert len(plt.get_fignums()) == 1 + bool(k)
+            assert plt.gcf() is not saved
+            fit.plot("gyro_x")
+            assert own.number in plt.get_fignums()
+    # The one picture that is rendered: small, and its name is no formula.
+    figure = dataclasses.replace(fit, name="[/red] x $a$ :smile: <b>&").plot("gyro_x")
+    type(figure).savefig.original(figure, tmp_path / "real.png")
+    content = (tmp_path / "real.png").read_bytes()
+    assert content.startswith(b"\x89PNG")
+    assert 5_000 < len(content) < 500_000

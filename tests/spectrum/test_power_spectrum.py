@@ -1,0 +1,380 @@
+"""Every number of a power spectrum by its definition: dense transforms, scipy, spectra without scatter."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import signal, special, stats
+
+import allanjax as aj
+
+RATE = 10.0
+AXES = {"gyro_x": "gyro", "accel_z": "accel"}
+
+
+def white(n: int, axes: int = 2, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(n, axes)) * np.arange(1.0, axes + 1.0)
+
+
+def recording(values: np.ndarray, rate: float = RATE) -> aj.Recording:
+    axes = (aj.Axis("gyro_x", "gyro", "deg/s"), aj.Axis("accel_z", "accel", "g"))
+    return aj.Recording(values, rate, axes[: values.shape[1]])
+
+
+# --- Densities ----------------------------------------------------------------------------------------------
+
+
+def groups(m: int) -> np.ndarray:
+    """Ordinates averaged in each point, 16 points an octave above the first 32 (table 3.4).
+
+    The rest of a broken octave joins the last group if it is less than half of one.
+    """
+    found = []
+    while (done := sum(found)) < m:
+        size = 1 if done < 32 else 2 ** int(np.log2(done / 16.0))
+        found.append(min(size, m - done))
+    if len(found) > 32 and found[-1] < 2 ** int(np.log2(sum(found[:-1]) / 16.0)) / 2:
+        last = found.pop()
+        found[-1] += last
+    return np.array(found)
+
+
+@pytest.mark.parametrize("window", ["hann", "boxcar", "blackman"])
+def test_points_are_means_of_the_windowed_periodogram(window):
+    """Eq. (3.39) with the window's power instead of the record's length; one-sided, hence twice."""
+    for n in (16, 17, 66, 67, 131, 133, 263, 1000, 1001):
+        t = np.arange(n)
+        x = white(n) + t[:, None] * [0.01, -3.0] + 9.8
+        found = aj.power_spectrum(x, 50.0, window=window)
+        w = signal.get_window(window, n)
+        level = np.stack([np.polyval(np.polyfit(t, column, 1), t) for column in x.T], axis=1)
+        j = np.arange(1, (n + 1) // 2)
+        X = np.exp(-2j * np.pi * np.outer(j, t) / n) @ (w[:, None] * (x - level))
+        S = 2.0 * abs(X) ** 2 / (50.0 * np.sum(w**2))
+        np.testing.assert_array_equal(found.count, groups(len(j)))
+        starts = np.cumsum(found.count) - found.count
+        np.testing.assert_allclose(
+            found.density, np.add.reduceat(S, starts) / found.count[:, None], rtol=1e-7, atol=1e-12
+        )
+        np.testing.assert_allclose(found.frequency, np.add.reduceat(j, starts) / found.count * 50.0 / n)
+        assert (found.n, found.rate, found.method, found.window, found.segments) == (
+            n, 50.0, "logarithmic", window, 1
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("length", [256, 501])
+def test_welch_is_scipys(length):
+    x = white(5000)
+    found = aj.power_spectrum(x, 20.0, method="welch", segment_time=length / 20)
+    f, S = signal.welch(x, 20.0, nperseg=length, axis=0)
+    inside = slice(1, (length + 1) // 2)
+    np.testing.assert_allclose(found.frequency, f[inside], rtol=1e-12)
+    np.testing.assert_allclose(found.density, S[inside], rtol=1e-9)
+    assert found.segments == 1 + (5000 - length) // (length - length // 2)
+    averaged = found.averaged()
+    np.testing.assert_array_equal(averaged.count, groups(len(found.frequency)))
+    starts = np.cumsum(averaged.count) - averaged.count
+    np.testing.assert_allclose(
+        averaged.density, np.add.reduceat(found.density, starts) / averaged.count[:, None], rtol=1e-12
+    )
+    np.testing.assert_allclose(averaged.dof, found.degrees_of_freedom(averaged.count))
+    assert averaged.averaged() is averaged
+
+
+def test_by_default_a_record_is_eight_segments_of_welchs_long():
+    """As many samples, a power of two, as fit into it eight times, and eight at least."""
+    for n, length in ((16, 8), (1023, 64), (1024, 128), (5000, 512)):
+        found = aj.power_spectrum(white(n), RATE, method="welch")
+        assert found.frequency[0] == pytest.approx(RATE / length)
+        assert len(found.frequency) == length // 2 - 1
+
+
+# --- Degrees of freedom -------------------------------------------------------------------------------------
+
+
+def dense_dof(window: str, n: int, length: int, count: int) -> float:
+    """(tr G)²/tr G² of the mean of ordinates under white noise, from the products of all its rows."""
+    w = signal.get_window(window, length)
+    step = max(length - length // 2, 1)
+    t = np.arange(length)
+    rows = []
+    for start in range(0, n - length + 1, step) if length < n else (0,):
+        for j in range(length // 4, length // 4 + count):
+            for wave in (np.cos, np.sin):
+                row = np.zeros(n)
+                row[start : start + length] = w * wave(2.0 * np.pi * j * t / length)
+                rows.append(row)
+    G = np.array(rows) @ np.array(rows).T
+    return np.trace(G) ** 2 / np.sum(G**2)
+
+
+@pytest.mark.parametrize("window", ["hann", "boxcar", "blackman"])
+def test_degrees_of_freedom_are_those_of_dense_covariances(window):
+    n = 1024
+    whole = aj.power_spectrum(white(n), RATE, window=window)
+    welch = aj.power_spectrum(white(n), RATE, window=window, method="welch", segment_time=128 / RATE)
+    np.testing.assert_allclose(whole.dof, whole.degrees_of_freedom(whole.count))
+    np.testing.assert_allclose(welch.dof, welch.degrees_of_freedom(1))
+    for count in (1, 2, 3, 20):
+        assert whole.degrees_of_freedom(count) == pytest.approx(dense_dof(window, n, n, count), rel=1e-6)
+        # A little of half-overlapping segments' correlation at other distances is neglected.
+        assert welch.degrees_of_freedom(count) == pytest.approx(dense_dof(window, n, 128, count), rel=0.01)
+    if window == "hann":
+        # Squared correlations of 4/9 and 1/36.
+        np.testing.assert_allclose(whole.correlation[:4], [1.0, 4 / 9, 1 / 36, 0.0], atol=1e-7)
+
+
+@pytest.mark.parametrize("level", [0.68, 0.95])
+def test_errors_and_intervals_are_those_of_the_chi_squared_law(level):
+    found = aj.power_spectrum(white(1024), RATE)
+    lower, upper = found.confidence_interval(level)
+    low, high = (stats.chi2(found.dof).ppf(p)[:, None] for p in ((1.0 - level) / 2.0, (1.0 + level) / 2.0))
+    dof = found.dof[:, None]
+    np.testing.assert_allclose(lower, found.density * dof / high, rtol=1e-9)
+    np.testing.assert_allclose(upper, found.density * dof / low, rtol=1e-9)
+    np.testing.assert_allclose(found.standard_error, found.density * np.sqrt(2.0 / dof))
+    if level == 0.95:
+        np.testing.assert_array_equal(found.confidence_interval(), (lower, upper))
+
+
+# --- White noise and other coefficients, from spectra without scatter ---------------------------------------
+
+
+def shapes(f: np.ndarray) -> np.ndarray:
+    """Densities of white noise, flicker, random walk and quantization of coefficients 1, (4.28) to (4.52).
+
+    Those of the second and third are without aliases.
+    """
+    sine = np.sin(np.pi * f / RATE)
+    return np.stack(
+        [np.full(len(f), 2.0), 1.0 / (np.pi * f), 0.5 / (np.pi * f) ** 2, 8.0 * RATE * sine**2], 1
+    )
+
+
+def without_scatter(n: int, density, dof: float | None = None) -> aj.PowerSpectrum:
+    """A spectrum of this density [m, 2] to 10⁻⁵, and of as many degrees of freedom everywhere if given."""
+    found = aj.power_spectrum(recording(white(n)))
+    scatter = 1.0 + 1e-5 * np.random.default_rng(1).normal(size=found.density.shape)
+    found = dataclasses.replace(found, density=density(found.frequency) * scatter)
+    return found if dof is None else dataclasses.replace(found, dof=np.full(len(found.dof), dof))
+
+
+def chi_squared_ends(value: float, dof: float, level: float) -> list[float]:
+    """Lower and upper end of the interval of a deviation."""
+    return [value * np.sqrt(dof / stats.chi2(dof).ppf(0.5 + s * level / 2.0)) for s in (1.0, -1.0)]
+
+
+COEFFICIENTS = np.array([[2.0, 0.4, 0.03, 0.05], [0.5, 0.02, 0.06, 0.001]])
+
+
+def test_white_noise_in_a_band_is_eq_3_41():
+    """√(mean/2), of the χ² law of the mean, and below it by what other noise contributes."""
+    found = without_scatter(4096, lambda f: shapes(f) @ COEFFICIENTS.T**2)
+    for k, name in enumerate(AXES):
+        for low, high in ((0.3, 1.7), (0.02, 4.9)):
+            inside = (low <= found.frequency) & (found.frequency <= high)
+            count = found.count[inside]
+            parts = (shapes(found.frequency[inside]) * COEFFICIENTS[k] ** 2 / 2.0).T @ count / count.sum()
+            walk = found.random_walk(name, band=(low, high))
+            value, nu = np.sqrt(parts.sum()), walk.degrees_of_freedom
+            excess = value - np.sqrt(parts[0])
+            assert walk.value == pytest.approx(value, rel=1e-5)
+            assert walk.excess == pytest.approx(excess, rel=1e-3)
+            assert nu == pytest.approx(found.degrees_of_freedom(count.sum()))
+            assert walk.std == pytest.approx(np.hypot(value / np.sqrt(2.0 * nu), excess), rel=1e-3)
+            for level, interval in ((0.95, walk.interval), (0.68, walk.interval_68)):
+                low_end, high_end = chi_squared_ends(value, nu, level)
+                uncertain = stats.norm.ppf(0.5 + level / 2.0) * excess / 2.0
+                bottom = max(value - excess - np.hypot(value - low_end, uncertain), 0.0)
+                np.testing.assert_allclose(interval, (bottom, high_end), rtol=2e-4, atol=1e-12)
+            assert (walk.band, walk.source, walk.axis.name) == ((low, high), "spectrum", name)
+            assert walk.usual_unit == ("deg/√h" if k == 0 else "m/s/√h")
+
+
+def best_band(s: aj.PowerSpectrum, coloured: np.ndarray) -> tuple[float, float]:
+    """The rule of `PowerSpectrum.flat_band`, band by band with `numpy.polyfit`, the best first."""
+    share = s.degrees_of_freedom(s.count.sum()) * s.count / s.count.sum()
+    x, half = np.log(s.frequency), s.dof / 2.0
+    y = np.log(s.density[:, 0]) - special.digamma(half) + np.log(half)
+    w = share / s.dof / special.polygamma(1, half)
+    bands = [
+        slice(a, b + 1) for a in range(len(x)) for b in range(a + 4, len(x)) if x[b] - x[a] >= np.log(2.0)
+    ]
+    part = [s.count[i] @ coloured[i] / (s.count[i] @ s.density[i, 0]) for i in bands]
+    error = 2.0 / np.array([share[i].sum() for i in bands]) + np.square(part)
+    for band in (bands[k] for k in np.argsort(error)):
+        z = x[band] - np.average(x[band], weights=w[band])
+        fits = [np.polyfit(z, y[band], degree, w=np.sqrt(w[band])) for degree in range(3)]
+        left = [w[band] @ (y[band] - np.polyval(fit, z)) ** 2 for fit in fits]
+        slope = abs(fits[1][0]) + 2.0 / np.sqrt(w[band] @ z**2)
+        if slope < 0.5 and left[0] - left[2] <= 2.0 and stats.chi2.sf(left[0], len(z) - 1) > 1e-3:
+            edges = (np.append(0, np.cumsum(s.count)) + 0.5) * s.frequency[0]
+            return edges[band.start], edges[band.stop]
+    raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("seed", "n", "K", "Q", "line"),
+    [
+        # Chosen for what decides: slope and curvature, the octave, curvature, scatter.
+        (21, 1024, 0.1, 1.0, 0.1),
+        (82, 1024, 0.3, 0.0, 0.1),
+        (216, 1024, 0.3, 0.5, 0.2),
+        (72, 4096, 0.1, 0.0, 0.3),
+    ],
+)
+def test_the_flat_band_is_the_best_of_all(seed, n, K, Q, line):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=n) + K * np.cumsum(rng.normal(size=n)) + Q * np.diff(rng.normal(size=n + 1))
+    found = aj.power_spectrum(recording((x + line * np.cos(2.0 * np.pi * 0.13 * np.arange(n)))[:, None]))
+    # What other noise contributes to a point is in the excess of a band of this point alone.
+    alone = [found.random_walk("gyro_x", band=(f * 0.999999, f * 1.000001)) for f in found.frequency]
+    coloured = np.array([2.0 * (w.value**2 - (w.value - w.excess) ** 2) for w in alone])
+    band = found.flat_band("gyro_x")
+    np.testing.assert_allclose(band, best_band(found, coloured), rtol=1e-9)
+    assert found.random_walk("gyro_x") == found.random_walk("gyro_x", band=band)
+
+
+TERMS = {
+    "quantization": (aj.Quantization(2e-3), 2),
+    "angle_random_walk": (aj.AngleRandomWalk(0.03), 0),
+    "bias_instability": (aj.BiasInstability(0.02), -1),
+    "rate_random_walk": (aj.RateRandomWalk(0.4), -2),
+    "drift_ramp": (aj.DriftRamp(0.7), -3),
+}
+
+
+def term_density(term: aj.NoiseTerm, f: np.ndarray) -> np.ndarray:
+    """Twice the two-sided density of the samples; a ramp stands for R²/(2πf)³ (4.58)."""
+    if isinstance(term, aj.DriftRamp):
+        return 2.0 * term.coefficient**2 / (2.0 * np.pi * f) ** 3
+    return 2.0 * np.asarray(term.sampled_psd(f, RATE))
+
+
+@pytest.mark.parametrize("label", TERMS)
+def test_a_term_alone_is_read_and_no_other(label):
+    """Its coefficient as it is, with the χ² law of a mean over an octave or more, but for two ordinates."""
+    term, slope = TERMS[label]
+    found = without_scatter(4096, lambda f: term_density(term, f)[:, None] * [1.0, 9.0], 200.0)
+    f = np.array([0.01, 0.04])
+    assert np.diff(np.log(term_density(term, f)))[0] / np.log(4.0) == pytest.approx(slope, abs=1e-3)
+    readings = found.readings()
+    for k, name in enumerate(AXES):
+        read = {key: e for key, e in readings[name].estimates.items() if e is not None}
+        assert list(read) == [label]
+        assert set(readings[name].reasons) == set(TERMS) - {label}
+        estimate, truth = read[label], (1.0 + 2.0 * k) * term.coefficient
+        assert estimate.value == pytest.approx(truth, rel=1e-5)
+        assert estimate.excess == pytest.approx(0.0, abs=1e-4 * truth)
+        low, high = estimate.band
+        inside = (low <= found.frequency) & (found.frequency <= high)
+        nu = found.degrees_of_freedom(found.count[inside].sum())
+        assert estimate.degrees_of_freedom == pytest.approx(nu)
+        assert estimate.std == pytest.approx(truth / np.sqrt(2.0 * nu), rel=1e-4)
+        for level, interval in ((0.95, estimate.interval), (0.68, estimate.interval_68)):
+            np.testing.assert_allclose(interval, chi_squared_ends(truth, nu, level), rtol=1e-4)
+        # The lowest two ordinates are left out, for N only where it is not worth while.
+        assert low == pytest.approx((0.5 if slope == 0 else 2.5) * found.frequency[0])
+        assert high == pytest.approx((found.count.sum() + 0.5) * found.frequency[0])
+
+
+def test_two_terms_are_read_on_either_side_of_their_crossing():
+    """The mean of density over that of the term, of which the other one is the excess; no third between."""
+    N, K = aj.AngleRandomWalk(0.03), aj.RateRandomWalk(0.003)
+    density = [lambda f, t=t: np.stack([term_density(t, f)] * 2, axis=1) for t in (N, K)]
+    found = without_scatter(2**17, lambda f: density[0](f) + density[1](f), 200.0)
+    readings = found.readings()["gyro_x"]
+    assert [label for label, e in readings.estimates.items() if e is not None] == [
+        "angle_random_walk", "rate_random_walk"
+    ]  # fmt: skip
+    assert readings["angle_random_walk"] == found.random_walk("gyro_x")
+    crossing = 0.003 / 0.03 / (2.0 * np.pi)
+    for label, term, of in (("rate_random_walk", K, 1), ("angle_random_walk", N, 0)):
+        estimate = readings[label]
+        assert (estimate.band[1] < crossing) if of else (estimate.band[0] > crossing)
+        inside = (estimate.band[0] <= found.frequency) & (found.frequency <= estimate.band[1])
+        count, f = found.count[inside], found.frequency[inside]
+        own, other = (np.average(density[i](f)[:, 0], weights=count) for i in (of, 1 - of))
+        if of:
+            unit = term_density(term.with_unit_amplitude(), f)
+            own, other = (np.average(density[i](f)[:, 0] / unit, weights=count) for i in (1, 0))
+        else:
+            own, other = own / 2.0, other / 2.0
+        assert estimate.value == pytest.approx(np.sqrt(own + other), rel=1e-5)
+        assert estimate.excess == pytest.approx(np.sqrt(own + other) - np.sqrt(own), rel=0.05)
+
+
+# --- Records that scatter -----------------------------------------------------------------------------------
+
+
+def test_a_line_is_not_taken_for_flat():
+    n = 60_000
+    x = white(n, 1, seed=5)
+    line = 10.0 * np.cos(2.0 * np.pi * 0.73 * np.arange(n) / RATE)[:, None]
+    walk = aj.power_spectrum(recording(x + line)).random_walk("gyro_x")
+    assert not walk.band[0] <= 0.73 <= walk.band[1]
+    assert abs(walk.value - RATE**-0.5) < 4.0 * walk.std
+
+
+def test_what_is_nowhere_flat_is_refused():
+    x = white(20_000, seed=2).cumsum(axis=0)
+    spectrum = aj.power_spectrum(recording(x))
+    with pytest.raises(aj.AllanjaxError, match=r"gyro_x.*band=\(low, high\)"):
+        spectrum.random_walk("gyro_x")
+    assert spectrum.random_walk("gyro_x", band=(1.0, 2.0)).value > 0
+    assert spectrum.readings()["gyro_x"]["angle_random_walk"] is None
+
+
+# --- Units, tables, refusals --------------------------------------------------------------------------------
+
+
+def test_tables_have_units():
+    x = white(1000)
+    spectrum = aj.power_spectrum(recording(x))
+    np.testing.assert_allclose(spectrum.density, aj.power_spectrum(x, RATE).density)
+    table = spectrum.to_dataframe()
+    hour = np.pi / 180.0 / 3600.0
+    np.testing.assert_array_equal(table["frequency [Hz]"], spectrum.frequency)
+    np.testing.assert_array_equal(table["degrees of freedom"], spectrum.dof)
+    np.testing.assert_allclose(table["gyro_x [(deg/h)²/Hz]"], spectrum.density[:, 0] / hour**2, rtol=1e-12)
+    np.testing.assert_allclose(table["accel_z [µg²/Hz]"], spectrum.density[:, 1] / 9.80665e-6**2, rtol=1e-12)
+    assert list(aj.power_spectrum(x, RATE).to_dataframe())[2:] == ["0", "1"]
+    readings = spectrum.readings()
+    table = readings.to_dataframe().set_index(["axis", "coefficient"])
+    walk = readings["accel_z"]["angle_random_walk"].in_unit("m/s/√h")
+    row = table.loc[("accel_z", "angle_random_walk")]
+    numbers = [row[c] for c in ("value", "std", "lower_95", "upper_95", "unit")]
+    assert numbers == [walk.value, walk.std, *walk.interval, "m/s/√h"]
+    assert walk.value == pytest.approx(60.0 * readings["accel_z"]["angle_random_walk"].value)
+    row = table.loc[("gyro_x", "drift_ramp")]
+    assert np.isnan(row["value"])
+    assert row["reason"] == readings["gyro_x"].reasons["drift_ramp"] != ""
+
+
+HUNDRED = white(100)
+REFUSED = {
+    "no rate": (lambda: aj.power_spectrum(HUNDRED), "rate"),
+    "rate of a recording": (lambda: aj.power_spectrum(recording(HUNDRED), 100.0), "rate"),
+    "rate": (lambda: aj.power_spectrum(HUNDRED, -1.0), "rate"),
+    "method": (lambda: aj.power_spectrum(HUNDRED, 1.0, method="fft"), "'fft'"),
+    "window": (lambda: aj.power_spectrum(HUNDRED, 1.0, window="hunn"), "'hunn'"),
+    "segments of one": (lambda: aj.power_spectrum(HUNDRED, 1.0, segment_time=10.0), "segment_time"),
+    "segments of 7": (lambda: aj.power_spectrum(HUNDRED, 1.0, method="welch", segment_time=7.0), "8 samples"),
+    "segments of 101": (lambda: aj.power_spectrum(HUNDRED, 1.0, method="welch", segment_time=101.0), "100 s"),
+    "15 samples": (lambda: aj.power_spectrum(HUNDRED[:15], 1.0), "15"),
+    "shape": (lambda: aj.power_spectrum(HUNDRED.reshape(10, 10, 2), 1.0), "[samples, axes]"),
+    "nan": (lambda: aj.power_spectrum(np.where(HUNDRED > 2.0, np.nan, HUNDRED), 1.0), "finite"),
+    "level": (lambda: aj.power_spectrum(HUNDRED, 1.0).confidence_interval(68), "level"),
+    "axis": (lambda: aj.power_spectrum(recording(HUNDRED)).random_walk("gyro_q"), "'gyro_q'"),
+    "band": (lambda: aj.power_spectrum(recording(HUNDRED)).random_walk("gyro_x", (6.0, 7.0)), "band"),
+    "no unit": (lambda: aj.power_spectrum(HUNDRED, 1.0).random_walk("0", (0.1, 0.2)), "gyro_unit"),
+    "no unit to read in": (lambda: aj.power_spectrum(HUNDRED, 1.0).readings(), "gyro_unit"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(name):
+    call, word = REFUSED[name]
+    with pytest.raises(aj.AllanjaxError) as refused:
+        call()
+    assert word in str(refused.value)
