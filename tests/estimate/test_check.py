@@ -206,9 +206,8 @@ def test_lengths_are_those_of_the_cramer_rao_bound():
     variances, an approximation by 1/n. Where the fit is worse than the bound at its own length, it stays so.
     """
     rng, n, rate = np.random.default_rng(12), 2048, 10.0
-    truth = (aj.AngleRandomWalk(0.1), aj.RateRandomWalk(1e-2))
-    walk = np.cumsum(rng.standard_normal((n, 4)), axis=0) * truth[1].coefficient / np.sqrt(rate)
-    x = 0.1 * np.sqrt(rate) * rng.standard_normal((n, 4)) + walk
+    white, steps = (rng.standard_normal((n, 6)) for _ in range(2))
+    x = 0.1 * np.sqrt(rate) * white + 1.6e-2 / np.sqrt(rate) * np.cumsum(steps, axis=0)
     whole = recording(x, rate)
     found = aj.check(whole)
     fit = aj.fit(whole)
