@@ -206,15 +206,16 @@ def test_lengths_are_those_of_the_cramer_rao_bound():
     variances, an approximation by 1/n. Where the fit is worse than the bound at its own length, it stays so.
     """
     rng, n, rate = np.random.default_rng(12), 2048, 10.0
-    truth = (aj.AngleRandomWalk(0.1), aj.RateRandomWalk(2.5e-3))
-    walk = np.cumsum(rng.standard_normal((n, 4)), axis=0) * truth[1].coefficient / np.sqrt(rate)
-    x = 0.1 * np.sqrt(rate) * rng.standard_normal((n, 4)) + walk
+    white, steps = (rng.standard_normal((n, 6)) for _ in range(2))
+    x = 0.1 * np.sqrt(rate) * white + 1.6e-2 / np.sqrt(rate) * np.cumsum(steps, axis=0)
     whole = recording(x, rate)
     found = aj.check(whole)
     fit = aj.fit(whole)
     told = {(length.coefficient.axis.name, length.coefficient.label): length for length in found.lengths}
     seen = 0
     for axis, result in fit.items():
+        if not set(result.model.term_labels) <= {"angle_random_walk", "rate_random_walk"}:
+            continue
         for label in ("angle_random_walk", "rate_random_walk"):
             length, c = told[axis, label], result[label]
             assert length.now == n / rate
@@ -230,11 +231,12 @@ def test_lengths_are_those_of_the_cramer_rao_bound():
                     continue
                 own = bound(result["N"].value, size, n, rate)
                 target = 0.2 * min(own / length.relative_std, 1.0)
-            if length.seconds is None or length.seconds * rate > 6000:
+            if length.seconds is None or length.seconds * rate > 100_000:
                 continue
-            seen += 1
+            seen += c.detected
             needed = round(length.seconds * rate)
             assert bound(result["N"].value, size, needed, rate) == pytest.approx(target, rel=0.02)
+    # Of walks that are seen, but known to a third only.
     assert seen >= 2
 
 

@@ -19,7 +19,7 @@ TERMS = {
     "N + K": aj.Model(()),
     "Q": aj.Quantization(2e-5),
     "B": aj.BiasInstability(6e-4),
-    "R": aj.DriftRamp(1e-4),
+    "R": aj.DriftRamp(1e-3),
     "markov": aj.Markov(1e-3, 3.0),
     "resonance": aj.Resonance(4e-3, 0.7, 20.0),
     "line": aj.Sinusoid(3e-3, 0.6),
@@ -82,12 +82,12 @@ class Filter:
 
 @pytest.mark.parametrize("name", TERMS)
 def test_true_errors_are_those_of_the_phase_covariance(name):
-    """Of bias instability to the 3 % of its Gauss–Markov processes; of a ramp to what is cut off."""
+    """Of bias instability to the 3 % of its Gauss–Markov processes."""
     term = TERMS[name]
     model = WHITE + WALK + held(term)
     found = aj.horizon(fit_of(model), SECONDS)["gyro_0"]
     steps = np.rint(found.time * RATE)
-    rough = {"B": 0.03, "R": 0.01}.get(name, 1e-4)
+    rough = 0.03 if name == "B" else 1e-4
     # The pair, the raw coefficients and the bound are three filters of different memories.
     pair = Filter(found.white.value / found.walk.value)
     np.testing.assert_allclose(found.error**2, pair.true(model, steps), rtol=rough)
@@ -142,7 +142,7 @@ def test_white_noise_and_a_walk_are_found_again():
 
 
 def test_a_gauss_markov_filter_is_found_again_and_predicts_as_it_says():
-    """Up to the difference between a process and its means over samples, (h/T)²/12 at most."""
+    """Up to what the mean of the record, 327 s, takes from a process of 3 s: half a per cent."""
     model = WHITE + held(aj.Markov(1e-3, 3.0))
     found = aj.horizon(fit_of(model), SECONDS, process="markov")["gyro_0"]
     assert found.white.value == pytest.approx(1e-3, rel=3e-3)
@@ -151,11 +151,11 @@ def test_a_gauss_markov_filter_is_found_again_and_predicts_as_it_says():
     assert found.bias_std == pytest.approx(1e-3 * np.sqrt(1.5), rel=3e-3)
     steps = np.rint(found.time * RATE)
     own = Filter(found.white.value / found.walk.value, 3.0)
-    np.testing.assert_allclose(found.error**2, own.true(model, steps), rtol=1e-4)
-    np.testing.assert_allclose(found.error**2, found.white.value**2 * own.predicted(steps), rtol=1e-3)
+    np.testing.assert_allclose(found.error**2, own.true(model, steps), rtol=5e-3)
+    np.testing.assert_allclose(found.error**2, found.white.value**2 * own.predicted(steps), rtol=5e-3)
     bounding = Filter(found.bounding_white / found.bounding_walk, found.bounding_time)
     assert found.bounding_bias_std == pytest.approx(found.bounding_walk * np.sqrt(found.bounding_time / 2.0))
-    assert (found.bound**2 / bounding.true(model, steps)).min() == pytest.approx(1.0, abs=1e-3)
+    assert (found.bound**2 / bounding.true(model, steps)).min() == pytest.approx(1.0, abs=5e-3)
 
 
 def test_estimated_coefficients_scatter_as_their_fit_says():
@@ -165,7 +165,7 @@ def test_estimated_coefficients_scatter_as_their_fit_says():
     for name, result in found.items():
         for symbol, c in (("N", result.white), ("K", result.walk)):
             own = fit[name][symbol]
-            assert c.value == pytest.approx(own.value, rel=0.02)
+            assert c.value == pytest.approx(own.value, rel=0.04)
             # Standard deviations of 400 draws are known to 4 %; the grid of memories is a fifth apart.
             assert c.interval[0] < own.value < c.interval[1]
             if symbol == "K":

@@ -206,11 +206,11 @@ def test_what_is_no_fit_is_refused(word, tmp_path):
     assert str(raised.value).startswith(f"{path}: ")
 
 
-@pytest.mark.parametrize("text", ["{", "[1, 2]", "3", '{"rows": []}', ""])
-def test_files_of_something_else_are_refused(text, tmp_path):
+def test_files_of_something_else_are_refused(tmp_path):
     path = tmp_path / "x.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(aj.AllanjaxError, match=r"x\.json"):
-        aj.load(path)
+    for text in ("{", "[1, 2]", "3", '{"rows": []}', ""):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(aj.AllanjaxError, match=r"x\.json"):
+            aj.load(path)
     with pytest.raises(aj.AllanjaxError, match=r"y\.json"):
         aj.load(tmp_path / "y.json")

@@ -23,7 +23,7 @@ def posterior():
         x = drawn(model, N, RATE, 3, 3)
         axes = [("gyro_x", "gyro", "deg/s"), ("gyro_y", "gyro", "deg/s"), ("accel_z", "accel", "g")]
         whole = aj.Recording(x, RATE, tuple(aj.Axis(*axis) for axis in axes))
-        fit = aj.fit(whole, "N + K", "whittle", as_is=True)
+        fit = aj.fit(whole, "N + K", "whittle", as_is=True, vibrating=True)
         return aj.sample(fit, ["gyro_x", "accel_z"], seed=1, progress=False)
 
     return bench.once("posterior of two sensors", make)

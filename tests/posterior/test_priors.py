@@ -2,7 +2,6 @@
 
 import itertools
 
-import jax
 import numpy as np
 import pytest
 from scipy import stats
@@ -31,17 +30,12 @@ def test_density_integrates_to_one_and_quantile_is_its_inverse(prior):
         pieces = [prior.lower, *pieces[pieces < end], end]
         below = sum(quad(density, a, b, epsrel=1e-9)[0] for a, b in itertools.pairwise(pieces))
         assert below == pytest.approx(u, abs=1e-7)
-
-
-@pytest.mark.parametrize("prior", PRIORS, ids=str)
-def test_outside_the_support_there_is_no_density_and_no_nan_gradient(prior):
     outside = np.array([prior.lower - 0.5, prior.lower - 1e-9])
     if np.isfinite(prior.upper):
         outside = np.append(outside, [prior.upper * 1.001, prior.upper + 100.0])
     assert np.all(np.asarray(prior.log_density(outside)) == -np.inf)
     inside = prior.quantile(np.linspace(0.01, 0.99, 9))
     assert np.all(np.isfinite(prior.log_density(inside)))
-    assert np.all(np.isfinite(jax.vmap(jax.grad(prior.log_density))(inside)))
 
 
 def test_densities_are_those_of_scipy():
@@ -58,21 +52,16 @@ def test_densities_are_those_of_scipy():
     assert np.exp(gregory.log_density(2.0) - gregory.log_density(20.0)) == pytest.approx(10.0, rel=5e-3)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: Uniform(1.0, 1.0),
-        lambda: Uniform(0.0, np.inf),
-        lambda: LogUniform(0.0, 1.0),
-        lambda: LogUniform(0.4, 1.0, 0.5),
-        lambda: LogUniform(2.0, 1.0),
-        lambda: LogNormal(0.0, 2.0),
-        lambda: LogNormal(1.0, 1.0),
-        lambda: ModifiedLogUniform(0.0, 1.0),
-        lambda: ModifiedLogUniform(np.nan, 1.0),
-        lambda: ModifiedLogUniform(1.0, 0.0),
-    ],
-)
-def test_improper_priors_are_refused(make):
-    with pytest.raises(AllanjaxError, match="give "):
-        make()
+IMPROPER = {
+    Uniform: [(1.0, 1.0), (0.0, np.inf)],
+    LogUniform: [(0.0, 1.0), (0.4, 1.0, 0.5), (2.0, 1.0)],
+    LogNormal: [(0.0, 2.0), (1.0, 1.0)],
+    ModifiedLogUniform: [(0.0, 1.0), (np.nan, 1.0), (1.0, 0.0)],
+}
+
+
+@pytest.mark.parametrize("kind", IMPROPER)
+def test_improper_priors_are_refused(kind):
+    for numbers in IMPROPER[kind]:
+        with pytest.raises(AllanjaxError, match="give "):
+            kind(*numbers)
