@@ -53,7 +53,7 @@ _approx = pytest.approx
 
 
 def _as_told(expected: Any, rel: float | None = None, abs: float | None = None, nan_ok: bool = False) -> Any:
-    """What `pytest.approx` returns, without its 1e-12 beside a relative tolerance: SI variances are smaller."""
+    """What `pytest.approx` returns, without 1e-12 beside a relative tolerance: SI variances are smaller."""
     return _approx(expected, rel, 0.0 if abs is None and rel is not None else abs, nan_ok)
 
 
