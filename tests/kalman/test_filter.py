@@ -16,20 +16,12 @@ WHITE = aj.AngleRandomWalk(1e-3)
 SUM = WHITE + aj.RateRandomWalk(1e-3) + aj.Quantization(2e-5) + aj.Markov(1e-3, 3.0)
 # Lines and ramps leave no noise in a sample without others.
 TERMS = {
-    "white": WHITE,
-    "walk": aj.RateRandomWalk(1e-4),
-    "quantization": aj.Quantization(2e-5),
-    "markov": aj.Markov(1e-3, 3.0),
-    "short markov": aj.Markov(1e-2, 0.004),
-    "low-pass": aj.LowPass(1e-3, 8.0),
-    "second-order low-pass": aj.LowPass(1e-3, 8.0, 2),
-    "resonance": aj.Resonance(1e-3, 7.0, 20.0),
-    "wandering resonance": aj.WanderingResonance(1e-3, 7.0, 20.0, 0.1),
-    "telegraph": aj.Telegraph(1e-3, 0.3),
-    "line": aj.Sinusoid(1e-3, 3.3) + WHITE,
-    "ramp": aj.DriftRamp(1e-2) + WHITE,
-    "sum": SUM,
-}
+    "white": WHITE, "walk": aj.RateRandomWalk(1e-4), "quantization": aj.Quantization(2e-5),
+    "markov": aj.Markov(1e-3, 3.0), "short markov": aj.Markov(1e-2, 0.004), "low-pass": aj.LowPass(1e-3, 8.0),
+    "second-order low-pass": aj.LowPass(1e-3, 8.0, 2), "resonance": aj.Resonance(1e-3, 7.0, 20.0),
+    "wandering resonance": aj.WanderingResonance(1e-3, 7.0, 20.0, 0.1), "telegraph": aj.Telegraph(1e-3, 0.3),
+    "line": aj.Sinusoid(1e-3, 3.3) + WHITE, "ramp": aj.DriftRamp(1e-2) + WHITE, "sum": SUM,
+}  # fmt: skip
 RESPONSES = [
     *(aj.LowPass1(5.0), aj.LowPass2(5.0, 3.0), aj.Butterworth(5.0, 4), aj.Biquad(5.0, 2.0)),
     *(aj.MovingAverage.of(5 / RATE), aj.MovingAverage(3.33)),
@@ -52,21 +44,6 @@ def filtered(z, model, **options) -> aj.FilteredAxis:
     return aj.kalman_filter(recording(z), model, **options).results[0]
 
 
-def dense_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of n samples, [n, n], and of all their states, [n·states, n·states], by the recursion."""
-    size = space.size
-    joint, P = np.zeros((n * size, n * size)), space.P0
-    for j in range(n):
-        column = P
-        for k in range(j, n):
-            joint[k * size : (k + 1) * size, j * size : (j + 1) * size] = column
-            joint[j * size : (j + 1) * size, k * size : (k + 1) * size] = column.T
-            column = space.A @ column
-        P = space.A @ P @ space.A.T + space.Q
-    H = np.kron(np.eye(n), space.H)
-    return H @ joint @ H.T + space.R[0, 0] * np.eye(n), joint
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_likelihood_is_that_of_the_dense_covariance(name):
     """Of the differences, whose covariance is by G(t): rounding leaves it ten digits at worst (LowPass2)."""
@@ -80,7 +57,7 @@ def test_likelihood_of_flicker_is_that_of_its_sum_of_processes_and_near_its_own(
     model = WHITE + aj.BiasInstability(1e-2)
     z, D = samples(model), np.diff(np.eye(N), axis=0)
     found = filtered(z, model).log_likelihood
-    own = D @ dense_states(model.state_space(RATE, duration=N / RATE), N)[0] @ D.T
+    own = D @ dense.of_states(model.state_space(RATE, duration=N / RATE), N)[0] @ D.T
     law = stats.multivariate_normal(np.zeros(N - 1), own)
     assert found == pytest.approx(law.logpdf(np.diff(z)), rel=1e-8)
     # A variance that is 3 % off in some directions: 70·0.03²/4 nats of bias, and its scatter.
@@ -90,7 +67,7 @@ def test_likelihood_of_flicker_is_that_of_its_sum_of_processes_and_near_its_own(
 def test_the_constant_is_that_of_generalized_least_squares():
     """Unknown, known to be about zero, and none: estimate, deviation and likelihood."""
     z, std = samples(SUM, constant=0.01), 0.02
-    C, one = dense_states(SUM.state_space(RATE), N)[0], np.ones(N)
+    C, one = dense.of_states(SUM.state_space(RATE), N)[0], np.ones(N)
     information = one @ np.linalg.solve(C, one)
     unknown, known, none = (filtered(z, SUM, constant_std=s) for s in (None, std, 0.0))
     mean = one @ np.linalg.solve(C, z)
@@ -117,7 +94,7 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
     assert (found.slow, found.smoothed) == (("rate_random_walk", "markov"), smooth)
     space = model.state_space(RATE)
     drift = np.array([n.endswith("_mean") for n in space.names], float)
-    C, joint = dense_states(space, N)
+    C, joint = dense.of_states(space, N)
     size, wide = space.size, 1e3 * np.abs(C).max()
     rows, constant = np.vstack([np.eye(size), drift]), np.append(np.zeros(size), 1.0)
     with_samples = joint @ np.kron(np.eye(N), space.H).T
@@ -133,9 +110,8 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
         assert found.bias[k] == pytest.approx(mean[-1] + 3.0, abs=5e-3 * (std + abs(mean))[-1])
         np.testing.assert_allclose(found.state_stds[k], std[:-1], rtol=5e-3, atol=1e-3 * std.max())
         assert found.bias_std[k] == pytest.approx(std[-1], rel=5e-3, abs=1e-9)
-    low, high = found.bias_interval
-    np.testing.assert_allclose(high - found.bias, stats.norm.ppf(0.975) * found.bias_std, rtol=1e-7)
-    np.testing.assert_allclose(found.bias - low, stats.norm.ppf(0.975) * found.bias_std, rtol=1e-7)
+    half = stats.norm.ppf(0.975) * found.bias_std * np.array([[-1.0], [1.0]])
+    np.testing.assert_allclose(found.bias_interval - found.bias, half, rtol=1e-7)
 
 
 def by_numbers(z: np.ndarray, N: float, K: float):
@@ -196,10 +172,13 @@ def test_missing_samples_of_a_recording_are_not_seen(n, gap):
 
 
 def test_drift_is_what_lasts_ten_samples_and_does_not_oscillate():
-    terms = {"markov": aj.Markov(1e-3, 11.0 / RATE), "resonance": aj.Resonance(1e-3, 7.0, 20.0)}
-    for label, term in terms.items():
-        assert filtered(samples(WHITE), WHITE + term).slow == ((label,) if label == "markov" else ())
-    assert filtered(samples(WHITE), WHITE + aj.Markov(1e-3, 9.0 / RATE)).slow == ()
+    z, resonance = samples(WHITE), aj.Resonance(1e-3, 7.0, 20.0)
+    for term, slow in (
+        (aj.Markov(1e-3, 11.0 / RATE), ("markov",)),
+        (aj.Markov(1e-3, 9.0 / RATE), ()),
+        (resonance, ()),
+    ):
+        assert filtered(z, WHITE + term).slow == slow
 
 
 def test_tests_of_innovations_are_those_of_their_definitions():
@@ -224,20 +203,12 @@ def test_tests_of_innovations_are_those_of_their_definitions():
         assert found.nis.p_value == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-def test_wrong_models_are_seen_in_the_innovations():
-    z = samples(WHITE + aj.Markov(1e-2, 0.5), 250)
-    assert filtered(z, WHITE).whiteness.p_value < 1e-6
-    for size in (0.7, 1.4):
-        assert filtered(size * samples(SUM, 250), SUM).nis.p_value < 1e-4
-
-
 def test_each_axis_has_its_model():
     values = np.column_stack([samples(WHITE), samples(WHITE, seed=2)])
     both = aj.Recording.from_array(values, RATE, gyro_unit="rad/s", names=["gyro_x", "gyro_y"])
     loud = aj.AngleRandomWalk(2e-3)
-    found = aj.kalman_filter(
-        both, {"gyro_x": "N=1e-3 rad/√s", "gyro_y": SimpleNamespace(model=aj.Model((loud,)))}
-    )
+    models = {"gyro_x": "N=1e-3 rad/√s", "gyro_y": SimpleNamespace(model=aj.Model((loud,)))}
+    found = aj.kalman_filter(both, models)
     assert found["gyro_x"].model == aj.Model((WHITE,))
     assert found["gyro_y"].model == aj.Model((loud,))
     each = [dense.loglikelihood(z, m, RATE) for z, m in zip(values.T, (WHITE, loud), strict=True)]
@@ -246,20 +217,17 @@ def test_each_axis_has_its_model():
         aj.kalman_filter(both, {"gyro_x": WHITE})
 
 
-@pytest.mark.parametrize(
-    ("model", "options", "word"),
-    [
-        (aj.AngleRandomWalk(), {}, "angle_random_walk"),
-        (aj.DriftRamp(1e-3), {}, "noise term"),
-        (WHITE, {"constant_std": -1.0}, "constant_std"),
-        (WHITE, {"constant_std": np.inf}, "constant_std"),
-        (WHITE, {"missing": np.zeros(3, bool)}, "missing"),
-        (WHITE, {"missing": np.ones(N, bool)}, "missing"),
-    ],
-)
-def test_what_cannot_be_filtered_is_said(model, options, word):
-    with pytest.raises(aj.AllanjaxError, match=word):
-        filtered(samples(WHITE), model, **options)
+REFUSED = [
+    (aj.AngleRandomWalk(), {}, "angle_random_walk"), (aj.DriftRamp(1e-3), {}, "noise term"),
+    (WHITE, {"constant_std": -1.0}, "constant_std"), (WHITE, {"constant_std": np.inf}, "constant_std"),
+    (WHITE, {"missing": np.zeros(3, bool)}, "missing"), (WHITE, {"missing": np.ones(N, bool)}, "missing"),
+]  # fmt: skip
+
+
+def test_what_cannot_be_filtered_is_said():
+    for model, options, word in REFUSED:
+        with pytest.raises(aj.AllanjaxError, match=word):
+            filtered(samples(WHITE), model, **options)
 
 
 def test_tables_have_the_numbers():
@@ -271,9 +239,7 @@ def test_tables_have_the_numbers():
     np.testing.assert_array_equal(frame["bias_upper_95"], found.bias_interval[1])
     end = found.names.index("markov_end")
     np.testing.assert_array_equal(frame["markov_end"], found.states[:, end])
-    np.testing.assert_array_equal(
-        frame["markov_end_std"], found.state_stds[:, found.names.index("markov_end")]
-    )
+    np.testing.assert_array_equal(frame["markov_end_std"], found.state_stds[:, end])
     np.testing.assert_array_equal(np.isnan(frame["sample"]), lost)
     own = aj.Recording.from_array(z, RATE, accel_unit="m/s²", names=["accel_x"])
     assert aj.kalman_filter(own, SUM)["accel_x"].units == ("m/s²", "m/s²", "m/s", "m/s", "m/s²", "m/s²")
@@ -282,4 +248,3 @@ def test_tables_have_the_numbers():
     assert (told["bias"], told["bias_std"]) == (found.bias[-1], found.bias_std[-1])
     assert (told["drift"], told["samples"]) == (["rate_random_walk", "markov"], N)
     assert told["nis"]["statistic"] == found.nis.statistic
-    assert "rad/s" in str(result)

@@ -75,6 +75,21 @@ def allan_variance(C: np.ndarray, m: int) -> float:
     return float(w @ C[: 2 * m, : 2 * m] @ w / 2.0)
 
 
+def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of n samples, [n, n], and of all their states, [n·states, n·states], by the recursion."""
+    size, P = space.size, space.P0
+    joint = np.zeros((n * size, n * size))
+    for j in range(n):
+        column = P
+        for k in range(j, n):
+            joint[k * size : (k + 1) * size, j * size : (j + 1) * size] = column
+            joint[j * size : (j + 1) * size, k * size : (k + 1) * size] = column.T
+            column = space.A @ column
+        P = space.A @ P @ space.A.T + space.Q
+    H = np.kron(np.eye(n), space.H)
+    return H @ joint @ H.T + space.R[0, 0] * np.eye(n), joint
+
+
 # --- Terms --------------------------------------------------------------------------------------------------
 
 
