@@ -66,15 +66,6 @@ def test_standard_errors_are_those_of_bartlett_and_of_the_dense_matrix():
             assert found.standard_error[k, axis] == pytest.approx(exact, rel=0.02)
 
 
-def test_standard_errors_bound_those_of_equation_3_34():
-    """The thesis's bound 2σ⁴/(βT) is the variance at lag zero, which is the largest."""
-    T, n = 6.0, 20_000
-    found = aj.autocorrelation(record(n), RATE, model=aj.Model((aj.Markov(1.0, T),)))
-    bound = T / 2.0 * np.sqrt(2.0 * T / (n / RATE))
-    assert_allclose(found.standard_error[0], bound, rtol=0.02)
-    np.testing.assert_array_equal(found.standard_error.max(axis=0), found.standard_error[0])
-
-
 def test_what_is_not_stationary_has_no_standard_error():
     for term, name in (
         (aj.BiasInstability(1.0), "bias instability"),

@@ -19,14 +19,11 @@ SINGLE = 64
 # flicker 0.3 % in the first of them and Markov noise up to 0.5 %. Two nodes a bin are right to the fourth
 # power of its width.
 CASES = {
-    "quantization": (aj.Quantization(1.0), 2e-5),
-    "white": (aj.AngleRandomWalk(1.0), 1e-10),
-    "flicker": (aj.BiasInstability(1.0), 5e-3),
-    "walk": (aj.RateRandomWalk(1.0), 2e-5),
-    "fast markov": (aj.Markov(1.0, 0.06), 6e-3),
-    "markov": (aj.Markov(1.0, 8.0), 6e-3),
+    "quantization": (aj.Quantization(1.0), 2e-5), "white": (aj.AngleRandomWalk(1.0), 1e-10),
+    "flicker": (aj.BiasInstability(1.0), 5e-3), "walk": (aj.RateRandomWalk(1.0), 2e-5),
+    "fast markov": (aj.Markov(1.0, 0.06), 6e-3), "markov": (aj.Markov(1.0, 8.0), 6e-3),
     "slow markov": (aj.Markov(1.0, 250.0), 6e-3),
-}
+}  # fmt: skip
 
 
 def squares(term, n: int) -> np.ndarray:

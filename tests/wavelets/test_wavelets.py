@@ -207,7 +207,7 @@ def test_approximations_are_pywavelets_and_details_what_they_leave(recording, de
             assert_allclose(found.values[:, axis], smooth(values[:, axis], "db4", level), atol=1e-15)
         total += decomposition.details(level).values
         assert_allclose(total + found.values, values, atol=1e-12 * abs(values).max())
-        assert found.notes[-1].endswith(f"below {FAST / 2 ** (level + 1):g} Hz")
+        assert found.notes[-1].endswith(f"below {FAST / 2 ** (level + 1):.3g} Hz")
     assert (found.rate, found.axes) == (FAST, recording.axes)
     assert_allclose(decomposition.approximation(0).values, values, rtol=1e-9)
 
