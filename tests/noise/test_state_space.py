@@ -31,7 +31,7 @@ def test_samples_have_the_covariance_of_the_model(name):
     found, expected = dense.of_states(space, N)[0], dense.covariance(model, N, RATE)
     steps, own = (np.diff(np.diff(C, axis=0), axis=1) for C in (expected, found))
     assert_allclose(own, steps, rtol=0.0, atol=1e-9 * abs(steps).max())
-    if not re.search("walk|ramp|markov|sum", name) and name not in RESPONSES:
+    if not re.search("walk|ramp|sum", name) and name not in RESPONSES:
         assert_allclose(found, expected, rtol=0.0, atol=1e-9 * abs(expected).max())
     # Its own curves, of the matrices alone.
     m = np.array([1, 2, 7, 32])
@@ -41,17 +41,11 @@ def test_samples_have_the_covariance_of_the_model(name):
     assert_allclose(space.spectrum(f), model.sampled(RATE).sampled_psd(f, RATE), rtol=1e-8)
 
 
-def test_a_walk_begins_at_zero_and_a_markov_process_is_stationary():
+def test_a_walk_begins_at_zero():
     """The mean of a walk over the first interval has K²/(3·rate), and its end K²/rate."""
-    walk, markov = RANDOM["walk"], RANDOM["markov"]
+    walk = RANDOM["walk"]
     P0 = aj.Model((walk,)).state_space(RATE).P0
     assert_allclose(np.diag(P0), walk.coefficient**2 / RATE * np.array([1 / 3, 1.0]), rtol=1e-12)
-    space = aj.Model((markov,)).state_space(RATE)
-    x, variance = 1.0 / (RATE * 8.0), markov.amplitude**2 * 8.0 / 2.0
-    means = 2.0 * variance * (x - 1.0 + np.exp(-x)) / x**2
-    assert_allclose(np.diag(space.P0), [means, variance], rtol=1e-9)
-    found = dense.of_states(space, 30)[0]
-    assert_allclose(np.diag(found), found[0, 0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("term", [aj.BiasInstability(1e-4), aj.PowerLaw(1e-4, 0.5), aj.PowerLaw(1e-4, 1.9)])
@@ -88,9 +82,6 @@ def test_names_and_units_are_those_of_the_sensor():
     assert space.units == ("m/s", "m/s", "m/s²", "m/s²", "m/s²", "m/s³")
     assert model.state_space(RATE).units[::5] == ("rad", "rad/s²")
     assert (space.rate, space.sensor, space.size) == (RATE, "accel", 6)
-    # The std of a Markov state is q_c·√(T_c/2).
-    (row,) = (line for line in str(space).splitlines() if "markov_end" in line)
-    assert f"{1e-3 * 1.5**0.5:.3g}" in row
 
 
 MATRICES = ("A", "H", "Q", "R", "P0")
