@@ -39,9 +39,6 @@ def phases(x: np.ndarray, rate: float) -> np.ndarray:
     return np.concatenate([np.full((1, 2), 3.0), 3.0 + x.cumsum(axis=0) / rate])
 
 
-# --- Deviations and counts ----------------------------------------------------------------------------------
-
-
 def with_long_doubles(x: np.ndarray, m: int, name: str) -> tuple[np.ndarray, int]:
     """Deviations from phases of 64 binary digits, by slices of the whole record; number of differences."""
     kind, overlapping = KINDS[name]
@@ -147,9 +144,6 @@ def test_of_a_ramp_it_is_eq_4_56():
         assert_allclose(found.deviation, expected * seen, rtol=1e-9, atol=1e-10)
 
 
-# --- Cluster sizes ------------------------------------------------------------------------------------------
-
-
 OCTAVES = [1, 2, 4, 8, 16, 32, 64, 128, 256]
 SIZES = [
     ("octave", "allan", OCTAVES), ("octave", "hadamard", OCTAVES),
@@ -166,9 +160,6 @@ def test_cluster_sizes():
         found = aj.allan_deviation(disturbed(1000), RATE, kind=kind, cluster_times=spacing)
         assert found.cluster_size.tolist() == sizes
         assert_allclose(found.cluster_time, np.array(sizes) / RATE)
-
-
-# --- Errors -------------------------------------------------------------------------------------------------
 
 
 def dense_edf(name: str, n: int, m: int) -> float:
@@ -217,8 +208,6 @@ def test_intervals_are_those_of_the_chi_squared_law():
         with pytest.raises(aj.AllanjaxError, match="level"):
             found.confidence_interval(level)
 
-
-# --- Recordings ---------------------------------------------------------------------------------------------
 
 AXES = (aj.Axis("gyro_x", "gyro", "deg/s"), aj.Axis("accel_x", "accel", "g"))
 
@@ -273,8 +262,6 @@ def test_drawn_samples_count_for_fewer_degrees_of_freedom(estimator):
     assert_array_equal(found.deviation, whole.deviation)
     assert_allclose(found.edf, whole.edf / [1.0, 1.0 / 0.8 + 0.2], rtol=1e-12)
 
-
-# --- What is refused ----------------------------------------------------------------------------------------
 
 TEN = np.arange(20.0).reshape(10, 2) ** 2
 REFUSED = [

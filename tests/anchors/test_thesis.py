@@ -11,9 +11,6 @@ import allanjax as aj
 HOUR = 3600.0
 GYRO, ACCEL = aj.Axis("gyro_x", "gyro", "rad/s"), aj.Axis("accel_x", "accel", "m/s²")
 
-# --- Errors of the Allan deviation, eq. (4.66) --------------------------------------------------------------
-
-
 # Samples, rate, cluster size, and the error [%] printed.
 ERRORS = [
     (20_000, 100.0, 5000, "41"),  # "approximately 40 %", section 4.5
@@ -47,8 +44,6 @@ def test_errors_of_deviations_and_coefficients():
         assert coefficients * error(1_440_000, 200.0, m) == pytest.approx(printed, abs=1.1e-4)
 
 
-# --- Where coefficients are read off the curve, section 4.3 -------------------------------------------------
-
 ARCSEC, DEG = np.pi / 180.0 / 3600.0, np.pi / 180.0
 READINGS = [
     # 1.60e-4 deg at √3 h is 0.5770″, the text before (5.1).
@@ -67,9 +62,6 @@ def test_coefficients_are_where_the_thesis_reads_them():
     """To the three or four digits printed."""
     for term, time, deviation in READINGS:
         assert float(term.allan_variance(time)) ** 0.5 == pytest.approx(deviation, rel=2e-3)
-
-
-# --- Autocorrelation, table 3.3 -----------------------------------------------------------------------------
 
 
 TABLE_3_3 = [
@@ -91,8 +83,6 @@ def test_table_3_3():
             assert round(100.0 * estimate.std / estimate.value, 2) == pytest.approx(accuracy, abs=0.011)
         assert [e.usual_unit for e in found.values()] == ["(deg/h)²", "s"]
 
-
-# --- Power spectral density, tables 3.4 and 3.5 -------------------------------------------------------------
 
 # First and last ordinate, ordinates averaged, points that gives.
 TABLE_3_4 = [(1, 32, 1, 32)] + [(2**k + 1, 2 ** (k + 1), 2 ** (k - 4), 16) for k in range(5, 15)]

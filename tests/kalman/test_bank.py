@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import allanjax as aj
 
@@ -32,8 +33,8 @@ def test_weights_are_bayes_rule():
     found, frame = bank.results[0], bank.to_dataframe()
     assert found.labels == tuple(MODELS)
     for k, label in enumerate(MODELS):
-        np.testing.assert_array_equal(frame[f"weight_{label}"], found.weights[:, k])
-        np.testing.assert_array_equal(frame[f"probability_{label}"], found.probability[:, k])
+        assert_array_equal(frame[f"weight_{label}"], found.weights[:, k])
+        assert_array_equal(frame[f"probability_{label}"], found.probability[:, k])
     filters = [aj.kalman_filter(record, model, missing=lost).results[0] for model in MODELS.values()]
     density = [np.exp(-0.5 * f.standardized**2) / (np.sqrt(2.0 * np.pi) * f.innovation_std) for f in filters]
     density = np.where(np.isnan(density), 1.0, density).T
@@ -43,7 +44,7 @@ def test_weights_are_bayes_rule():
         weights = transition @ weights * density[k]
         total += np.log(weights.sum())
         weights = weights / weights.sum()
-        np.testing.assert_allclose(found.weights[k], weights, rtol=1e-8)
+        assert_allclose(found.weights[k], weights, rtol=1e-8)
         bias = weights @ [f.bias[k] for f in filters]
         assert found.bias[k] == pytest.approx(bias, rel=1e-9)
         if k:
@@ -53,11 +54,11 @@ def test_weights_are_bayes_rule():
     later = np.ones(3)
     for k in range(N - 1, -1, -1):
         both = found.weights[k] * later
-        np.testing.assert_allclose(found.probability[k], both / both.sum(), rtol=1e-7)
+        assert_allclose(found.probability[k], both / both.sum(), rtol=1e-7)
         later = transition @ (density[k] * later)
         later = later / later.sum()
     low, high = found.bias_interval
-    np.testing.assert_allclose(high - low, 2.0 * 1.959964 * found.bias_std, rtol=1e-6)
+    assert_allclose(high - low, 2.0 * 1.959964 * found.bias_std, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("second", "label"), [(LOUDLY, "noisy"), (DRIFTINGLY, "drifting")])
@@ -78,7 +79,7 @@ def test_a_model_that_was_ruled_out_comes_back_only_if_it_may():
     never = aj.adaptive_filter(record, MODELS, switching=0.0).results[0]
     assert never.changes == ()
     # Without a change the probability by all samples is the last weight.
-    np.testing.assert_allclose(never.probability, np.tile(never.weights[-1], (N, 1)), atol=1e-9)
+    assert_allclose(never.probability, np.tile(never.weights[-1], (N, 1)), atol=1e-9)
 
 
 REFUSED = [

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import dense
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import allanjax as aj
@@ -106,12 +107,12 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
         weights = np.linalg.solve((C + wide)[np.ix_(there, there)], cross[:, there].T).T
         mean = weights @ (z[there] - 3.0)
         std = np.sqrt(np.diag(prior - weights @ cross[:, there].T))
-        np.testing.assert_allclose(found.states[k], mean[:-1], atol=0.02 * np.max(std), rtol=1e-3)
+        assert_allclose(found.states[k], mean[:-1], atol=0.02 * np.max(std), rtol=1e-3)
         assert found.bias[k] == pytest.approx(mean[-1] + 3.0, abs=5e-3 * (std + abs(mean))[-1])
-        np.testing.assert_allclose(found.state_stds[k], std[:-1], rtol=5e-3, atol=1e-3 * std.max())
+        assert_allclose(found.state_stds[k], std[:-1], rtol=5e-3, atol=1e-3 * std.max())
         assert found.bias_std[k] == pytest.approx(std[-1], rel=5e-3, abs=1e-9)
     half = stats.norm.ppf(0.975) * found.bias_std * np.array([[-1.0], [1.0]])
-    np.testing.assert_allclose(found.bias_interval - found.bias, half, rtol=1e-7)
+    assert_allclose(found.bias_interval - found.bias, half, rtol=1e-7)
 
 
 def by_numbers(z: np.ndarray, N: float, K: float):
@@ -145,10 +146,10 @@ def test_gains_that_are_kept_or_interpolated_give_the_results_of_every_gain(K):
     z = 1e-3 * np.sqrt(RATE) * white + K / np.sqrt(RATE) * np.cumsum(steps)
     found = filtered(z, model, smooth=True, constant_std=0.0)
     e, s, means, variances = by_numbers(z, 1e-3, K)
-    np.testing.assert_allclose(found.innovation_std, np.sqrt(s), rtol=1e-9)
-    np.testing.assert_allclose(found.innovation, e, rtol=0.0, atol=1e-6 * np.sqrt(s.max()))
-    np.testing.assert_allclose(found.bias_std, np.sqrt(variances), rtol=1e-6)
-    np.testing.assert_allclose(found.bias, means, rtol=0.0, atol=1e-5 * np.sqrt(variances.max()))
+    assert_allclose(found.innovation_std, np.sqrt(s), rtol=1e-9)
+    assert_allclose(found.innovation, e, rtol=0.0, atol=1e-6 * np.sqrt(s.max()))
+    assert_allclose(found.bias_std, np.sqrt(variances), rtol=1e-6)
+    assert_allclose(found.bias, means, rtol=0.0, atol=1e-5 * np.sqrt(variances.max()))
     law = -0.5 * np.sum(np.log(2.0 * np.pi * s) + e**2 / s)
     assert found.log_likelihood == pytest.approx(law, abs=1e-6)
 
@@ -162,7 +163,7 @@ def test_missing_samples_of_a_recording_are_not_seen(n, gap):
     found = aj.kalman_filter(spoilt, SUM).results[0]
     expected = dense.loglikelihood(z, SUM, RATE, missing=lost)
     assert found.log_likelihood == pytest.approx(expected, rel=1e-8)
-    np.testing.assert_array_equal(found.missing, lost)
+    assert_array_equal(found.missing, lost)
     assert np.isnan(found.innovation[lost]).all()
     assert found.to_dict()["missing"] == lost.sum()
     # Nothing is learnt within the gap, while the walk goes on.
@@ -189,7 +190,7 @@ def test_tests_of_innovations_are_those_of_their_definitions():
         lost[gap] = True
         found = filtered(scale * z, WHITE, missing=lost)
         u = (found.innovation / found.innovation_std)[1:]
-        np.testing.assert_array_equal(found.standardized[1:], u)
+        assert_array_equal(found.standardized[1:], u)
         there = ~np.isnan(u)
         v, n = np.where(there, u, 0.0), there.sum()
         lags = range(1, min(40, n // 5) + 1)
@@ -234,13 +235,13 @@ def test_tables_have_the_numbers():
     z, lost = samples(SUM), np.arange(N) == 3
     result = aj.kalman_filter(recording(z), SUM, missing=lost)
     found, frame = result["gyro_x"], result.to_dataframe()
-    np.testing.assert_allclose(frame["time"], np.arange(N) / RATE)
-    np.testing.assert_array_equal(frame["bias_lower_95"], found.bias_interval[0])
-    np.testing.assert_array_equal(frame["bias_upper_95"], found.bias_interval[1])
+    assert_allclose(frame["time"], np.arange(N) / RATE)
+    assert_array_equal(frame["bias_lower_95"], found.bias_interval[0])
+    assert_array_equal(frame["bias_upper_95"], found.bias_interval[1])
     end = found.names.index("markov_end")
-    np.testing.assert_array_equal(frame["markov_end"], found.states[:, end])
-    np.testing.assert_array_equal(frame["markov_end_std"], found.state_stds[:, end])
-    np.testing.assert_array_equal(np.isnan(frame["sample"]), lost)
+    assert_array_equal(frame["markov_end"], found.states[:, end])
+    assert_array_equal(frame["markov_end_std"], found.state_stds[:, end])
+    assert_array_equal(np.isnan(frame["sample"]), lost)
     own = aj.Recording.from_array(z, RATE, accel_unit="m/s²", names=["accel_x"])
     assert aj.kalman_filter(own, SUM)["accel_x"].units == ("m/s²", "m/s²", "m/s", "m/s", "m/s²", "m/s²")
     assert found.units == ("rad/s", "rad/s", "rad", "rad", "rad/s", "rad/s")

@@ -31,8 +31,6 @@ reading = "minimum"
 """
 
 
-# --- Figures ------------------------------------------------------------------------------------------------
-
 WALK, BIAS = "angle_random_walk", "bias_instability"
 FIGURES = [
     ({"random_walk": "0.34 deg/√h"}, {WALK: 0.34 * DEG / 60}),
@@ -130,8 +128,6 @@ def test_files_and_names(tmp_path, monkeypatch):
         found["mag"]
 
 
-# --- Sheets that come with the package ----------------------------------------------------------------------
-
 # N and B of gyro and accelerometer as printed: a walk in deg/√h, or a one- or two-sided density in deg/s/√Hz,
 # and deg/h; m/s/√h, or g/√Hz, and g.
 SHEETS = {
@@ -183,9 +179,6 @@ def test_densities_are_one_sided_by_the_rms_of_the_sheet():
         assert N * math.sqrt(2.0 * bandwidth) == pytest.approx(rms, rel=0.06), name
 
 
-# --- The command --------------------------------------------------------------------------------------------
-
-
 def test_convert_by_units_alone():
     for value, unit, to, expected in [
         (3.0, "mdps/√Hz", "deg/h/√Hz", 10.8),
@@ -217,8 +210,6 @@ def test_convert_a_sheet(tmp_path):
     for words in ([], [3], [3, "g"], ["--sheet", "a.toml", "--to", "g"], [3, "g", "--to", "mg", "--json"]):
         assert run("convert", *words).exit_code == 2
 
-
-# --- Presets: tables 5.2, 5.4 and 5.5 of Hou (2004) ---------------------------------------------------------
 
 UNITS = {"arcsec": ARCSEC, "deg/√h": DEG / 60, "deg/h": DEG / HOUR, "m/s/√h": 1 / 60}
 UNITS |= {"m/h": 1 / HOUR, "m/s/h": 1 / HOUR, "m/s/h/√h": 1 / HOUR / 60, "m/s/h²": 1 / HOUR**2}

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from noise_terms import TERMS, TRANSIENT
+from numpy.testing import assert_allclose
 
 import allanjax as aj
 
@@ -72,10 +73,10 @@ def test_every_number_is_in_the_unit(sensor):
         for unit, factor in units.items():
             shown = e.in_unit(unit)
             assert shown.unit == unit
-            np.testing.assert_allclose(numbers_of(shown) * factor, numbers_of(e), rtol=1e-12)
+            assert_allclose(numbers_of(shown) * factor, numbers_of(e), rtol=1e-12)
             assert shown.in_unit(unit) == shown
             for other, into in units.items():
-                np.testing.assert_allclose(numbers_of(shown.in_unit(other)) * into, numbers_of(e), rtol=1e-12)
+                assert_allclose(numbers_of(shown.in_unit(other)) * into, numbers_of(e), rtol=1e-12)
 
 
 def test_usual_units_are_those_of_people():

@@ -17,9 +17,6 @@ Q, N, K = aj.Quantization(1.0), aj.AngleRandomWalk(2.0), aj.RateRandomWalk(3.0)
 WAVE, ONE = aj.Resonance(1e-3, 7.0, 6.0), aj.LowPass1(4.0)
 
 
-# --- Sums ---------------------------------------------------------------------------------------------------
-
-
 def test_terms_and_models_add_up_in_order():
     for model in (Q + N + K, Q + (N + K), (Q + N) + aj.Model((K,)), aj.Model((Q,)) + N + K):
         assert isinstance(model, aj.Model)
@@ -97,8 +94,6 @@ def test_curves_are_sums_over_the_terms():
     assert np.all(aj.Model(()).allan_variance(T) == 0.0)
 
 
-# --- Declarations -------------------------------------------------------------------------------------------
-
 # Kind of each parameter, and p in the unit (rate)·s^p of the amplitude.
 DECLARED = {
     "quantization": ("Q amplitude", 1.0), "angle_random_walk": ("N amplitude", 0.5),
@@ -161,9 +156,6 @@ def test_mistakes_are_named():
     # What is just possible.
     assert aj.Quantization(0.0).coefficient == 0.0
     assert aj.LowPass(1.0, 1.0, order=2).order == 2
-
-
-# --- Text ---------------------------------------------------------------------------------------------------
 
 
 def read(text, sensor="gyro"):
@@ -244,8 +236,6 @@ def test_a_value_in_text_is_of_one_sensor():
     with pytest.raises(aj.AllanjaxError, match="angle_random_walk"):
         aj.fit(both, "N=1 deg/√h + B", as_is=True)
 
-
-# --- Names --------------------------------------------------------------------------------------------------
 
 CALLED = {
     "gyro_x": {

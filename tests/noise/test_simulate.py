@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from noise_terms import DETERMINISTIC, RANDOM, RATE, RESPONSES, TRANSIENT, by_slots, finite
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import binom
 
 import allanjax as aj
@@ -140,9 +140,6 @@ def test_increments_far_apart_have_the_covariance_of_the_phase(monkeypatch):
     assert_allclose(rows @ rows[0] / 4.1e-5**2, exact, rtol=1e-6)
 
 
-# --- What is not Gaussian -----------------------------------------------------------------------------------
-
-
 CHANNEL = aj.ChannelEffect(2.0, lag=0.0, channel="temperature")
 DRAWN = DETERMINISTIC | TRANSIENT
 DRAWN |= {
@@ -205,8 +202,6 @@ def test_ramps_and_transients_are_their_columns(drawn):
         assert_allclose(found[name], expected, rtol=1e-9, atol=1e-300, err_msg=name)
 
 
-# --- Records ------------------------------------------------------------------------------------------------
-
 MODELS = {
     "gyro_x": aj.AngleRandomWalk(1e-3),
     "gyro_y": "N=0.2 deg/√s",
@@ -233,7 +228,7 @@ def test_recordings_of_several_axes():
     warm = aj.simulate_recording(MODELS, n, RATE, jax.random.key(3), auxiliary=level)
     assert [axis.unit for axis in warm.axes] == ["deg/s", "deg/s", "m/s²"]
     assert len(warm.notes) == 1
-    np.testing.assert_array_equal(warm.values[:, 0], gx)
+    assert_array_equal(warm.values[:, 0], gx)
     assert_allclose(warm.values[:, 2] - (az - 9.81), 20.0)
     other = aj.simulate_recording(MODELS, n, RATE, 4)
     assert not np.any(other.values[:, 0] == gx)

@@ -8,7 +8,7 @@ import dense
 import numpy as np
 import pytest
 from noise_terms import DETERMINISTIC, RANDOM, RATE, RESPONSES
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import allanjax as aj
 
@@ -93,10 +93,10 @@ def test_files_hold_the_matrices(tmp_path):
     text = space.to_matlab()
     with np.load(tmp_path / "noise.npz") as file:
         for name in MATRICES:
-            np.testing.assert_array_equal(file[name], getattr(space, name))
+            assert_array_equal(file[name], getattr(space, name))
             rows = re.search(rf"^{name} = \[(.*?)\];$", text, re.M | re.S)[1].split(";")
             found = np.array([[float(x) for x in row.split()] for row in rows])
-            np.testing.assert_array_equal(found, getattr(space, name))
+            assert_array_equal(found, getattr(space, name))
         assert tuple(file["names"]) == space.names
         assert tuple(file["units"]) == space.units
         assert file["rate"] == RATE
@@ -120,7 +120,7 @@ def test_a_c_header_compiles_and_holds_the_matrices(tmp_path):
     subprocess.run(command, check=True)
     printed = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
     expected = np.concatenate([getattr(space, name).ravel() for name in MATRICES])
-    np.testing.assert_array_equal(np.array(printed.split(), float), expected)
+    assert_array_equal(np.array(printed.split(), float), expected)
 
 
 class Bare(aj.NoiseTerm):

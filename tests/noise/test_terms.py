@@ -26,9 +26,6 @@ mp.mp.dps = 50
 TIMES = np.array([1e-4, 3e-3, 0.05, 0.3, 0.5, 1.0, 2.7, 9.0, 41.0, 700.0, 20001.0])
 
 
-# --- Closed forms of the continuous rate --------------------------------------------------------------------
-
-
 def of_exponential(weight, pole, T):
     """σ² = [4D(T) − D(2T)]/2T², D(T) = Var θ(T) = 2∫(T − t)R(t) dt, for R(t) = Re[weight·e^{pole·t}]."""
 
@@ -165,8 +162,6 @@ def test_infinite_densities_at_zero_give_no_warning(recwarn):
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
 
 
-# --- Samples: everything from the dense covariance by G -----------------------------------------------------
-
 N = 96
 
 
@@ -278,9 +273,6 @@ def test_transients_are_their_columns():
     for term in TRANSIENT.values():
         assert not np.any(term.allan_variance(t))
         assert not np.any(term.psd(t))
-
-
-# --- Terms of a user's own ----------------------------------------------------------------------------------
 
 
 class HalfFlicker(aj.NoiseTerm):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import dense
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import allanjax as aj
@@ -21,7 +21,7 @@ def record(n: int = N) -> np.ndarray:
 def test_the_estimate_is_the_mean_product_of_samples_so_far_apart():
     x = record(300)
     found = aj.autocorrelation(x, RATE, longest_lag=50.0)
-    np.testing.assert_array_equal(found.lag, np.arange(101) / RATE)
+    assert_array_equal(found.lag, np.arange(101) / RATE)
     for k, axis in enumerate(x.T - x.mean(axis=0)[:, None]):
         sums = np.correlate(axis, axis, "full")[299 : 299 + 101]
         assert_allclose(found.value[:, k], sums / (300 - np.arange(101)), rtol=1e-9, atol=1e-9)
@@ -56,7 +56,7 @@ def test_standard_errors_are_those_of_bartlett_and_of_the_dense_matrix():
     fit = {name: SimpleNamespace(model=model) for name, model in MODELS.items()}
     found = aj.autocorrelation(aj.Recording(record(), RATE, AXES), model=fit, longest_lag=30.0)
     alone = aj.autocorrelation(record(), RATE, model=MODELS["gyro_x"], longest_lag=30.0)
-    np.testing.assert_array_equal(alone.standard_error[:, 1], found.standard_error[:, 0])
+    assert_array_equal(alone.standard_error[:, 1], found.standard_error[:, 0])
     for axis, model in enumerate(MODELS.values()):
         C = dense.covariance(model, N, RATE)
         for k in (0, 1, 7, 60):
@@ -116,7 +116,7 @@ def test_tables_have_units():
     for k, (name, (unit, scale)) in enumerate(units.items()):
         assert_allclose(table[f"{name} [{unit}]"], found.value[:, k] / scale**2)
         assert_allclose(table[f"{name} standard error [{unit}]"], found.standard_error[:, k] / scale**2)
-    np.testing.assert_array_equal(table["lag [s]"], found.lag)
+    assert_array_equal(table["lag [s]"], found.lag)
 
 
 def test_refused():

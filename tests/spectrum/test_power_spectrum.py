@@ -22,9 +22,6 @@ def recording(values: np.ndarray, rate: float = RATE) -> aj.Recording:
     return aj.Recording(values, rate, axes[: values.shape[1]])
 
 
-# --- Densities ----------------------------------------------------------------------------------------------
-
-
 def groups(m: int) -> np.ndarray:
     """Ordinates averaged in each point, 16 points an octave above the first 32 (table 3.4).
 
@@ -83,9 +80,6 @@ def test_welch_is_scipys(length):
         assert len(found.frequency) == own // 2 - 1
 
 
-# --- Degrees of freedom -------------------------------------------------------------------------------------
-
-
 def dense_dof(window: str, n: int, length: int, count: int) -> float:
     """(tr G)²/tr G² of the mean of ordinates under white noise, from the products of all its rows."""
     w = signal.get_window(window, length)
@@ -116,20 +110,14 @@ def test_degrees_of_freedom_are_those_of_dense_covariances(window):
         assert_allclose(whole.correlation[:4], [1.0, 4 / 9, 1 / 36, 0.0], atol=1e-7)
 
 
-@pytest.mark.parametrize("level", [0.68, 0.95])
-def test_errors_and_intervals_are_those_of_the_chi_squared_law(level):
+def test_errors_and_intervals_are_those_of_the_chi_squared_law():
     found = aj.power_spectrum(white(1024), RATE)
-    lower, upper = found.confidence_interval(level)
-    low, high = (stats.chi2(found.dof).ppf(p)[:, None] for p in ((1.0 - level) / 2.0, (1.0 + level) / 2.0))
     dof = found.dof[:, None]
-    assert_allclose(lower, found.density * dof / high, rtol=1e-9)
-    assert_allclose(upper, found.density * dof / low, rtol=1e-9)
+    for level in (0.68, 0.95):
+        ends = [found.density * dof / stats.chi2(dof).ppf(0.5 + s * level / 2.0) for s in (1.0, -1.0)]
+        assert_allclose(found.confidence_interval(level), ends, rtol=1e-9)
+    assert_array_equal(found.confidence_interval(), found.confidence_interval(0.95))
     assert_allclose(found.standard_error, found.density * np.sqrt(2.0 / dof))
-    if level == 0.95:
-        assert_array_equal(found.confidence_interval(), (lower, upper))
-
-
-# --- White noise and other coefficients, from spectra without scatter ---------------------------------------
 
 
 def shapes(f: np.ndarray) -> np.ndarray:
@@ -281,18 +269,12 @@ def test_two_terms_are_read_on_either_side_of_their_crossing():
         assert estimate.excess == pytest.approx(np.sqrt(own + other) - np.sqrt(own), rel=0.05)
 
 
-# --- Records that scatter -----------------------------------------------------------------------------------
-
-
 def test_what_is_nowhere_flat_is_refused():
     spectrum = aj.power_spectrum(recording(white(20_000, seed=2).cumsum(axis=0)))
     with pytest.raises(aj.AllanjaxError, match=r"gyro_x.*band=\(low, high\)"):
         spectrum.random_walk("gyro_x")
     assert spectrum.random_walk("gyro_x", band=(1.0, 2.0)).value > 0
     assert spectrum.readings()["gyro_x"]["angle_random_walk"] is None
-
-
-# --- Units, tables, refusals --------------------------------------------------------------------------------
 
 
 def test_tables_have_units():
