@@ -113,6 +113,8 @@ def test_widened():
     assert absent.interval == pytest.approx((0.0, 1.2))
     assert absent.interval_68 == pytest.approx((0.0, 0.6))
     assert absent.upper_limit is None
+    at_zero = estimate(value=1.0, interval=(0.0, 2.0)).widened(2.0)
+    assert at_zero.interval == pytest.approx((0.0, 4.0))
     signed = estimate(value=1.0, interval=(-2.0, 4.0)).widened(2.0)
     assert signed.interval == pytest.approx((-5.0, 16.0))
     assert e.widened(1.0) == e
