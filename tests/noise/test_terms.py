@@ -1,8 +1,4 @@
-"""Noise terms: Allan variances by theory's G (mpmath), spectra by definition, and G by the dense covariance.
-
-Errata of the thesis that matter here: Ci in (4.44) lacks a minus sign; the PSD (4.63) of a line is twice what
-(4.64) takes; (4.48) needs the Ci of (4.46).
-"""
+"""Noise terms: Allan variances by theory's G (mpmath), spectra by definition, and G by the dense covariance."""
 
 import math
 
