@@ -1,4 +1,4 @@
-"""Noise terms: Allan variances by theory's G (mpmath), spectra by definition, and G by the dense covariance."""
+"""Noise terms: Allan variances by theory's G (mpmath), spectra by definition, G by the dense covariance."""
 
 import math
 
