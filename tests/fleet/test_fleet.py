@@ -126,37 +126,24 @@ def three(fleet):
     return fleet
 
 
-# Each option, another value than the default, and as the stored key and the command have it.
-OPTIONS = {
-    "rate": (200.0, "200.0", ["--rate", "200"]),
-    "gyro_unit": ("deg/h", "deg/h", ["--gyro-unit", "deg/h"]),
-    "accel_unit": ("mg", "mg", ["--accel-unit", "mg"]),
-    "columns": ("gyro_x", "gyro_x", ["--columns", "gyro_x"]),
-    "time": ("clock", "clock", ["--time", "clock"]),
-    "time_unit": ("ms", "ms", ["--time-unit", "ms"]),
-    "start": (1.0, "1.0", ["--start", "1"]),
-    "stop": (9.0, "9.0", ["--stop", "9"]),
-    "topic": ("/imu", "/imu", ["--topic", "/imu"]),
-    "instance": (1, "1.0", ["--instance", "1"]),
-    "gaps": ("fill", "fill", ["--gaps", "fill"]),
-    "objective": ("whittle", "whittle", ["--objective", "whittle"]),
-    "regressors": (["temperature"], ["temperature"], ["--regressors", "temperature"]),
-    "as_is": (True, True, ["--as-is"]),
-    "vibrating": (True, True, ["--vibrating"]),
-    "plain": (True, True, ["--plain"]),
-}
+# Each option, and another value than the default.
+OPTIONS = {"rate": 200.0, "gyro_unit": "deg/h", "accel_unit": "mg", "columns": "gyro_x", "time": "clock"}
+OPTIONS |= {"time_unit": "ms", "start": 1.0, "stop": 9.0, "topic": "/imu", "instance": 1, "gaps": "fill"}
+OPTIONS |= {"objective": "whittle", "regressors": ["temperature"], "as_is": True, "vibrating": True}
+OPTIONS |= {"plain": True}
 
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("name", OPTIONS)
 def test_each_option_is_part_of_a_results_key(three, cluster, name):
     """With it all is computed anew; what was stored with it is taken, by the call and by the command."""
-    value, stored, words = OPTIONS[name]
+    value = OPTIONS[name]
+    words = [f"--{name.replace('_', '-')}", *([] if value is True else np.atleast_1d(value))]
     assert three.run(three.files).resumed == 3
     changed = three.run(three.files, scheduler=cluster, **{name: value})
     assert (changed.resumed, len(changed.errors)) == (0, 3)
     of = three.key["options"] if name in three.key["options"] else three.key["options"]["reading"]
-    of[name] = stored
+    of[name] = str(float(value)) if type(value) in (int, float) else value
     three.store("a", ONE)
     assert three.run(three.files[:1], **{name: value}).resumed == 1
     outcome = run("fleet", three.files[0], "--out", three.out, *words)
@@ -241,7 +228,7 @@ def test_recordings_that_are_left_out_are_told(three):
 
 
 def test_names_tell_recordings_apart_and_may_change_from_run_to_run(fleet):
-    paths = "x/a/imu.csv y/a/imu.csv y/b/imu.csv.gz y/b/imu.npz z/gyro.1.csv".split()
+    paths = ["x/a/imu.csv", "y/a/imu.csv", "y/b/imu.csv.gz", "y/b/imu.npz", "z/gyro.1.csv"]
     files = [fleet.folder / path for path in paths]
     for k, path in enumerate(files):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -287,32 +274,29 @@ def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch
 # --- Groups -------------------------------------------------------------------------------------------------
 
 GROUPED = {"mems_a": "logs/mems/a", "b": "logs/mems/b", "fog_a": "logs/fog/a"}
-CSV = {
-    "by file": "file,group\nlogs/mems/a.csv,mems\nb.csv,mems\nlogs/fog/a.csv,fog\nunused.csv,x\n",
-    "by recording": "\ufeffgroup, recording\nmems, mems_a\nmems, b\nfog, fog_a\n",
-    "among others": "id,file,group\n1,logs/mems/a.csv,mems\n2,logs/mems/b.csv,mems\n3,logs/fog/a.csv,fog\n",
-    "other columns": "name,grade\na,x\n",
-    "empty": "",
-}
-GROUPS = {
-    "pattern": r"logs/(\w+)/",
-    "whole match": "mems|fog",
-    "of path or name": "^([a-z]+)_|/(mems)/",
-    "paths, files, names": {"logs/mems/a.csv": "mems", "b.csv": "mems", "fog_a": "fog", "other.csv": "x"},
-    "function": lambda path: path.parent.name,
-    **dict.fromkeys(("by file", "by recording", "among others"), "groups.csv"),
-}
-NO_GROUPS = {
-    "one without": ("logs/(mems)/", "1 of 3|logs/fog/a.csv|logs/(mems)/"),
-    "no expression": ("logs/(", "group=|--group"),
-    "no file": ("gone/groups.csv", "gone/groups.csv"),
-    "two without": ({"mems_a": "mems"}, "2 of 3|group="),
-    "two groups": ({"mems_a": "x", "logs/mems/a.csv": "y"}, "logs/mems/a.csv|'x' and 'y'"),
-    "a name of two": ({"a.csv": "x", "b.csv": "x"}, "2 of 3"),
-    "function": (lambda path: "", "3 of 3|group="),
-    "other columns": ("groups.csv", "group|name, grade"),
-    "empty": ("groups.csv", "group|nothing"),
-}
+# What divides them, and the content of a file of groups, or None.
+GROUPS = [
+    (r"logs/(\w+)/", None),
+    ("mems|fog", None),
+    ("^([a-z]+)_|/(mems)/", None),
+    ({"logs/mems/a.csv": "mems", "b.csv": "mems", "fog_a": "fog", "other.csv": "x"}, None),
+    (lambda path: path.parent.name, None),
+    ("groups.csv", "file,group\nlogs/mems/a.csv,mems\nb.csv,mems\nlogs/fog/a.csv,fog\nunused.csv,x\n"),
+    ("groups.csv", "\ufeffgroup, recording\nmems, mems_a\nmems, b\nfog, fog_a\n"),
+    ("groups.csv", "id,file,group\n1,logs/mems/a.csv,mems\n2,logs/mems/b.csv,mems\n3,logs/fog/a.csv,fog\n"),
+]
+# What does not, and what the error names.
+NO_GROUPS = [
+    ("logs/(mems)/", "1 of 3|logs/fog/a.csv|logs/(mems)/", None),
+    ("logs/(", "group=|--group", None),
+    ("gone/groups.csv", "gone/groups.csv", None),
+    ({"mems_a": "mems"}, "2 of 3|group=", None),
+    ({"mems_a": "x", "logs/mems/a.csv": "y"}, "logs/mems/a.csv|'x' and 'y'", None),
+    ({"a.csv": "x", "b.csv": "x"}, "2 of 3", None),
+    (lambda path: "", "3 of 3|group=", None),
+    ("groups.csv", "group|name, grade", "name,grade\na,x\n"),
+    ("groups.csv", "group|nothing", ""),
+]
 
 
 def test_groups(fleet, monkeypatch):
@@ -321,17 +305,17 @@ def test_groups(fleet, monkeypatch):
     for name, path in paths.items():
         fleet.store(name, ONE, path)
 
-    def grouped(kind, group):
-        Path("groups.csv").write_text(CSV.get(kind, ""), encoding="utf-8")
+    def grouped(group, content):
+        Path("groups.csv").write_text(content or "", encoding="utf-8")
         return fleet.run([*paths.values()], group=group).table
 
     expected = {"logs/mems/a.csv": "mems", "logs/mems/b.csv": "mems", "logs/fog/a.csv": "fog"}
-    for kind, group in GROUPS.items():
-        table = grouped(kind, group)
-        assert dict(zip(table["file"], table["group"], strict=True)) == expected, kind
-    assert {*grouped("", None)["group"]} == {""}
-    for kind, (group, words, *error) in NO_GROUPS.items():
-        refused(lambda kind=kind, group=group: grouped(kind, group), words, *(error or [aj.AllanjaxError]))
+    for group, content in GROUPS:
+        table = grouped(group, content)
+        assert dict(zip(table["file"], table["group"], strict=True)) == expected, group
+    assert {*grouped(None, None)["group"]} == {""}
+    for group, words, content in NO_GROUPS:
+        refused(lambda a=group, b=content: grouped(a, b), words, aj.AllanjaxError)
 
 
 # Arguments of `characterize_fleet`, and what the error names.

@@ -66,20 +66,16 @@ def test_windows_are_sums_of_squares_by_brute_force():
     np.testing.assert_allclose(w.resolution, 0.125)
 
 
-@pytest.mark.parametrize("chunk", [17, 5000, 40_000])
-def test_windows_of_a_stream_are_those_of_the_whole(chunk):
+def test_windows_of_a_stream_are_those_of_the_whole_and_merged_ones_hold_every_sample():
     x = np.random.default_rng(1).standard_normal((70_001, 2))
-    stream = Windows.of(x[:0])
-    for k in range(0, len(x), chunk):
-        stream = stream.updated(x[k : k + chunk])
     whole = Windows.of(x)
-    assert stream.size == whole.size
-    for name in ("count", "mean", "low", "high", "power", "pairs", "peak", "repeats", "rest"):
-        np.testing.assert_allclose(getattr(stream, name), getattr(whole, name), rtol=1e-9, err_msg=name)
-
-
-def test_merged_windows_hold_every_sample():
-    x = np.random.default_rng(2).standard_normal((70_001, 2))
+    for chunk in (17, 5000, 40_000):
+        stream = Windows.of(x[:0])
+        for k in range(0, len(x), chunk):
+            stream = stream.updated(x[k : k + chunk])
+        assert stream.size == whole.size
+        for name in ("count", "mean", "low", "high", "power", "pairs", "peak", "repeats", "rest"):
+            np.testing.assert_allclose(getattr(stream, name), getattr(whole, name), rtol=1e-9, err_msg=name)
     merged = Windows.of(x[:33_333]).merge(Windows.of(x[33_333:])).closed()
     assert merged.n == merged.count.sum() == len(x)
     np.testing.assert_allclose(merged.count @ merged.mean, x.sum(axis=0), rtol=1e-9)
@@ -197,38 +193,29 @@ def test_what_changes_no_coefficient_is_a_note():
     assert len(seen.notes) == 1
 
 
-@pytest.mark.parametrize(("share", "refused"), [(0.33, False), (0.29, True)])
-def test_three_tenths_of_the_record_must_be_quiet(share, refused):
+def test_three_tenths_of_the_record_must_be_quiet():
     """Knocks leave parts of this share."""
-    x = values(7)
-    for k in (1, 2, 3):
-        x += 300.0 * SIGMA * _ringing(300.0 * share * k, TIME)
-    seen = aj.inspect(recording(x))
-    assert bool(seen.refusal) == refused
-    assert (seen.stretch is None) == refused
-    if refused:
-        fit = aj.fit(recording(x[:, :3]), "N + K")
-        assert not fit.converged
-        assert "3 knocks" in fit["gyro_x"].reason
-        assert "--as-is" in fit["gyro_x"].reason
-        with pytest.raises(aj.FitError):
-            fit["gyro_x"]["N"]
-
-
-@pytest.mark.parametrize(
-    ("until", "louder", "refused"), [(6000, 10.0, True), (6000, 1.3, False), (1500, 10.0, False)]
-)
-def test_a_quiet_part_may_be_the_sensor_at_rest(until, louder, refused):
-    """One of more than a tenth of the record, and much quieter: no coefficients of the louder one."""
-    x = values(8)
-    x[until:] += np.sqrt(louder**2 - 1.0) * SIGMA * np.random.default_rng(8).standard_normal((N - until, 6))
-    seen = aj.inspect(recording(x))
-    assert bool(seen.refusal) == refused
-    (event,) = seen.events
-    assert event.kind == "quieter"
-    # The largest ratio at any scale and axis.
-    assert event.size == pytest.approx(louder, rel=0.3)
-    assert event.last == pytest.approx(until, abs=200)
+    for share, refused in ((0.33, False), (0.29, True)):
+        x = values(7) + 300.0 * SIGMA * sum(_ringing(300.0 * share * k, TIME) for k in (1, 2, 3))
+        seen = aj.inspect(recording(x))
+        assert (bool(seen.refusal), seen.stretch is None) == (refused, refused)
+    failed = aj.fit(recording(x[:, :3]), "N + K")["gyro_x"]
+    assert not failed.converged
+    assert "3 knocks" in failed.reason
+    assert "--as-is" in failed.reason
+    with pytest.raises(aj.FitError):
+        failed["N"]
+    # A quiet part may be the sensor at rest: one of more than a tenth of the record, and much quieter.
+    for until, louder, refused in ((6000, 10.0, True), (6000, 1.3, False), (1500, 10.0, False)):
+        x, more = values(8), np.random.default_rng(8).standard_normal((N - until, 6))
+        x[until:] += np.sqrt(louder**2 - 1.0) * SIGMA * more
+        seen = aj.inspect(recording(x))
+        assert bool(seen.refusal) == refused
+        (event,) = seen.events
+        assert event.kind == "quieter"
+        # The largest ratio at any scale and axis.
+        assert event.size == pytest.approx(louder, rel=0.3)
+        assert event.last == pytest.approx(until, abs=200)
 
 
 # --- False alarms -------------------------------------------------------------------------------------------
@@ -254,37 +241,27 @@ def clean(seed):
     return x
 
 
-def alarmed(first, last):
-    """How many of these clean records something is said of."""
-    seen = (aj.inspect(recording(clean(k))) for k in range(first, last))
-    return sum(bool(each.said) or not each.at_rest for each in seen)
-
-
-def test_noise_of_any_colour_is_nothing_unusual():
-    # At the 0.8 % that benchmarks measured, 0.3 of 36 are expected, and three come once in 300 times.
-    assert alarmed(0, 36) <= 2
-
-
-@pytest.mark.study
-def test_noise_of_any_colour_is_nothing_unusual_in_many_draws():
-    # 2.4 of 300 are expected, and nine come once in 2000 times.
-    assert alarmed(36, 336) <= 8
-
-
+# At the 0.8 % that benchmarks measured, 0.3 of 36 are expected, and three come once in 300 times; of 300 it
+# is 2.4, and nine come once in 2000 times.
 @pytest.mark.parametrize(
-    ("louder", "step", "found"), [(1.04, 0.1, False), (1.11, 0.0, True), (1.0, 1.0, True)]
+    ("first", "last", "most"), [(0, 36, 2), pytest.param(36, 336, 8, marks=pytest.mark.study)]
 )
-def test_what_is_unlike_the_rest(louder, step, found):
+def test_noise_of_any_colour_is_nothing_unusual(first, last, most):
+    seen = (aj.inspect(recording(clean(k))) for k in range(first, last))
+    assert sum(bool(each.said) or not each.at_rest for each in seen) <= most
+
+
+def test_what_is_unlike_the_rest():
     """20 s, 64 of 937 windows, are found where all axes are 7 % louder, eight standard deviations.
 
     Those of the cube root of a mean of 64·16·6 squared differences are √(2/9)/√6144 = 0.6 %. A step is found
     if it is ten standard deviations of what the mean changes by from some 40 s to the next, 0.4 of the noise.
     """
-    z = np.random.default_rng(22).standard_normal((N, 6))
-    z[15_000:17_000] *= louder
-    z[6000:] += step
-    seen = aj.inspect(recording(LEVEL + SIGMA * z))
-    assert bool(seen.events) == found
+    for louder, step, found in ((1.04, 0.1, False), (1.11, 0.0, True), (1.0, 1.0, True)):
+        z = np.random.default_rng(22).standard_normal((N, 6))
+        z[15_000:17_000] *= louder
+        z[6000:] += step
+        assert bool(aj.inspect(recording(LEVEL + SIGMA * z)).events) == found
 
 
 # --- Streams ------------------------------------------------------------------------------------------------
@@ -366,9 +343,11 @@ def test_what_moves_is_no_measurement_of_the_sensor():
 
 @pytest.mark.skipif(not DATA.exists(), reason="the real recordings are not here")
 def test_a_flight_and_a_hand_are_not_static():
-    flight = np.genfromtxt(DATA / "euroc_slice.csv", delimiter=",", skip_header=1)[:, 1:]
+    flight, hand = (
+        np.genfromtxt(DATA / f"{name}.csv", delimiter=",", skip_header=1)[:, 1:7]
+        for name in ("euroc_slice", "xio_sensor_data")
+    )
     assert not aj.inspect(recording(flight, 200.0)).at_rest
-    hand = np.genfromtxt(DATA / "xio_sensor_data.csv", delimiter=",", skip_header=1)[:, 1:7]
     moved = recording(hand, gyro_unit="deg/s", accel_unit="g")
     assert not aj.inspect(moved).at_rest
     # Before it was picked up.
@@ -417,15 +396,12 @@ def test_units_that_can_and_cannot_be(name):
     assert option in found.get(subject, "")
 
 
-@pytest.mark.parametrize(("N", "said"), [(2e-5, True), (5e-5, False), (17.0, False), (21.0, True)])
-def test_noise_of_no_gyro(N, said):
+def test_noise_that_no_gyro_has():
     """White noise [deg/√h] below that of the best gyro made, 3e-5, or above that of any at rest, 18."""
-    x = np.random.default_rng(3).standard_normal((20_000, 3)) * N * DEG / 60.0 * np.sqrt(RATE)
-    assert bool(aj.inspect(recording(x)).about("gyro")) == said
-
-
-def test_noise_of_gyros_beside_that_of_accelerometers():
-    """A tenth of it [deg/√h beside m/s/√h] at least, in degrees, and beside MEMS accelerometers."""
+    white = np.random.default_rng(3).standard_normal((20_000, 3)) * DEG / 60.0 * np.sqrt(RATE)
+    for density, said in ((2e-5, True), (5e-5, False), (17.0, False), (21.0, True)):
+        assert bool(aj.inspect(recording(density * white)).about("gyro")) == said
+    # At least a tenth of that of accelerometers [deg/√h beside m/s/√h], in degrees, and beside MEMS.
     rng = np.random.default_rng(4)
     for ratio, accel, unit, said in (
         (0.08, 0.05, "deg/s", True),
@@ -442,24 +418,17 @@ def test_noise_of_gyros_beside_that_of_accelerometers():
 def test_orientations_that_can_be():
     """On its side; without gravity, as a simulation; a single accelerometer that is tilted."""
     x = values(13)
-    for made in (recording(x[:, [0, 1, 2, 5, 3, 4]]), recording(x - LEVEL)):
-        assert aj.inspect(made).warnings == ()
     level = aj.Recording.from_array(x[:, 3:4] + 0.5, RATE, names=["accel_x"], accel_unit="m/s²")
-    assert aj.inspect(level).warnings == ()
+    for made in (recording(x[:, [0, 1, 2, 5, 3, 4]]), recording(x - LEVEL), level):
+        assert aj.inspect(made).warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("step", "said"),
-    [(1e-3, "1000 Hz"), (10.4, ""), (9.6, ""), (10.6, "94.34 Hz"), (10_000.0, ""), (1e7, "")],
-)
-def test_a_rate_beside_stamps_that_say_another(step, said):
-    """They may be in s, ms, µs or ns, and 5 % off."""
-    given = recording(values(14), auxiliary={"time": np.arange(N) * step})
-    (warning,) = aj.inspect(given).about("rate") or ("",)
-    assert said in warning if said else not warning
-
-
-def test_a_record_that_is_short():
+def test_rates_and_lengths():
+    """Stamps beside a rate may be in s, ms, µs or ns, and 5 % off."""
+    for step, said in ((1e-3, "1000 Hz"), (10.4, ""), (9.6, ""), (10.6, "94.34 Hz"), (1e4, ""), (1e7, "")):
+        given = recording(values(14), auxiliary={"time": np.arange(N) * step})
+        (warning,) = aj.inspect(given).about("rate") or ("",)
+        assert said in warning if said else not warning
     for n, words in ((6000, ()), (5999, ("60 s",)), (1000, ("10 s",)), (999, ("9.99 s", "3 %"))):
         found = aj.inspect(recording(values(15, n))).about("length")
         assert len(found) == bool(words)
@@ -468,23 +437,18 @@ def test_a_record_that_is_short():
     assert not aj.inspect(recording(values(15, 1000), 10.0)).about("length")
 
 
-@pytest.mark.parametrize(("steps", "subjects"), [(1.0, set()), (1.8, set()), (3.0, {"resolution"})])
-def test_noise_below_the_resolution(steps, subjects):
+def test_noise_below_the_resolution_and_samples_that_are_held():
     """The share of equal neighbours is 60 % where the noise is 0.4 steps; then few values are left."""
-    x = values(15)
-    x = LEVEL + SIGMA * steps * np.round((x - LEVEL) / SIGMA / steps)
-    seen = aj.inspect(recording(x))
-    assert {about for about, _ in seen.findings} == subjects
-    for axis, told in zip(NAMES, seen.about("resolution"), strict=False):
-        count = len(np.unique(x[:, NAMES.index(axis)].round(9)))
-        assert told.startswith(axis)
-        assert f"{count} distinct" in told
-        assert f"{steps * SIGMA[NAMES.index(axis)]:.3g}" in told
-
-
-@pytest.mark.parametrize(("held", "share"), [(2, 53), (4, 80), (1, 0)])
-def test_samples_that_are_held(held, share):
-    """Of 15 neighbours in a block of 16, eight are equal if each sample comes twice."""
-    found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about("repeats")
-    assert len(found) == (6 if share else 0)
-    assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))
+    for steps, subjects in ((1.0, set()), (1.8, set()), (3.0, {"resolution"})):
+        x = LEVEL + SIGMA * steps * np.round((values(15) - LEVEL) / SIGMA / steps)
+        seen = aj.inspect(recording(x))
+        assert {about for about, _ in seen.findings} == subjects
+        for k, told in enumerate(seen.about("resolution")):
+            assert told.startswith(NAMES[k])
+            assert f"{len(np.unique(x[:, k].round(9)))} distinct" in told
+            assert f"{steps * SIGMA[k]:.3g}" in told
+    # Of 15 neighbours in a block of 16, eight are equal if each sample comes twice.
+    for held, share in ((2, 53), (4, 80), (1, 0)):
+        found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about("repeats")
+        assert len(found) == (6 if share else 0)
+        assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))
