@@ -180,19 +180,21 @@ def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
 
 
 def test_another_version_and_another_file_are_computed_anew(three, cluster):
+    """And what is no result is passed over."""
     os.utime(three.files[0])
     three.files[1].write_text("00\n")
-    three.key["allanjax_version"] = "99.0"
+    version, three.key["allanjax_version"] = three.key["allanjax_version"], "99.0"
     three.store("c", ONE)
     assert three.run(three.files, scheduler=cluster).resumed == 0
-    # What is no result is passed over.
+    three.key["allanjax_version"] = version
     for name, text in (("a", "{"), ("b", "[1]"), ("c", '{"key": 1, "fit": {}}'), ("note", '"x"')):
         (three.out / "recordings" / f"{name}.json").write_text(text, encoding="utf-8")
     result = three.run(three.files, scheduler=cluster)
     assert (result.resumed, len(result.table)) == (0, 0)
     assert not any("left out" in note for note in result.notes)
-    full = three.judged(("gyro", ARW, np.ones((3, 1)), 0.1)).table
-    assert dict(result.table.dtypes) == dict(full.dtypes)
+    full = three.judged(("gyro", ARW, np.ones((3, 1)), 0.1))
+    assert full.resumed == 3
+    assert dict(result.table.dtypes) == dict(full.table.dtypes)
 
 
 def test_rows_of_a_stored_fit(three):

@@ -132,9 +132,6 @@ def test_what_has_no_error_is_neither_marked_nor_compared_with(fleet):
         assert marks(result) == found
 
 
-# --- Grades -------------------------------------------------------------------------------------------------
-
-
 def two_grades(seed, ratio=6.0, scatter=0.1, bad=(4.0, 3.0), sizes=(4, 8)):
     """N of two grades of units, the first unit of each bad on all axes."""
     rng = np.random.default_rng(seed)

@@ -130,8 +130,6 @@ def test_packages_that_are_not_there_are_named(tmp_path, monkeypatch):
         refused(tmp_path / "imu.bin", f"allanjax[{extra}]")
 
 
-# --- Damage -------------------------------------------------------------------------------------------------
-
 DAMAGES = [
     lambda x: x[: len(x) * 2 // 3],
     lambda x: b"\x00\x01" + x[2:],
@@ -165,9 +163,6 @@ def test_what_claims_to_be_large_takes_no_memory(tmp_path):
     refused(path, "50000000000", rate=RATE, **UNITS)
     np.savez_compressed(path, gyro=np.tile(NOISE[:50, :3], (4000, 1)), accel=np.zeros((200_000, 3)))
     assert aj.read(path, rate=RATE, **UNITS).n == 200_000
-
-
-# --- In chunks ----------------------------------------------------------------------------------------------
 
 
 def save(frame, path):

@@ -95,9 +95,6 @@ def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
     assert recording.between(-3.0, 1e9).n == N
 
 
-# --- Data frames --------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("si", [False, True])
 def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
     """Values to the last digit and all else, by Parquet, too."""

@@ -15,7 +15,8 @@ import allanjax as aj
 N = 50
 NOISE = np.random.default_rng(2).normal(size=(N, 6)) + 0.3
 BAD = np.where((np.arange(N)[:, None] == 7) & (np.arange(6) == 4), np.nan, NOISE)
-TIMES, TURNS = np.arange(N) / 100.0, (-1) ** np.arange(N)
+STEPS = np.arange(N)
+TIMES, TURNS = STEPS / 100.0, (-1) ** STEPS
 RATE = {"rate": 100}
 DEG_S = {**RATE, "gyro_unit": "deg/s"}
 
@@ -44,14 +45,13 @@ def cell(content, **more):
     return text(cells={(23, 1): content}, **more)
 
 
+def headless(lines):
+    return lines[1:]
+
+
 def moved(**changes):
     """Times at which samples from a row on are later."""
-    return TIMES + sum(by * (np.arange(N) >= int(row[1:])) for row, by in changes.items())
-
-
-def at(row, time):
-    """Times of which one is another."""
-    return np.where(np.arange(N) == row, time, TIMES)
+    return TIMES + sum(by * (int(row[1:]) <= STEPS) for row, by in changes.items())
 
 
 # What writes the file, options of reading, what the error names, and its class unless it is RecordingError.
@@ -60,12 +60,10 @@ OF_TEXT = {
     "text": (text(cells={(23, 1): "abc", (35, 1): "x"}), RATE, "gyro_y|line 23:|abc|--stop"),
     "nan": (cell("nan"), RATE, "gyro_y|line 23:|gaps"),
     "empty": (cell(""), RATE, "gyro_y|line 23:|gaps"),
-    "infinite": (cell("-inf"), RATE, "gyro_y|line 23:|-inf"),
     "comma": (cell('"1,5"'), RATE, "gyro_y|line 23:|1,5"),
     "too large": (cell("1.01e100"), RATE, "gyro_y|line 23:|1.01e+100"),
-    "first row": (line(2, "abc,def,ghi"), RATE, "gyro_x|line 2: 'abc'"),
     "cell cut off": (line(2, "0.1,0.2,"), RATE, "gyro_z|line 2:"),
-    "no header": (text(cells={(4, 2): "x"}, edit=lambda x: x[1:]), DEG_S, "gyro_z|line 3: 'x'"),
+    "no header": (text(cells={(4, 2): "x"}, edit=headless), DEG_S, "gyro_z|line 3: 'x'"),
     "after a stretch": (text(cells={(35, 1): "x"}), {**RATE, "start": 0.22, "stop": 0.4}, "gyro_y|line 35:"),
     "comments count": (cell("x", edit=lambda x: ["# lab", "", *x[:9], "# stop", *x[9:]]), RATE, "line 26:"),
     "row too long": (line(9, "1,2,3,4"), RATE, "line 9 has 4 columns where 3"),
@@ -101,36 +99,26 @@ OF_TEXT = {
     "columns without axis": (text(), {**RATE, "columns": "-,-,mag"}, "mag"),
     "too few entries": (text(SIX), {**RATE, "columns": "a,-"}, "columns|a"),
     "ambiguous": (text(["gx [deg/s]", "gx [rad/s]"]), {"columns": "gx"}, "columns=|gx [rad/s]"),
-    **{
-        f"{count} unnamed of {len(units)}": (
-            text(SIX[:count], edit=lambda lines: lines[1:]),
-            {**RATE, **units},
-            f"{count} columns|--columns",
-        )
-        for count, units in ((2, UNITS), (3, UNITS), (3, {}), (6, {"gyro_unit": "deg/s"}))
-    },
+    "2 unnamed": (text(SIX[:2], edit=headless), {**RATE, **UNITS}, "2 columns|--columns"),
+    "3 unnamed": (text(SIX[:3], edit=headless), {**RATE, **UNITS}, "3 columns|--columns"),
+    "3 of no unit": (text(SIX[:3], edit=headless), RATE, "3 columns|--columns"),
+    "6 of one unit": (text(SIX, edit=headless), DEG_S, "6 columns|--columns"),
     # Times.
     "same throughout": (text(times=0 * TIMES), {}, "time [s]|--time none"),
     "a gap": (text(times=moved(r10=0.35, r35=0.05)), {}, "time [s]|0.36 s (36 intervals)|line 12|start="),
     "a gap, rate given": (text(times=moved(r10=0.35)), RATE, "0.36 s (36 intervals)"),
     "one lost sample": (text(times=moved(r20=0.01)), {}, "0.02 s (2 intervals)|line 22"),
     "an interval of 1.56": (text(times=moved(r20=0.0056)), {}, "0.0156 s|line 22"),
-    "repeats": (text(times=at(10, 0.09)), {}, "time [s]|repeats|line 12|--rate"),
-    "earlier": (text(times=at(10, 0.02)), {}, "time [s]|by 0.07 s|line 12"),
+    "repeats": (text(times=np.where(STEPS == 10, 0.09, TIMES)), {}, "time [s]|repeats|line 12|--rate"),
+    "earlier": (text(times=np.where(STEPS == 10, 0.02, TIMES)), {}, "time [s]|by 0.07 s|line 12"),
     "jitter of 21 %": (text(times=TIMES + 0.00105 * TURNS), {}, "irregular|jitter 0.0021|--rate"),
-    "bursts": (text(times=(np.arange(N) // 5) * 0.05 + (np.arange(N) % 5) * 0.001), {}, "irregular"),
-    **{
-        f"unit of {step:g}": (
-            text(times=step * np.arange(N), label="time"),
-            {},
-            "'time'|time_unit=|--time-unit",
-        )
-        for step in (1.0, 10.0, 1e-5)
-    },
+    "bursts": (text(times=STEPS // 5 * 0.05 + STEPS % 5 * 0.001), {}, "irregular"),
+    "unit of steps": (text(times=STEPS, label="time"), {}, "'time'|time_unit=|--time-unit"),
+    "unit of tens": (text(times=10 * STEPS, label="time"), {}, "'time'|time_unit=|--time-unit"),
+    "unit of 1e-5": (text(times=1e-5 * STEPS, label="time"), {}, "'time'|time_unit=|--time-unit"),
     "no unit of time": (text(times=TIMES, label="time [m]"), {}, "'m'|us", aj.UnitError),
     "time unit twice": (text(times=TIMES), {"time_unit": "ms"}, "in s|time_unit=|ms", aj.UnitError),
     "no such time": (text(times=TIMES), {"time": "clock"}, "clock|time [s]|time="),
-    "empty time": (text(times=TIMES, cells={(7, 0): ""}), {}, "time [s]|line 7"),
     "time in words": (text(times=TIMES, cells={(7, 0): "soon"}), {}, "time [s]|line 7"),
     # Choices that there are not.
     "gaps": (text(), {**RATE, "gaps": "interpolate"}, "gaps=|--gaps|interpolate"),
@@ -162,7 +150,7 @@ RIGHT = [
     (text(times=TIMES + 0.00095 * TURNS), {}, N),
     # An interval of 1.44, and late stamps after which all is as before.
     (text(times=moved(r20=0.0044)), {}, N),
-    (text(times=TIMES + np.isin(np.arange(N), [10, 45]) * 0.006), {}, N),
+    (text(times=TIMES + np.isin(STEPS, [10, 45]) * 0.006), {}, N),
     (text(times=moved(r10=0.35, r35=0.05)), {"start": 0.450, "stop": 0.690}, 24),
     (text(times=moved(r10=0.35)), {**RATE, "time": "none"}, N),
     (text(times=0 * TIMES), {**RATE, "time": False}, N),
@@ -217,7 +205,6 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 BINARY = {
     "nan in npy": ("imu.npy", BAD, RATE, "accel_y|row 7"),
     "nan in npz": ("imu.npz", {**BROKEN, "rate": 100}, {}, "accel_y|row 7"),
-    "nan in mat": ("imu.mat", {**BROKEN, "fs": 100.0}, {}, "accel_y|row 7"),
     "nan in parquet": ("imu.parquet", pd.DataFrame(BAD, columns=list(SIX)), RATE, "accel_y|row 7"),
     "text in parquet": ("imu.parquet", WORDS, RATE, "gyro_y|row 3|'bad'"),
     "no rows": ("imu.parquet", FRAME[:0], RATE, "no rows"),
@@ -227,23 +214,19 @@ BINARY = {
     "complex": ("imu.npy", NOISE.astype(complex), RATE, "complex128"),
     "objects": ("imu.npy", NOISE.astype(object), RATE, "can not be read"),
     "lengths in npz": ("imu.npz", SHORT, RATE, "gyro_x 50|accel_x 30"),
-    "lengths in mat": ("imu.mat", SHORT, RATE, "gyro_x 50|accel_x 30"),
     "transposed in npz": ("imu.npz", {"gyro": NOISE[:, :3].T}, RATE, "'gyro'|(3, 50)"),
     "no samples in npz": ("imu.npz", {"rate": 100.0}, {}, "no array"),
     "rate of npz": ("imu.npz", {**HALVES, "rate": -5.0}, {}, "positive"),
     "rate against npz": ("imu.npz", {**HALVES, "fs": 100.0}, {"rate": 101.1}, "rate 101.1 Hz|100 Hz|--rate"),
     "spreadsheet": ("imu.xlsx", workbook(), RATE, "CSV"),
-    "no zip": ("imu.xlsx", b"PK\x03\x04" + bytes(100), RATE, "CSV"),
     "magic of Parquet": ("imu.bin", b"PAR1 damaged", RATE, "Parquet"),
     "magic of npy": ("imu.bin", b"\x93NUMPY damaged", RATE, ".npy"),
     "magic of MATLAB": ("imu.bin", b"MATLAB 5.0 damaged", RATE, "-v7"),
     "magic of HDF5": ("imu.bin", HDF5 + bytes(100), RATE, "HDF5|-v7"),
     "magic of -v7.3": ("imu.bin", b"MATLAB 7.3 MAT-file".ljust(512) + HDF5, RATE, "-v7"),
-    "magic of gzip": ("imu.bin", b"\x1f\x8b damaged", RATE, "can not be read"),
     "magic of nothing": ("imu.bin", b"\x00\x01\x02" * 100, RATE, "CSV"),
     "cut gzip": ("imu.csv.gz", ZIPPED[:-500], RATE, "can not be read"),
     "empty": ("imu.csv", b"", {}, "empty"),
-    "blank": ("imu.csv", b"\n\n", {}, "empty"),
     "a header alone": ("imu.csv", b"gyro_x [deg/s]\n# nothing\n", {}, "row of numbers"),
     "absent": ("imu.csv", None, {}, "no such file"),
     "a folder": ("imu.csv", {}, {}, "folder"),

@@ -82,8 +82,6 @@ def test_a_file_without_a_header_or_cut_within_a_line(tmp_path):
         refused(path, f"line {N + 2}", rate=RATE)
 
 
-# --- Columns ------------------------------------------------------------------------------------------------
-
 # Labels, the axis that each is, its unit and factor to SI.
 AXES = {
     "gyro_x gyrox GyroX Gyr_X gx wx omega_x xgyro angular_velocity.x angular_rate_x": ("gyro_x", "deg/s"),
@@ -153,8 +151,6 @@ def test_stretches_columns_and_increments(tmp_path):
     np.testing.assert_allclose(recording.values, NOISE * [*3 * [8e-5], *3 * [0.08]], rtol=1e-14)
     assert noted(recording, "gyro_x", "increments")
 
-
-# --- Time stamps --------------------------------------------------------------------------------------------
 
 # Labels, stamps, and options; the rate is 100 Hz unless the options say another.
 STAMPS = {
@@ -227,8 +223,6 @@ def test_what_ros_exports(tmp_path):
     frame.to_parquet(tmp_path / "imu.parquet")
     check(aj.read(tmp_path / "imu.parquet"))
 
-
-# --- Logs of text -------------------------------------------------------------------------------------------
 
 EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
 EUROC += ",a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
