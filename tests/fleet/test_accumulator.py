@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from commands import run
 from imu_columns import refused
 
 import allanjax as aj
@@ -144,6 +145,7 @@ def test_what_goes_wrong_is_named_and_nothing_is_lost(x, tmp_path):
     assert accumulator.n == 500
 
 
+@pytest.mark.usefixtures("elsewhere")
 def test_a_file_is_accumulated_chunk_by_chunk(x, tmp_path):
     path, told = tmp_path / "long.npy", []
     np.save(path, x[:50_000])
@@ -154,3 +156,7 @@ def test_a_file_is_accumulated_chunk_by_chunk(x, tmp_path):
     # At larger clusters where differences begin depends on the start.
     whole = pyramid(x[:50_000]).deviation
     np.testing.assert_allclose(found.result().deviation[:4], whole[:4], rtol=ROUNDING)
+    words = ["--rate", RATE, "--gyro-unit", "rad/s", "--columns", "gyro_x,gyro_y"]
+    refusal = run("characterize", path, "--stream", *words, "--regressors", "temperature")
+    assert refusal.exit_code == 1
+    assert "regressors" in refusal.stderr

@@ -22,9 +22,6 @@ COLUMNS = {
 }
 
 
-# --- What is found ------------------------------------------------------------------------------------------
-
-
 def test_the_table_holds_what_fits_find(characterized, logs):
     out, result = characterized
     pd.testing.assert_frame_equal(pd.read_parquet(out / "fleet.parquet"), result.table)
@@ -82,9 +79,6 @@ def test_a_long_recording_is_divided_and_put_together(cluster, tmp_path, stretch
         (row,) = result.table[result.table["coefficient"] == label].to_dict("records")
         assert row["value"] == pytest.approx(c.in_unit(row["unit"]).value, rel=1e-9)
         assert row["std"] == pytest.approx(c.in_unit(row["unit"]).std, rel=1e-6)
-
-
-# --- What a later run takes ---------------------------------------------------------------------------------
 
 
 def test_a_second_run_computes_only_what_is_not_there(characterized, logs, cluster):
@@ -273,8 +267,6 @@ def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch
     assert aj.characterize_fleet("one", "out", scheduler=cluster).resumed == 0
 
 
-# --- Groups -------------------------------------------------------------------------------------------------
-
 GROUPED = {"mems_a": "logs/mems/a", "b": "logs/mems/b", "fog_a": "logs/fog/a"}
 # What divides them, and the content of a file of groups, or None.
 GROUPS = [
@@ -357,9 +349,6 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs, tmp_path):
     nothing = run("fleet", "*.parquet")
     assert nothing.exit_code == 1
     assert "*.parquet" in nothing.stderr
-
-
-# --- Table and picture --------------------------------------------------------------------------------------
 
 
 def test_the_printed_table_has_median_scatter_and_quantiles(fleet):

@@ -27,9 +27,6 @@ def check(recording, values=VALUES, rate=200.0, names=SIX):
     return recording
 
 
-# --- Bags ---------------------------------------------------------------------------------------------------
-
-
 def stamps(n=N, rate=200.0):
     """Times [ns]."""
     return 1_700_000_000_123_456_789 + np.round(np.arange(n) * 1e9 / rate).astype(np.int64)
@@ -124,9 +121,6 @@ def test_bags_that_can_not_be_read(tmp_path, bag, monkeypatch):
     refused(lambda: aj.read_chunks(whole), "chunks")
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     refused(whole, "allanjax[ros]")
-
-
-# --- PX4 ----------------------------------------------------------------------------------------------------
 
 
 def micros(n=N, interval=5000, start=5_000_000):
@@ -228,9 +222,6 @@ def test_logs_of_px4_that_can_not_be_read(tmp_path, monkeypatch):
     refused(path, "allanjax[px4]")
 
 
-# --- ArduPilot ----------------------------------------------------------------------------------------------
-
-
 def columns(values, *names):
     """Columns of three axes each."""
     labels = [f"{name}{axis}" for name in names for axis in "XYZ"]
@@ -242,16 +233,17 @@ def imu(values=SAMPLES, times=None, **more):
     return structured(TimeUS=times, **more, **columns(values, "Gyr", "Acc"), T=warm)
 
 
-@pytest.mark.parametrize("junk", [b"", b"\xa3\x95", b"\xa3\x95\x82 torn"])
-def test_messages_of_ardupilot(tmp_path, junk):
+def test_messages_of_ardupilot(tmp_path):
     """The two bytes with which one begins may be in its numbers, too, and in junk between."""
     values = SAMPLES.copy()
     values[::3, 1] = values[::7, 5] = struct.unpack("<f", b"\xa3\x95\x82\x00")[0]
     messages = {"IMU": imu(values), "ATT": structured(TimeUS=micros(), Roll=np.ones(N, "f4"))}
-    recording = check(aj.read(write_dataflash(tmp_path / "log.bin", messages, junk)), values.astype(float))
-    np.testing.assert_array_equal(recording.auxiliary["temperature"], 31.5)
-    # What is before the junk is not known to be whole: a message of another type.
-    assert noted(recording, "bytes") == bool(junk)
+    for junk in (b"", b"\xa3\x95", b"\xa3\x95\x82 torn"):
+        path = write_dataflash(tmp_path / "log.bin", messages, junk)
+        recording = check(aj.read(path), values.astype(float))
+        np.testing.assert_array_equal(recording.auxiliary["temperature"], 31.5)
+        # What is before the junk is not known to be whole: a message of another type.
+        assert noted(recording, "bytes") == bool(junk)
 
 
 def test_instances_and_raw_samples_of_ardupilot(tmp_path):
