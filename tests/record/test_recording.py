@@ -38,7 +38,6 @@ def test_columns_are_gyro_then_accel():
     assert any("gyro_x" in note for note in made.notes)
     assert made.jitter is made.missing is None
     assert made.dead == made.others == ()
-
     for count, units, names in (
         (3, {"gyro_unit": "rad/s"}, SIX[:3]),
         (3, {"accel_unit": "m/s²"}, SIX[3:]),
