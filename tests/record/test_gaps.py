@@ -99,7 +99,7 @@ def test_empty_cells_are_missing_of_their_axis_alone(written):
 def test_packets_recorded_twice_are_left_out(written):
     table = whole(3000)
     twice = table.iloc[np.sort(np.concatenate([np.arange(3000), [50, 51, 2000]]))]
-    refused(written(twice), "repeats|3 such")
+    refused(written(twice), "repeats|3 such|--gaps fill")
     for gaps in ("segments", "fill"):
         recording = aj.read(written(twice), gaps=gaps)
         assert noted(recording, "3 packets")
