@@ -54,12 +54,9 @@ def cycle(found: dict[str, set[str]]) -> list[str]:
     return []
 
 
-def test_every_folder_is_a_room():
+def test_every_folder_is_a_room_and_imports_go_down_and_in_no_circle():
     folders = {path.name for path in (ROOT / PACKAGE).iterdir() if path.is_dir()} - {"__pycache__"}
     assert folders == set(ROOMS)
-
-
-def test_imports_go_down_and_in_no_circle():
     found = imports(ROOT / PACKAGE)
     assert upward(found) == set()
     assert cycle(found) == []
