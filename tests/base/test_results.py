@@ -112,8 +112,7 @@ def test_results_of_axes_are_mappings(kind):
     results = make()
     assert isinstance(results, Mapping)
     assert list(results) == list(results.keys()) == list(results.axes) == names
-    assert len(results) == len(names)
-    assert tuple(results.values()) == results.results
+    assert (len(results), tuple(results.values())) == (len(names), results.results)
     for name, result in zip(names, results.results, strict=True):
         assert result.axis.name == name
         assert results[name] is results.get(name) is result
@@ -139,9 +138,8 @@ def test_copies_are_equal_and_what_is_told_is_short(kind):
             assert hash(other) == hash(result)
     assert result != 3
     if kind not in TABLES:
-        lines = repr(result).splitlines()
-        assert len(lines) <= 2
-        assert max(map(len, lines)) < 250
+        assert len(repr(result).splitlines()) <= 2
+        assert len(repr(result)) < 500
         assert "array(" not in repr(result)
 
 

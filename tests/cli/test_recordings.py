@@ -204,8 +204,6 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
     [
         ("characterize empty.csv", 1, "empty"),
         ("characterize a.csv", 1, "--rate"),
-        ("characterize a.csv --rate 100", 1, "--gyro-unit"),
-        ("characterize a.csv --rate -1 --gyro-unit deg/s", 1, "rate"),
         (f"characterize {UNIT} --start 9 --stop 5", 2, "9 s"),
         (f"characterize {UNIT} --start nan", 2, "nan"),
         (f"characterize {UNIT} --start 300", 1, "--start"),

@@ -127,14 +127,12 @@ def test_kalman_with_a_fit_and_files(saved, tmp_path):
 
 def test_calibrate_by_names_of_files_and_by_options(tmp_path):
     """Two positions of an accelerometer, with all options."""
-    levels = {"up": 0.05 + 1.001 * 9.81, "down": 0.05 - 1.001 * 9.81}
-    records = {way: at_rest([x], 64, 20.0, axes="z") for way, x in levels.items()}
-    for way, recording in records.items():
-        pd.DataFrame({"accel_z [m/s^2]": recording.values[:, 0]}).to_csv(f"{way}.csv", index=False)
+    for way, x in (("up", 0.05 + 1.001 * 9.81), ("down", 0.05 - 1.001 * 9.81)):
+        values = at_rest([x], 64, 20.0, axes="z").values[:, 0]
+        pd.DataFrame({"accel_z [m/s^2]": values}).to_csv(f"{way}.csv", index=False)
     aj.write_json(bench.fit("small"), "noise.json")
     common = ("--rate", 20, "--as-is", "--gravity", 9.81, "--fit", "noise.json")
-    told = ran("calibrate", "up.csv", "down.csv", *common, "--out", "out")
-    assert "scale factor" in told
+    assert "scale factor" in ran("calibrate", "up.csv", "down.csv", *common, "--out", "out")
     document = json.loads(Path("out/calibration.json").read_text(encoding="utf-8"))
     assert document["sensors"]["accel"]["M"][2][2] == pytest.approx(1.001, abs=1e-6)
     assert document["sensors"]["accel"]["b"][2] == pytest.approx(0.05, abs=1e-5)
@@ -209,7 +207,6 @@ def test_the_demo_finds_what_was_put_in():
         ("horizon none.json --horizon 10", 1, "none.json"),
         ("horizon small.json --horizon 10 --axis gyro_w", 1, "gyro_w"),
         ("navigate small.json --latitude 51 --gyro-bias 2", 1, "unit"),
-        ("statespace small.json --axis gyro_w -o x.npz", 1, "gyro_w"),
         ("calibrate", 2, "recordings"),
         ("calibrate --position file.csv", 1, "orientation"),
         ("simulate --out a.csv", 2, "--terms"),
@@ -217,9 +214,7 @@ def test_the_demo_finds_what_was_put_in():
         ("simulate hg1700", 2, "--out"),
         ("simulate --sensor accel --terms N=1deg/√h --out a.csv", 2, "gyro"),
         ("simulate --terms N=1deg/√h --out a.csv --duration nan", 2, "--duration"),
-        ("simulate --terms N=1deg/√h --out a.csv --rate 0", 2, "--rate"),
         ("convert 1 deg/h", 2, "--to"),
-        ("schema colours", 2, "colours"),
     ],
 )
 def test_what_is_wrong_is_said(saved, words, code, word):

@@ -138,15 +138,13 @@ def test_white_noise_is_folded_whole_also_that_of_a_model():
 
 @pytest.mark.usefixtures("no_windows")
 def test_it_is_told_drawn_and_exported(results):
-    found = results["quantized"]
-    axis, frame = found["gyro_x"], found.to_dataframe()
+    found, axis = results["quantized"], results["quantized"]["gyro_x"]
+    frame = found.to_dataframe()
     (document,) = json.loads(json.dumps(found.to_dict(), allow_nan=False))["axes"]
     for name in ("rates", "picked", "averaged", "aliased", "from_quantization"):
-        column = "rate" if name == "rates" else name
-        np.testing.assert_array_equal(frame[column], getattr(axis, name))
-        np.testing.assert_array_equal(document[column], getattr(axis, name))
-    for k, end in enumerate(("lower", "upper")):
-        np.testing.assert_array_equal(frame[f"aliased_{end}_95"], axis.aliased_interval[:, k])
+        np.testing.assert_array_equal(frame[name.replace("rates", "rate")], getattr(axis, name))
+        np.testing.assert_array_equal(document[name.replace("rates", "rate")], getattr(axis, name))
+    np.testing.assert_array_equal(frame[["aliased_lower_95", "aliased_upper_95"]], axis.aliased_interval)
     bandwidth = axis.bandwidth
     assert document["bandwidth"] == {"value": bandwidth.value, "interval_95": list(bandwidth.interval)}
     assert document["agree_from"] == axis.agree_from
@@ -154,8 +152,7 @@ def test_it_is_told_drawn_and_exported(results):
     levels = [float(row[3].split()[0]) for row in rows]
     np.testing.assert_allclose(levels, np.sqrt(axis.picked[1:]) * 180.0 / np.pi * 60.0, rtol=6e-3)
     for how, curves in (("picked", found.picked), ("averaged", found.averaged)):
-        panel = found.plot(how=how).axes[0]
-        for points, curve in zip(panel.containers, curves, strict=True):
+        for points, curve in zip(found.plot(how=how).axes[0].containers, curves, strict=True):
             np.testing.assert_allclose(points[0].get_ydata(), curve.deviation[:, 0] * 180.0 / np.pi * 3600.0)
     with pytest.raises(aj.AllanjaxError, match="how"):
         found.plot(how="other")

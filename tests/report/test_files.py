@@ -82,10 +82,17 @@ def test_an_axis_without_result_has_nulls_and_a_reason(tmp_path):
     assert document["converged"] is False
     assert (axis["reason"], axis["coefficients"]) == ("the start was hopeless", [])
     assert axis["chi2"] is axis["p_value"] is axis["discrepancy"] is None
-    aj.write_coefficients_csv(failed, tmp_path / "failed.csv")
+    # The end of an interval that is infinite is left empty in a table.
+    first, *others = failed.results
+    N = dataclasses.replace(first["N"], interval=(0.0, math.inf))
+    endless = dataclasses.replace(first, _coefficients={**first.coefficients, "angle_random_walk": N})
+    aj.write_coefficients_csv(
+        dataclasses.replace(failed, results=(endless, *others)), tmp_path / "failed.csv"
+    )
     written = pd.read_csv(tmp_path / "failed.csv").set_index("axis")
     assert written.loc["gyro_y", "reason"] == "the start was hopeless"
     assert math.isnan(written.loc["gyro_y", "value"])
+    assert list(written.coefficient[written.upper_95.isna()])[:1] == ["angle_random_walk"]
     assert len(written) == 16
 
 
