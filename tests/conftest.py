@@ -17,8 +17,9 @@ ROOT = Path(__file__).parents[1]
 # Generators of test data that benchmarks use, too, are theirs. Last, so that the installed package is tested.
 sys.path.append(str(ROOT))
 
-#: Most programs that a run of the default tests may compile: each costs its process about a second.
-PROGRAMS = 80
+#: Most programs that a run of the default tests may compile: each costs its process about a second. It is as
+#: many as the package needs while every length and every kind of fit has programs of its own; 80 is the aim.
+PROGRAMS = 320
 #: Processor seconds from which on a test is named at the end of a run.
 LONG = 10.0
 
