@@ -5,11 +5,10 @@ import math
 from pathlib import Path
 
 import bench
-import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
-from commands import run
+from commands import run, schema
 from turned_sensors import at_rest
 
 import allanjax as aj
@@ -53,7 +52,7 @@ def test_horizon(saved, process):
     expected = aj.horizon(aj.load(saved), 10.0, axes="accel_z", process=process, probability=0.9)
     assert lines_of(ran(*words)) == lines_of(expected)
     document = json.loads(ran(*words, "--json"))
-    jsonschema.Draft202012Validator(json.loads(ran("schema", "horizon"))).validate(document)
+    schema("horizon").validate(document)
     (axis,), result = document["axes"], expected["accel_z"]
     assert (document["process"], document["horizon_s"], document["probability"]) == (process, 10.0, 0.9)
     for name in ("white", "walk"):
@@ -184,7 +183,7 @@ def test_documents_of_data_sheets_and_schemas():
     document = json.loads(ran("convert", "--sheet", name, "--json"))
     assert document == json.loads(json.dumps(aj.datasheet(name).to_dict()))
     for name in ("check", "fit", "critique", "fleet", "horizon"):
-        jsonschema.Draft202012Validator.check_schema(json.loads(ran("schema", name)))
+        schema(name)
 
 
 @pytest.mark.notebook

@@ -5,12 +5,11 @@ import json
 import math
 
 import bench
-import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
 from altered_fits import without_result
-from commands import run
+from commands import schema
 
 import allanjax as aj
 
@@ -30,12 +29,6 @@ USUAL = {
     ("accel", "drift_ramp"): ("m/s/h²", 1 / 3600**2, "m/s³"),
 }
 NAMES = ["gyro_x", "gyro_y", "gyro_z", "accel_z"]
-
-
-def schema(name):
-    printed = json.loads(run("schema", name).stdout)
-    jsonschema.Draft202012Validator.check_schema(printed)
-    return jsonschema.Draft202012Validator(printed)
 
 
 def test_json_has_the_fits_numbers_in_both_units_and_csv_in_usual_ones(tmp_path):
