@@ -96,7 +96,8 @@ def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     key = (type(term), rate, *(getattr(unit, p.name) for p in unit.parameters()))
     if len(_KNOWN.get(key, ())) < n:
         _KNOWN[key] = _second_differences(G_of, unit, n, rate)
-    return getattr(term, size) ** 2 * _KNOWN[key][:n]
+    # With more digits, lest equal eigenvalues of white noise depend on how a square is rounded.
+    return (np.longdouble(getattr(term, size)) ** 2 * _KNOWN[key][:n]).astype(float)
 
 
 def _second_differences(G_of: Callable, term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
