@@ -9,20 +9,17 @@ tests/phasedat.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 
 import allanjax as aj
 
 NINE = np.array([892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0])
 #: By the names that allantools has for them.
 KINDS = {
-    "adev": ("allan", False),
-    "oadev": ("allan", True),
-    "mdev": ("modified", True),
-    "hdev": ("hadamard", False),
-    "ohdev": ("hadamard", True),
-}
+    "adev": ("allan", False), "oadev": ("allan", True), "mdev": ("modified", True),
+    "hdev": ("hadamard", False), "ohdev": ("hadamard", True),
+}  # fmt: skip
 each_kind = pytest.mark.parametrize("name", KINDS)
-each_data_type = pytest.mark.parametrize("data_type", ["rate", "phase"])
 
 
 def thousand() -> np.ndarray:
@@ -51,50 +48,31 @@ def assert_printed(found: np.ndarray, expected: list[float], digits: int) -> Non
     """Equal to the last digit printed, rounded or cut off."""
     expected = np.array(expected)
     last = 10.0 ** (np.floor(np.log10(expected)) + 1 - digits)
-    np.testing.assert_array_less(abs(found - expected), 1.01 * last)
+    assert_array_less(abs(found - expected), 1.01 * last)
 
 
-# Table 30. "Hadamard" is of overlapping clusters there; the other one, at m = 2, is of table II of Riley's
-# "The Calculation of Time Domain Frequency Stability".
-TABLE_30 = {
-    "adev": [91.22945, 115.8082],
-    "oadev": [91.22945, 85.95287],
-    "mdev": [91.22945, 74.78849],
-    "hdev": [70.80608, 116.7980],
-    "ohdev": [70.80607, 85.61487],
+# Tables 30 and 31. "Hadamard" is of overlapping clusters there; the other one is of table II of Riley's "The
+# Calculation of Time Domain Frequency Stability". TDEV = τ·MDEV/√3, in samples.
+PRINTED = {
+    "adev": ([91.22945, 115.8082], [2.922319e-01, 9.965736e-02, 3.897804e-02]),
+    "oadev": ([91.22945, 85.95287], [2.922319e-01, 9.159953e-02, 3.241343e-02]),
+    "mdev": ([91.22945, 74.78849], [2.922319e-01, 6.172376e-02, 2.170921e-02]),
+    "hdev": ([70.80608, 116.7980], [2.943883e-01, 1.052754e-01, 3.910860e-02]),
+    "ohdev": ([70.80607, 85.61487], [2.943883e-01, 9.581083e-02, 3.237638e-02]),
 }
-# Table 31, likewise.
-TABLE_31 = {
-    "adev": [2.922319e-01, 9.965736e-02, 3.897804e-02],
-    "oadev": [2.922319e-01, 9.159953e-02, 3.241343e-02],
-    "mdev": [2.922319e-01, 6.172376e-02, 2.170921e-02],
-    "hdev": [2.943883e-01, 1.052754e-01, 3.910860e-02],
-    "ohdev": [2.943883e-01, 9.581083e-02, 3.237638e-02],
-}
+TIME_DEVIATIONS = ([52.67135, 86.35831], [0.1687202, 0.3563623, 1.253382])
 
 
 @each_kind
-def test_nine_frequencies(name):
-    assert_printed(curve(name, NINE, [1, 2], "rate").deviation[:, 0], TABLE_30[name], 7)
-
-
-@each_data_type
-@each_kind
-def test_a_thousand_frequencies(name, data_type):
-    found = curve(name, thousand(), [1, 10, 100], data_type)
-    assert_printed(found.deviation[:, 0], TABLE_31[name], 7)
-    assert found.n == 1000
-
-
-@pytest.mark.parametrize(
-    ("frequencies", "sizes", "expected"),
-    [(NINE, [1, 2], [52.67135, 86.35831]), (thousand(), [1, 10, 100], [0.1687202, 0.3563623, 1.253382])],
-    ids=["nine", "thousand"],
-)
-def test_time_deviations_are_the_modified_ones_times_the_cluster_time(frequencies, sizes, expected):
-    """TDEV = τ·MDEV/√3, in samples; tables 30 and 31."""
-    found = curve("mdev", frequencies, sizes, "rate")
-    assert_printed(found.deviation[:, 0] * found.cluster_size / np.sqrt(3.0), expected, 7)
+def test_nine_and_a_thousand_frequencies(name):
+    for k, (data, sizes) in enumerate(((NINE, [1, 2]), (thousand(), [1, 10, 100]))):
+        for data_type in ("rate", "phase"):
+            found = curve(name, data, sizes, data_type)
+            assert found.n == len(data)
+            assert_printed(found.deviation[:, 0], PRINTED[name][k], 7)
+            if name == "mdev":
+                times = found.deviation[:, 0] * found.cluster_size / np.sqrt(3.0)
+                assert_printed(times, TIME_DEVIATIONS[k], 7)
 
 
 # Of Stable32: differences averaged, lower end, deviation, upper end; white noise (alpha 0), confidence 0.683.
@@ -139,7 +117,7 @@ def test_counts_deviations_and_intervals_are_those_of_stable32(name):
     ).T
     m = 2 ** np.arange(8)
     found = curve(name, thousand(), m.tolist(), "phase")
-    np.testing.assert_array_equal(found.count, count)
+    assert_array_equal(found.count, count)
     assert_printed(found.deviation[:, 0], deviation, 5)
     away = 0.105 / m + 0.003
     if name in ("oadev", "ohdev"):
@@ -147,42 +125,27 @@ def test_counts_deviations_and_intervals_are_those_of_stable32(name):
     ends = found.confidence_interval(0.683)
     for end, theirs in zip(ends, (lower, upper), strict=True):
         half, their_half = abs(end[:, 0] - found.deviation[:, 0]), abs(theirs - deviation)
-        np.testing.assert_array_less(abs(half / their_half - 1.0), away)
+        assert_array_less(abs(half / their_half - 1.0), away)
 
 
-# Table 5 of SP 1065: degrees of freedom of overlapping Allan variances of N phases, by the type of noise.
-def white(N: int, m: np.ndarray) -> np.ndarray:
-    return (3 * (N - 1) / (2 * m) - 2 * (N - 2) / N) * 4 * m**2 / (4 * m**2 + 5)
+def test_degrees_of_freedom_are_those_of_table_5():
+    """Of overlapping Allan variances of N phases, by the type of noise; at m = 10 it is 146.177 under white.
 
-
-def flicker(N: int, m: np.ndarray) -> np.ndarray:
-    return np.where(m == 1, 2 * (N - 2) ** 2 / (2.3 * N - 4.9), 5 * N**2 / (4 * m * (N + 3 * m)))
-
-
-def walk(N: int, m: np.ndarray) -> np.ndarray:
-    return (N - 2) / m * ((N - 1) ** 2 - 3 * m * (N - 1) + 4 * m**2) / (N - 3) ** 2
-
-
-def test_degrees_of_freedom_under_white_noise_are_those_of_table_5():
-    """The formula is an empirical one, 2 % off at m = 100; at m = 10 it is 146.177."""
-    found = curve("oadev", thousand(), [1, 10, 100], "rate").edf[:, 0]
-    expected = white(1001, np.array([1, 10, 100]))
-    assert expected[1] == pytest.approx(146.177, abs=5e-4)
-    np.testing.assert_array_less(abs(found / expected - 1.0), [1e-3, 1e-3, 0.02])
-
-
-@pytest.mark.parametrize(
-    ("term", "formula"), [("bias_instability", flicker), ("rate_random_walk", walk)], ids=["flicker", "walk"]
-)
-def test_degrees_of_freedom_under_other_noise_are_near_table_5(term, formula):
-    """Of wavelet variances by Haar's wavelet, which are Allan variances.
-
-    The formulas of flicker and of the walk are of another bandwidth; they are up to 13 % off the exact ones.
+    The formulas are empirical, that of white noise 2 % off at m = 100. Those of flicker and of the walk are
+    of another bandwidth, up to 13 % off the exact ones; ours are of Haar's wavelet: Allan variances, too.
     """
-    model = aj.BiasInstability(1e-9) + aj.RateRandomWalk(1e-9)
-    found = aj.wavelet_variance(thousand(), 1.0, model=model.with_values(**{term: 1.0}))
+    N, m = 1001, np.array([1, 10, 100])
+    white = (3 * (N - 1) / (2 * m) - 2 * (N - 2) / N) * 4 * m**2 / (4 * m**2 + 5)
+    assert white[1] == pytest.approx(146.177, abs=5e-4)
+    found = curve("oadev", thousand(), [1, 10, 100], "rate").edf[:, 0]
+    assert_array_less(abs(found / white - 1.0), [1e-3, 1e-3, 0.02])
     m = 2 ** np.arange(8)
-    np.testing.assert_allclose(found.edf[:8, 0], formula(1001, m), rtol=0.13)
+    flicker = np.where(m == 1, 2 * (N - 2) ** 2 / (2.3 * N - 4.9), 5 * N**2 / (4 * m * (N + 3 * m)))
+    walk = (N - 2) / m * ((N - 1) ** 2 - 3 * m * (N - 1) + 4 * m**2) / (N - 3) ** 2
+    for B, K, expected in ((1.0, 1e-9, flicker), (1e-9, 1.0, walk)):
+        model = aj.BiasInstability(B) + aj.RateRandomWalk(K)
+        found = aj.wavelet_variance(thousand(), 1.0, model=model)
+        assert_allclose(found.edf[:8, 0], expected, rtol=0.13)
 
 
 @each_kind
@@ -196,6 +159,6 @@ def test_allantools_finds_the_same(name):
             data, 8.0, data_type="freq", taus=found.cluster_time
         )
         several = found.count > 1
-        np.testing.assert_allclose(times, found.cluster_time[several])
-        np.testing.assert_array_equal(count, found.count[several])
-        np.testing.assert_allclose(found.deviation[several, axis], deviation, rtol=1e-9)
+        assert_allclose(times, found.cluster_time[several])
+        assert_array_equal(count, found.count[several])
+        assert_allclose(found.deviation[several, axis], deviation, rtol=1e-9)

@@ -9,28 +9,17 @@ from scipy.optimize import fsolve
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 from scipy.stats import t as student
-from turned_sensors import (
-    BIAS,
-    EARTH_RATE_DEG_H,
-    EIGHTEEN,
-    ERRORS,
-    SIX,
-    SN,
-    Errors,
-    G,
-    at_rest,
-    dense,
-    jacobian,
-    least_squares,
-)
+from turned_sensors import BIAS, EIGHTEEN, SIX, SN, Errors, G, at_rest, dense, jacobian, least_squares
 
 import allanjax as aj
 
 DEG_H = np.pi / 180.0 / 3600.0
+EARTH_RATE_DEG_H = 15.041067
 WHITE, N, K = "N=0.0134 m/s/√h", 2e-3, 3e-5
 RATE = 5.0
 # Of different lengths, apart, and not in the order of time.
 START, LENGTH = np.array([0.0, 900.0, 200.0]), np.array([150.0, 300.0, 500.0])
+readings_of = Errors(SN, BIAS, np.zeros(3)).readings
 
 
 def calibrated(records, orientations=None, model=WHITE, **options):
@@ -53,25 +42,26 @@ def check_estimates(coefficients, values, std, rtol=1e-6):
             np.testing.assert_allclose(interval, ends, atol=(1e-3 + 2.0 * rtol) * sigma)
 
 
-# ------------------------------------------------------------------------------------ noise between the means
-def flicker_kernel(start, length):
+def flicker_covariance(start, length):
     """∫ S(f) H_k(f)* H_l(f) df of S = B²/(2πf), B = 2e-4, where H are the transforms of the contrasts.
 
     A thousand frequencies a decade from 1e-7 Hz to 30 Hz, beyond which 1e-6 of the power is left.
     """
     f = np.geomspace(1e-7, 30.0, 8500)
-
-    def transform(a, d):
-        return np.sinc(f * d) * np.exp(-2j * np.pi * f * (a + d / 2.0))
-
-    H = np.stack([transform(a, d) - transform(0.0, 1200.0) for a, d in zip(start, length, strict=True)])
+    of = lambda a, d: np.sinc(f * d) * np.exp(-2j * np.pi * f * (a + d / 2.0))  # noqa: E731
+    H = np.stack([of(a, d) - of(0.0, 1200.0) for a, d in zip(start, length, strict=True)])
     power = 2.0 * 4e-8 / (2.0 * np.pi * f)
     return np.trapezoid((power * H[:, None] * H[None].conj()).real, f, axis=-1)
 
 
-def walk_covariance(start, length, K=K):
+def walk_covariance(start, length):
     """K² min(t, s) about its average; midpoints of 1 s are exact to (1 s/150 s)² = 4e-5."""
     return dense(lambda t, s: K**2 * np.minimum(t, s), start, length, 1.0, contrast=True)
+
+
+def markov_covariance(start, length):
+    """A Markov process has a mean: (q²T_c/2)·exp(−|t − s|/T_c), not taken from its average."""
+    return dense(lambda t, s: 1e-6 * np.exp(-abs(t - s) / 200.0), start, length, 1.0, contrast=False)
 
 
 def ramp_covariance(start, length):
@@ -80,15 +70,11 @@ def ramp_covariance(start, length):
 
 
 NOISES = {
-    "white": ("N", lambda a, d: np.zeros((3, 3))),
+    "white": ("N", lambda start, length: np.zeros((3, 3))),
     "walk": (aj.RateRandomWalk(K), walk_covariance),
-    # A Markov process has a mean: (q²T_c/2)·exp(−|t − s|/T_c), not taken from its average.
-    "markov": (
-        aj.Markov(1e-4, 200.0),
-        lambda a, d: dense(lambda t, s: 1e-6 * np.exp(-abs(t - s) / 200.0), a, d, 1.0, contrast=False),
-    ),
+    "markov": (aj.Markov(1e-4, 200.0), markov_covariance),
     "ramp": (aj.DriftRamp(1e-6), ramp_covariance),
-    "flicker": (aj.BiasInstability(2e-4), flicker_kernel),
+    "flicker": (aj.BiasInstability(2e-4), flicker_covariance),
     # A bandwidth of 1 Hz moves the ends of stretches of 150 s and more by 0.16 s.
     "filter": (aj.RateRandomWalk(K), walk_covariance),
 }
@@ -127,13 +113,6 @@ def test_noise_correlates_means_as_its_dense_covariance_says(name):
     np.testing.assert_allclose(misfit.residual_std[:, 0], scatter, rtol=2.0 * within, atol=1e-8)
 
 
-def test_a_step_is_no_noise():
-    up = at_rest([G], 64, RATE, name="z up", axes="z")
-    with pytest.raises(aj.AllanjaxError, match="noise"):
-        aj.calibrate([up], gravity=G, model=aj.AngleRandomWalk(N) + aj.BiasStep(1e-3, 10.0))
-
-
-# ----------------------------------------------------------------------------- three axes, and a second order
 LEVELS = {"accel_x": 1e-3, "accel_y": 2e-3, "accel_z": 5e-4}
 WALKS = {"accel_x": 2e-6, "accel_y": 5e-6, "accel_z": 1e-6}
 MODELS = {a: aj.AngleRandomWalk(LEVELS[a]) + aj.RateRandomWalk(WALKS[a]) for a in LEVELS}
@@ -154,41 +133,39 @@ def labels_of(i):
     return ["bias", *("scale_factor" if a == own else f"misalignment_{a}" for a in "xyz"), "second_order"]
 
 
-def covariances_of_means(count, length, step):
-    """Of each axis: white noise, and a random walk about its average."""
-    start = np.arange(count) * step
-    walk = dense(np.minimum, start, np.full(count, length), 20.0, contrast=True)
-    return [np.eye(count) * LEVELS[a] ** 2 / length + WALKS[a] ** 2 * walk for a in LEVELS]
+#: Of each axis of eighteen positions of ten minutes: white noise, and a random walk about its average.
+COUNT, STARTS = len(EIGHTEEN), [620.0 * k for k in range(len(EIGHTEEN))]
+WALK = dense(np.minimum, STARTS, np.full(COUNT, 600.0), 20.0, contrast=True)
+COVARIANCES = [np.eye(COUNT) * LEVELS[a] ** 2 / 600.0 + WALKS[a] ** 2 * WALK for a in LEVELS]
 
 
-@pytest.mark.parametrize("orientation_error", [0.0, 2e-4])
-@pytest.mark.parametrize("second_order", [False, True])
+def of_eighteen(errors, scatter, orientations=None, **options):
+    """Means of eighteen positions, with a little noise of their own, and their calibration."""
+    f = G * EIGHTEEN
+    means = errors.readings(f) + scatter * np.random.default_rng(4).standard_normal(f.shape)
+    recordings = [at_rest(m, 60, 0.1) for m in means]
+    return means, calibrated(recordings, orientations, MODELS, starts=STARTS, **options)
+
+
+@pytest.mark.parametrize(("second_order", "orientation_error"), [(False, 0.0), (True, 2e-4), (False, 2e-4)])
 def test_errors_of_three_axes_are_those_of_dense_least_squares(second_order, orientation_error):
-    """Eighteen orientations of ten minutes; the design is the Jacobian of (2.23) by differences.
+    """The design is the Jacobian of (2.23) by differences.
 
     An orientation that is off by a small rotation ρ moves the input by ρ × f, in all axes at once.
     """
-    length, step, count = 600.0, 620.0, len(EIGHTEEN)
-    errors = Errors(SN, BIAS, np.array([2e-5, -1e-5, 3e-5]) * second_order)
-    f = G * EIGHTEEN
-    rng = np.random.default_rng(4)
-    means = errors.readings(f) + 1e-4 * rng.standard_normal(f.shape)
-    recordings = [at_rest(m, 60, 0.1) for m in means]
+    errors, f = Errors(SN, BIAS, np.array([2e-5, -1e-5, 3e-5]) * second_order), G * EIGHTEEN
     options = {"second_order": second_order, "orientation_error": orientation_error}
-    starts = [k * step for k in range(count)]
-    found = calibrated(recordings, list(EIGHTEEN), MODELS, starts=starts, **options)
+    means, found = of_eighteen(errors, 1e-4, list(EIGHTEEN), **options)
     used = np.tile([True] * 4 + [second_order], 3)
     X = jacobian(lambda p: errors_from(p).readings(f).ravel(), parameters(errors), np.full(15, 1e-3))[:, used]
-    noise = np.zeros((count, 3, count, 3))
-    for a, own in enumerate(covariances_of_means(count, length, step)):
+    noise = np.zeros((COUNT, 3, COUNT, 3))
+    for a, own in enumerate(COVARIANCES):
         noise[:, a, :, a] = own
-    white = np.diag(np.tile([LEVELS[a] ** 2 / length for a in LEVELS], count))
-    turned = noise.copy()
+    white = np.diag(np.tile([level**2 / 600.0 for level in LEVELS.values()], COUNT))
     for k, x in enumerate(f):
-        cross = np.array([[0.0, x[2], -x[1]], [-x[2], 0.0, x[0]], [x[1], -x[0], 0.0]])
-        turned[k, :, k, :] += orientation_error**2 * cross @ cross.T
-    y = (means - f).ravel()
-    expected, alone = (least_squares(X, y, C.reshape(3 * count, 3 * count)) for C in (turned, white))
+        cross = np.cross(np.eye(3), x)
+        noise[k, :, k, :] += orientation_error**2 * cross @ cross.T
+    expected, alone = (least_squares(X, (means - f).ravel(), C.reshape(white.shape)) for C in (noise, white))
     std, over = np.sqrt(np.diag(expected.covariance)), np.sqrt(np.diag(alone.covariance))
     for i, axis in enumerate(found.values()):
         k = slice(i * used.sum() // 3, (i + 1) * used.sum() // 3)
@@ -198,7 +175,7 @@ def test_errors_of_three_axes_are_those_of_dense_least_squares(second_order, ori
         widening = [axis.widening[label] for label in labels]
         np.testing.assert_allclose(widening, std[k] / over[k], rtol=2e-3)
     misfit = found.misfit["accel"]
-    assert misfit.dof == 3 * count - used.sum()
+    assert misfit.dof == 3 * COUNT - used.sum()
     assert misfit.chi2 == pytest.approx(expected.chi2, rel=3e-3)
     assert misfit.names == ("accel_x", "accel_y", "accel_z")
     np.testing.assert_allclose(misfit.residuals.ravel(), expected.residuals, atol=2e-3 * 1e-4)
@@ -207,13 +184,8 @@ def test_errors_of_three_axes_are_those_of_dense_least_squares(second_order, ori
 @pytest.mark.parametrize("second_order", [False, True])
 def test_free_orientations_are_least_squares_of_the_norm(second_order):
     """The inputs that give the readings have the norm g: nine or twelve parameters, solved by fsolve."""
-    length, step, count = 600.0, 620.0, len(EIGHTEEN)
     errors = Errors(np.tril(SN), BIAS, 1e-3 * np.array([2.0, -1.0, 3.0]) * second_order)
-    rng = np.random.default_rng(6)
-    means = errors.readings(G * EIGHTEEN) + 2e-5 * rng.standard_normal((count, 3))
-    starts = [k * step for k in range(count)]
-    recordings = [at_rest(m, 60, 0.1) for m in means]
-    found = calibrated(recordings, model=MODELS, starts=starts, second_order=second_order)
+    means, found = of_eighteen(errors, 2e-5, second_order=second_order)
     # x defines an axis and y a plane: their misalignments towards later axes are zero.
     free = np.array([[True, *(j <= i for j in range(3)), second_order] for i in range(3)]).ravel()
 
@@ -221,16 +193,14 @@ def test_free_orientations_are_least_squares_of_the_norm(second_order):
         p = np.zeros(15)
         p[free] = values
         wrong = lambda f: (errors_from(p).readings(f.reshape(-1, 3)) - readings).ravel()  # noqa: E731
-        inputs = fsolve(wrong, G * EIGHTEEN)
-        return np.linalg.norm(inputs.reshape(-1, 3), axis=1)
+        return np.linalg.norm(fsolve(wrong, G * EIGHTEEN).reshape(-1, 3), axis=1)
 
     every = [(axis, label) for i, axis in enumerate(found.values()) for label in labels_of(i)]
     own = [axis[label] for (axis, label), kept in zip(every, free, strict=True) if kept]
     values, std = (np.array([getattr(c, name) for c in own]) for name in ("value", "std"))
     J = jacobian(norms, values, np.full(free.sum(), 1e-5))
     by_axis = [(norms(values, means + d) - norms(values, means - d)) / 2e-4 for d in 1e-4 * np.eye(3)]
-    covariances = covariances_of_means(count, length, step)
-    C = sum(np.outer(n, n) * own for n, own in zip(by_axis, covariances, strict=True))
+    C = sum(np.outer(n, n) * own for n, own in zip(by_axis, COVARIANCES, strict=True))
     expected = least_squares(-J, norms(values) - G, C)
     # At the solution, no step is left.
     np.testing.assert_allclose(expected.values / std, 0.0, atol=1e-2)
@@ -238,7 +208,7 @@ def test_free_orientations_are_least_squares_of_the_norm(second_order):
     assert np.all(abs(values - parameters(errors)[free]) < 4.0 * std)
     held = [axis[k].held for axis, k in every if k in axis.coefficients]
     assert held == [not kept for (axis, k), kept in zip(every, free, strict=True) if k in axis.coefficients]
-    assert found.misfit["accel"].dof == count - free.sum()
+    assert found.misfit["accel"].dof == COUNT - free.sum()
     assert found.misfit["accel"].chi2 == pytest.approx(expected.chi2, rel=1e-2)
 
 
@@ -264,19 +234,6 @@ def test_gyros_with_headings_tell_misalignments():
     assert found.misfit["gyro"].dof == 6
 
 
-# ------------------------------------------------------------------------------------- two positions, by hand
-def test_two_positions_of_an_accelerometer_by_hand():
-    """(2.32) and (2.33). There the axis that is up reads −g: here it is the one that is down."""
-    up, down = 1.002 * G + 0.051, -1.003 * G + 0.048
-    records = {"x up": at_rest([up], 64, 10.0, axes="x"), "x down": at_rest([down], 32, 10.0, axes="x")}
-    found = calibrated(records, model="N=0.1 m/s/√h")["accel_x"]
-    assert found["bias"].value == pytest.approx((up + down) / 2.0, abs=1e-12)
-    assert found["scale_factor"].value == pytest.approx((up - down) / (2.0 * G) - 1.0, abs=1e-12)
-    sigma = 0.1 / 60.0 * np.sqrt(1.0 / 6.4 + 1.0 / 3.2) / 2.0
-    assert found["bias"].std == pytest.approx(sigma, rel=1e-6)
-    assert found["scale_factor"].std == pytest.approx(sigma / G, rel=1e-6)
-
-
 @pytest.mark.parametrize("heading", ["", ", x north"])
 def test_two_positions_of_a_gyro_tell_bias_and_scale_as_if_aligned(heading):
     """(2.36), (2.37): half the sum of the means, and half the difference over the vertical rate less one.
@@ -289,8 +246,7 @@ def test_two_positions_of_a_gyro_tell_bias_and_scale_as_if_aligned(heading):
     records = {f"z {way}{heading}": at_rest(m, 64, 0.1, "deg/h") for way, m in (("up", up), ("down", down))}
     options = {"latitude": 51.0, "as_is": True}
     sharp, blunt = (aj.calibrate(records, model=f"N={n} deg/√h", **options) for n in (1e-3, 0.1))
-    axis = sharp["gyro_z"]
-    bias, scale = axis["bias"], axis["scale_factor"]
+    bias, scale = sharp["gyro_z"]["bias"], sharp["gyro_z"]["scale_factor"]
     assert bias.in_unit("deg/h").value == pytest.approx((up[2] + down[2]) / 2.0, rel=1e-9)
     assert scale.value == pytest.approx((up[2] - down[2]) / (2.0 * vertical) - 1.0, abs=1e-7)
     assert scale.in_unit().value == pytest.approx(100.0 * scale.value)
@@ -301,15 +257,14 @@ def test_two_positions_of_a_gyro_tell_bias_and_scale_as_if_aligned(heading):
     assert sharp.errors("gyro").M[2, 2] == pytest.approx(1.0 + scale.value)
     assert blunt["gyro_z"]["scale_factor"].std == pytest.approx(100.0 * scale.std, rel=1e-6)
     assert blunt.errors("gyro").M[2, 2] == 1.0
-    assert np.isnan(sharp["gyro_x"]["scale_factor"].value)
-    assert "north" in sharp["gyro_x"]["scale_factor"].remark
+    other = sharp["gyro_x"]["scale_factor"]
+    assert (np.isnan(other.value), "north" in other.remark) == (True, True)
 
 
-# -------------------------------------------------------------------------------- what positions do not tell
 @pytest.fixture(scope="module")
 def six():
     """Six positions of three unequal accelerometers, without noise to speak of."""
-    return six_of(ERRORS.readings(G * EIGHTEEN[:6]))
+    return six_of(readings_of(G * EIGHTEEN[:6]))
 
 
 @pytest.fixture(scope="module")
@@ -317,20 +272,16 @@ def calibration(six):
     return calibrated(six)
 
 
-def test_what_two_positions_do_not_tell_is_said(six):
+def test_what_positions_do_not_tell_is_said(six):
+    """Two positions one scale factor; six that are free no misalignment."""
     found = calibrated({k: six[k] for k in ("x up", "x down")})
     assert found["accel_x"]["scale_factor"].value == pytest.approx(SN[0, 0], abs=1e-9)
-    scale = found["accel_y"]["scale_factor"]
+    scale, misfit = found["accel_y"]["scale_factor"], found.misfit["accel"]
     assert "'y up' and 'z up'" in scale.remark
-    assert np.isnan([scale.value, scale.std, *scale.interval]).all()
-    assert found.errors("accel").M[1, 1] == 1.0
-    assert found.misfit["accel"].dof == 0
-    assert np.isnan(found.misfit["accel"].p_value)
-    assert found.to_dict()["sensors"]["accel"]["p_value"] is None
-    json.dumps(found.to_dict(), allow_nan=False)
-
-
-def test_six_free_positions_tell_no_misalignment(six):
+    assert np.isnan([scale.value, scale.std, *scale.interval, misfit.p_value]).all()
+    assert (found.errors("accel").M[1, 1], misfit.dof) == (1.0, 0)
+    document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert document["sensors"]["accel"]["p_value"] is None
     found = calibrated([dataclasses.replace(r, name="") for r in six.values()])
     assert found["accel_z"]["scale_factor"].value == pytest.approx(SN[2, 2], abs=1e-5)
     assert "9 orientations" in found["accel_z"]["misalignment_x"].remark
@@ -340,7 +291,7 @@ def test_a_misplaced_position_is_named():
     """x up is tilted by 3 mrad towards y, as x down might be: the six positions do not tell the two apart."""
     f = G * EIGHTEEN[:6]
     f[0] = G * np.array([np.cos(3e-3), np.sin(3e-3), 0.0])
-    records = six_of(ERRORS.readings(f), 60, 0.1)
+    records = six_of(readings_of(f), 60, 0.1)
     misfit = calibrated(records, model=MODELS).misfit["accel"]
     assert misfit.suspects == ("x up", "x down")
     assert misfit.p_value < 1e-3
@@ -351,28 +302,20 @@ def test_a_misplaced_position_is_named():
     assert found["accel_y"]["misalignment_x"].std == pytest.approx(3e-3 / np.sqrt(2.0), rel=0.01)
 
 
-# ---------------------------------------------------------------------------------- orientations and gravity
-SAID = {
-    "Y Down": ([0, -1, 0], None),
-    "-z": ([0, 0, -1], None),
-    "x+": ([1, 0, 0], None),
-    "down": ([0, 0, -1], None),
-    "imu_x-down_2": ([-1, 0, 0], None),
-    "2024-05-01_yup": ([0, 1, 0], None),
-    "x up, y north": ([1, 0, 0], [0, 1, 0]),
-    "x up, y south": ([1, 0, 0], [0, -1, 0]),
-    # With x up and y east, z = x × y is up × east, north.
-    "x up, y east": ([1, 0, 0], [0, 0, 1]),
-    "x up, y west": ([1, 0, 0], [0, 0, -1]),
-}
+SAID = {"Y Down": [0, -1, 0], "-z": [0, 0, -1], "x+": [1, 0, 0], "down": [0, 0, -1]}
+SAID |= {"imu_x-down_2": [-1, 0, 0], "2024-05-01_yup": [0, 1, 0]}
+# With x up and y east, z = x × y is up × east, north.
+HEADINGS = {"y north": [0, 1, 0], "y south": [0, -1, 0], "y east": [0, 0, 1], "y west": [0, 0, -1]}
 
 
-def test_orientations_by_name_direction_and_matrix():
+def test_orientations_by_name_direction_and_matrix(six, calibration):
     """The matrix turns the frame into east, north and up: x points 30 degrees north of east."""
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    given = {**SAID, "direction": ([0.6, 0.0, -0.8], None), "matrix": ([0, 0, 1], [s, c, 0])}
-    orientations = [*SAID, [0.6, 0.0, -0.8], matrix]
+    given = {name: (up, None) for name, up in SAID.items()}
+    given |= {f"x up, {name}": ([1, 0, 0], north) for name, north in HEADINGS.items()}
+    orientations = [*given, [0.6, 0.0, -0.8], matrix]
+    given |= {"direction": ([0.6, 0.0, -0.8], None), "matrix": ([0, 0, 1], [s, c, 0])}
     records = [at_rest(G * np.array(up, float), 32, 1.0, name="imu") for up, _ in given.values()]
     found = calibrated(records, orientations).to_dict()
     for position, (up, north) in zip(found["positions"], given.values(), strict=True):
@@ -381,43 +324,40 @@ def test_orientations_by_name_direction_and_matrix():
         np.testing.assert_allclose(position["north"] or 0.0, north or 0.0, atol=1e-12)
     starts = [position["start_s"] for position in found["positions"]]
     np.testing.assert_allclose(starts, 32.0 * np.arange(12))
+    named = calibrated([dataclasses.replace(r, name=f"imu_{k}") for k, r in six.items()])
+    assert named.results == calibration.results
 
 
 # NIMA TR8350.2, table 3.4, at the equator and the poles; at 45 degrees Moritz's series for GRS 80,
 # 9.806199203, less the difference of the two systems, below 2e-6; 0.3086 mGal a metre are in textbooks.
-@pytest.mark.parametrize(
-    ("latitude", "height", "expected", "within"),
-    [
-        (0.0, 0.0, 9.7803253359, 1e-9),
-        (-90.0, 0.0, 9.8321849378, 2e-9),
-        (45.0, 0.0, 9.806199203, 2e-6),
-        (45.0, 1000.0, 9.806199203 - 3.086e-3, 5e-6),
-    ],
-)
-def test_normal_gravity_is_that_of_wgs_84(calibration, six, latitude, height, expected, within):
+PLACES = {(0.0, 0.0): (9.7803253359, 1e-9), (-90.0, 0.0): (9.8321849378, 2e-9)}
+PLACES |= {(45.0, 0.0): (9.806199203, 2e-6), (45.0, 1000.0): (9.806199203 - 3.086e-3, 5e-6)}
+
+
+@pytest.mark.parametrize(("latitude", "height"), PLACES)
+def test_normal_gravity_is_that_of_wgs_84(calibration, six, latitude, height):
     """And its anomaly, 35 mGal, is in the intervals of scale factors, but of nothing else."""
+    expected, within = PLACES[latitude, height]
     found = aj.calibrate(six, latitude=latitude, height=height, model=WHITE, as_is=True)
     assert found.gravity == pytest.approx(expected, abs=within)
     assert found.gravity_std == 3.5e-4
-    own, exact = ([c.std for c in of["accel_x"].coefficients.values()] for of in (found, calibration))
-    exact = np.array(exact)
+    own, exact = (
+        np.array([c.std for c in of["accel_x"].coefficients.values()]) for of in (found, calibration)
+    )
     # Those of inputs are in proportion to 1/g.
     exact[1:] *= G / expected
     exact[1] = np.hypot(exact[1], 3.5e-4 / expected)
     np.testing.assert_allclose(own, exact, rtol=1e-5)
 
 
-# ------------------------------------------------------------------------------------ the noise
 def test_a_longest_position_is_fitted_and_its_drift_told_by_scatter():
     """Student's law, and Birge's ratio, where the means scatter by more than N alone lets them."""
-    rng, n, rate = np.random.default_rng(12), 2048, 20.0
-    level = 1e-3 * np.sqrt(rate)
-    records = []
+    rng, n, level, records = np.random.default_rng(12), 2048, 1e-3 * np.sqrt(20.0), []
     for shift, count, way in ((0.0, n, "up"), (3e-3, n // 2, "down"), (6e-3, n // 2, "up")):
         samples = level * rng.standard_normal((count, 1))
         samples += shift - samples.mean() + (G if way == "up" else -G)
         names = {"names": ["accel_z"], "name": f"z {way}", "accel_unit": "m/s²"}
-        records.append(aj.Recording.from_array(samples, rate, **names))
+        records.append(aj.Recording.from_array(samples, 20.0, **names))
     own = aj.calibrate(records, gravity=G)
     plain = aj.calibrate(records, gravity=G, fit=aj.fit(records[0]))
     # N, level²/n of each mean, is known to 1.6 %; likely sets of terms may have drift besides.
@@ -425,18 +365,15 @@ def test_a_longest_position_is_fitted_and_its_drift_told_by_scatter():
     std = np.sqrt(np.diag(least_squares(X, np.array([0.0, 3e-3, 6e-3]), C).covariance))
     ratio = [plain["accel_z"][k].std for k in ("bias", "scale_factor")] / std
     assert np.all((ratio > 0.95) & (ratio < 1.5))
-    misfit = own.misfit["accel"]
-    assert (misfit.dof, plain.misfit["accel"].wider) == (1, 1.0)
+    misfit, c = own.misfit["accel"], own["accel_z"]["scale_factor"]
+    assert (misfit.dof, plain.misfit["accel"].wider, "z up" in own.noise) == (1, 1.0, True)
     assert misfit.wider == pytest.approx(np.sqrt(misfit.chi2), rel=1e-9)
     assert misfit.wider > 3.0
-    assert "z up" in own.noise
-    c = own["accel_z"]["scale_factor"]
     assert c.std == pytest.approx(misfit.wider * plain["accel_z"]["scale_factor"].std, rel=1e-9)
-    np.testing.assert_allclose(c.interval, c.value + c.std * student.ppf([0.025, 0.975], 1), rtol=1e-9)
-    np.testing.assert_allclose(c.interval_68, c.value + c.std * student.ppf([0.16, 0.84], 1), rtol=1e-9)
+    ends = c.value + c.std * student.ppf([0.025, 0.16, 0.84, 0.975], 1)
+    np.testing.assert_allclose(np.sort([*c.interval, *c.interval_68]), ends, rtol=1e-9)
 
 
-# ------------------------------------------------------------------------------------ recordings and settings
 @pytest.mark.parametrize("S2", [np.zeros(3), np.array([2e-5, 0.0, -1e-5])])
 def test_apply_takes_the_errors_out(S2):
     """Of any inputs: those that were calibrated with, and 5 m/s² along each axis."""
@@ -457,11 +394,6 @@ def test_apply_takes_the_errors_out(S2):
         found.apply(moved["gyro_x",])
 
 
-def test_names_tell_orientations(six, calibration):
-    named = [dataclasses.replace(r, name=f"imu_{name}") for name, r in six.items()]
-    assert calibrated(named).results == calibration.results
-
-
 @pytest.mark.parametrize(
     ("names", "options", "word"),
     [
@@ -479,6 +411,7 @@ def test_names_tell_orientations(six, calibration):
         (SIX, {"gravity": G, "starts": [0, 1, 40, 60, 80, 100]}, "starts"),
         (("x up", "y up"), {"gravity": G}, "span"),
         (("x up", "x down"), {"gravity": G, "second_order": True}, "second order"),
+        (SIX, {"gravity": G, "model": aj.AngleRandomWalk(N) + aj.BiasStep(1e-3, 10.0)}, "noise"),
         (("x up", "x down"), {"gravity": G, "orientations": ["x down", "x up"]}, "Exchange"),
         (("backup", "x up"), {"gravity": G, "sequence": True}, "backup"),
     ],
@@ -492,30 +425,26 @@ def test_wrong_settings_are_errors(six, names, options, word):
         aj.calibrate(recordings, **given)
 
 
-def test_the_table_and_the_document_have_the_numbers(calibration):
+@pytest.mark.usefixtures("no_windows")
+def test_the_table_the_document_and_the_figure_have_the_numbers(calibration):
+    """Bars of residuals end one standard deviation away."""
     frame = calibration.to_dataframe().set_index(["axis", "parameter"])
     document = json.loads(json.dumps(calibration.to_dict(), allow_nan=False))
     units = {"bias": ("mg", 9.80665e-3), "scale_factor": ("ppm", 1e-6), "misalignment_z": ("µrad", 1e-6)}
     for label, (unit, size) in units.items():
         row, c = frame.loc["accel_y", label], calibration["accel_y"][label]
+        numbers = row[["value", "std", "lower_95", "upper_95"]].to_numpy(float) * size
+        np.testing.assert_allclose(numbers, [c.value, c.std, *c.interval], rtol=1e-9)
         assert row["unit"] == unit
-        np.testing.assert_allclose([row["value"], row["std"]], np.array([c.value, c.std]) / size, rtol=1e-9)
-        np.testing.assert_allclose([row["lower_95"], row["upper_95"]], np.array(c.interval) / size, rtol=1e-9)
     sensor = document["sensors"]["accel"]
     np.testing.assert_allclose(sensor["b"], BIAS, atol=1e-9)
     np.testing.assert_allclose(sensor["M"], np.eye(3) + SN, atol=1e-9)
     assert (sensor["dof"], document["gravity_m_s2"], document["positions"][1]["up"]) == (6, G, [-1, 0, 0])
-
-
-@pytest.mark.usefixtures("no_windows")
-def test_the_figure_has_residuals_in_display_units():
-    """Bars end one standard deviation away."""
     f = G * EIGHTEEN[:6]
-    means = ERRORS.readings(f) + 1e-4 * np.random.default_rng(3).standard_normal(f.shape)
+    means = readings_of(f) + 1e-4 * np.random.default_rng(3).standard_normal(f.shape)
     found = calibrated(six_of(means, 60, 0.1), model=MODELS)
     figure, misfit = found.plot(["accel_y", "accel_z"]), found.misfit["accel"]
     for panel, k in zip(figure.axes, (1, 2), strict=True):
-        assert panel.get_title(loc="left") == f"accel_{'xyz'[k]}"
         points, _, (bars,) = panel.containers[0]
         np.testing.assert_allclose(points.get_ydata(), misfit.residuals[:, k] / 9.80665e-6)
         ends = np.array([segment[:, 1] for segment in bars.get_segments()]) * 9.80665e-6

@@ -5,11 +5,10 @@ import math
 from pathlib import Path
 
 import bench
-import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
-from commands import run
+from commands import run, schema
 from turned_sensors import at_rest
 
 import allanjax as aj
@@ -38,7 +37,6 @@ def lines_of(text):
 
 @pytest.mark.parametrize("process", ["walk", "markov"])
 def test_horizon(saved, process):
-    options = {"axes": "accel_z", "process": process, "probability": 0.9}
     words = (
         "horizon",
         saved,
@@ -51,10 +49,10 @@ def test_horizon(saved, process):
         "--probability",
         0.9,
     )
-    expected = aj.horizon(aj.load(saved), 10.0, **options)
+    expected = aj.horizon(aj.load(saved), 10.0, axes="accel_z", process=process, probability=0.9)
     assert lines_of(ran(*words)) == lines_of(expected)
     document = json.loads(ran(*words, "--json"))
-    jsonschema.Draft202012Validator(json.loads(ran("schema", "horizon"))).validate(document)
+    schema("horizon").validate(document)
     (axis,), result = document["axes"], expected["accel_z"]
     assert (document["process"], document["horizon_s"], document["probability"]) == (process, 10.0, 0.9)
     for name in ("white", "walk"):
@@ -62,10 +60,8 @@ def test_horizon(saved, process):
         np.testing.assert_allclose([told["si"]["value"], told["si"]["std"]], [c.value, c.std])
         np.testing.assert_allclose(told["si"]["interval_95"], c.interval)
     # 1 m/s/√h is 1/60 m/s/√s.
-    assert (axis["white"]["unit"], axis["white"]["value"]) == (
-        "m/s/√h",
-        pytest.approx(60.0 * result.white.value),
-    )
+    assert axis["white"]["unit"] == "m/s/√h"
+    assert axis["white"]["value"] == pytest.approx(60.0 * result.white.value)
     assert (axis["correlation_time"] is None) == (process == "walk")
     assert axis["curves_si"]["error"] == result.error.tolist()
 
@@ -85,18 +81,26 @@ def test_navigate(saved, tmp_path):
     assert document["alignment"] == json.loads(json.dumps(tables[1].to_dict()))
 
 
-@pytest.mark.parametrize("form", ["matlab", "c", "npz"])
-def test_statespace(saved, tmp_path, form):
-    out = tmp_path / "file.npz"
-    options = ("--rate", 20, "--duration", 50, "--format", form)
-    told = ran("statespace", saved, "--axis", "gyro_y", *options, "-o", out)
-    assert "at 20 Hz" in told
+def test_statespace(saved):
+    words = (
+        "statespace",
+        saved,
+        "--axis",
+        "gyro_y",
+        "--rate",
+        20,
+        "--duration",
+        50,
+        "-o",
+        "file",
+        "--format",
+    )
     expected = aj.load(saved)["gyro_y"].model.state_space(20.0, duration=50.0)
-    if form != "npz":
-        text = expected.to_matlab() if form == "matlab" else expected.to_c_header()
-        assert out.read_text(encoding="utf-8") == text
-        return
-    with np.load(out) as file:
+    for form, text in (("matlab", expected.to_matlab()), ("c", expected.to_c_header())):
+        assert "at 20 Hz" in ran(*words, form)
+        assert Path("file").read_text(encoding="utf-8") == text
+    ran(*words, "npz")
+    with np.load("file") as file:
         for name in ("A", "Q", "H", "R", "P0"):
             np.testing.assert_allclose(file[name], getattr(expected, name))
         # The mean of white noise of density N² over a sample interval.
@@ -122,14 +126,12 @@ def test_kalman_with_a_fit_and_files(saved, tmp_path):
 
 def test_calibrate_by_names_of_files_and_by_options(tmp_path):
     """Two positions of an accelerometer, with all options."""
-    levels = {"up": 0.05 + 1.001 * 9.81, "down": 0.05 - 1.001 * 9.81}
-    records = {way: at_rest([x], 64, 20.0, axes="z") for way, x in levels.items()}
-    for way, recording in records.items():
-        pd.DataFrame({"accel_z [m/s^2]": recording.values[:, 0]}).to_csv(f"{way}.csv", index=False)
+    for way, x in (("up", 0.05 + 1.001 * 9.81), ("down", 0.05 - 1.001 * 9.81)):
+        values = at_rest([x], 64, 20.0, axes="z").values[:, 0]
+        pd.DataFrame({"accel_z [m/s^2]": values}).to_csv(f"{way}.csv", index=False)
     aj.write_json(bench.fit("small"), "noise.json")
     common = ("--rate", 20, "--as-is", "--gravity", 9.81, "--fit", "noise.json")
-    told = ran("calibrate", "up.csv", "down.csv", *common, "--out", "out")
-    assert "scale factor" in told
+    assert "scale factor" in ran("calibrate", "up.csv", "down.csv", *common, "--out", "out")
     document = json.loads(Path("out/calibration.json").read_text(encoding="utf-8"))
     assert document["sensors"]["accel"]["M"][2][2] == pytest.approx(1.001, abs=1e-6)
     assert document["sensors"]["accel"]["b"][2] == pytest.approx(0.05, abs=1e-5)
@@ -147,46 +149,41 @@ def test_calibrate_by_names_of_files_and_by_options(tmp_path):
 
 
 def test_simulate_terms_and_sensors():
-    """0.3 deg/√h at 50 Hz, ± 1 % of 5,000 samples; accelerometers that are faster have their own file."""
-    words = ("simulate", "--rate", 50, "--duration", 100, "--seed", 7)
-    assert "a.csv: gyro; 5,000 samples at 50 Hz" in ran(*words, "--terms", "N=0.3 deg/√h", "--out", "a.csv")
+    """0.3 deg/√h at 40 Hz: 2,048 samples scatter by 1.6 %; faster accelerometers have their own file."""
+    words = ("simulate", "--rate", 40, "--duration", 51.2, "--seed", 7)
+    assert "a.csv: gyro; 2,048 samples at 40 Hz" in ran(*words, "--terms", "N=0.3 deg/√h", "--out", "a.csv")
     recording = aj.read("a.csv")
-    expected = aj.simulate_recording({"gyro": "N=0.3 deg/√h"}, 5000, 50.0, 7)
+    expected = aj.simulate_recording({"gyro": "N=0.3 deg/√h"}, 2048, 40.0, 7)
     np.testing.assert_allclose(recording.values, expected.values, rtol=1e-9)
-    assert recording.values.std() == pytest.approx(0.3 * DEG / 60.0 * math.sqrt(50.0), rel=0.04)
+    assert recording.values.std() == pytest.approx(0.3 * DEG / 60.0 * math.sqrt(40.0), rel=0.065)
     ran(*words, "--sensor", "accel", "--terms", "N=0.3 m/s/√h", "--out", "b.parquet")
     assert aj.read("b.parquet").names == ("accel",)
     assert "100 Hz, 1000 Hz" in ran("simulate", "--list")
-    ran("simulate", "motionpak2", "--duration", "4", "--out", "m.npz")
+    ran("simulate", "motionpak2", "--duration", "1", "--out", "m.npz")
     assert aj.read("m_1000Hz.npz").names == ("accel_x", "accel_y", "accel_z")
-    assert aj.read("m_100Hz.npz").n == 400
+    assert aj.read("m_100Hz.npz").n == 100
 
 
 @pytest.mark.parametrize(
     ("words", "numbers"),
     [
         ("3600 deg/h --to deg/s", [3600.0, 1.0]),
-        ("0.01 deg/s/√Hz --to deg/√h --sided one", [0.01, 0.6 / math.sqrt(2.0)]),
         ("0.01 deg/s/√Hz --to deg/√h --sided two", [0.01, 0.6]),
         ("150 µg/√Hz --to m/s/√h", [150.0, 150e-6 * 9.80665 * 60.0 / math.sqrt(2.0)]),
     ],
 )
 def test_convert(words, numbers):
     told = ran("convert", *words.split()).replace("√", "").split(" = ")
-    found = [float(told[0].split()[0]), float(told[1].split()[0])]
-    assert found == pytest.approx(numbers, rel=1e-5)
+    assert [float(told[0].split()[0]), float(told[1].split()[0])] == pytest.approx(numbers, rel=1e-5)
 
 
-def test_convert_of_a_data_sheet():
+def test_documents_of_data_sheets_and_schemas():
     name = aj.datasheets()[0]
     assert name in ran("convert", "--list")
     document = json.loads(ran("convert", "--sheet", name, "--json"))
     assert document == json.loads(json.dumps(aj.datasheet(name).to_dict()))
-
-
-@pytest.mark.parametrize("name", ["check", "fit", "critique", "fleet", "horizon"])
-def test_schemas_are_schemas(name):
-    jsonschema.Draft202012Validator.check_schema(json.loads(ran("schema", name)))
+    for name in ("check", "fit", "critique", "fleet", "horizon"):
+        schema(name)
 
 
 @pytest.mark.notebook
@@ -207,27 +204,16 @@ def test_the_demo_finds_what_was_put_in():
     ("words", "code", "word"),
     [
         ("horizon none.json --horizon 10", 1, "none.json"),
-        ("horizon small.json --horizon -1", 1, "horizon"),
         ("horizon small.json --horizon 10 --axis gyro_w", 1, "gyro_w"),
-        ("navigate small.json --latitude 90", 1, "latitude"),
         ("navigate small.json --latitude 51 --gyro-bias 2", 1, "unit"),
-        ("statespace small.json --axis gyro_w -o x.npz", 1, "gyro_w"),
         ("calibrate", 2, "recordings"),
         ("calibrate --position file.csv", 1, "orientation"),
-        ("calibrate none_up.csv --gravity 9.81", 1, "none_up.csv"),
         ("simulate --out a.csv", 2, "--terms"),
-        ("simulate hg1700 --terms N=1deg/√h --out a.csv", 2, "--terms"),
         ("simulate hg1701 --out a.csv", 2, "hg1700"),
         ("simulate hg1700", 2, "--out"),
         ("simulate --sensor accel --terms N=1deg/√h --out a.csv", 2, "gyro"),
-        ("simulate --terms N=1deg/√h --out none/a.csv", 1, "none"),
         ("simulate --terms N=1deg/√h --out a.csv --duration nan", 2, "--duration"),
-        ("simulate --terms N=1deg/√h --out a.csv --rate 0", 2, "--rate"),
-        ("simulate --terms N=1deg/√h --duration 1 --out a.xlsx", 1, ".xlsx"),
         ("convert 1 deg/h", 2, "--to"),
-        ("convert 1 deg/h --to m/s", 1, "m/s"),
-        ("convert --sheet none", 1, "none"),
-        ("schema colours", 2, "colours"),
     ],
 )
 def test_what_is_wrong_is_said(saved, words, code, word):

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from commands import run
 from fleets import ARW, axis, coefficient
+from imu_columns import refused
 
 import allanjax as aj
 
@@ -21,48 +22,33 @@ COLUMNS = {
 }
 
 
-# --- What is found ------------------------------------------------------------------------------------------
-
-
 def test_the_table_holds_what_fits_find(characterized, logs):
     out, result = characterized
     pd.testing.assert_frame_equal(pd.read_parquet(out / "fleet.parquet"), result.table)
     assert result.to_dataframe() is result.table
-    assert {*result.table} == {*" ".join(COLUMNS).split()}
-    for names, kind in COLUMNS.items():
-        assert all(
-            result.table[name].dtype in (kind, "object" if kind == "str" else kind) for name in names.split()
-        )
+    kinds = {name: kind for names, kind in COLUMNS.items() for name in names.split()}
+    assert {*result.table} == {*kinds}
+    for name, kind in kinds.items():
+        assert result.table[name].dtype in (kind, "object" if kind == "str" else kind)
     assert list(result.table["recording"].unique()) == UNITS
     for name in ("unit_1", "unit_4"):
         fit = aj.fit(aj.read(logs / f"{name}.parquet"), "N + K", plain=True)
         rows = result.table[result.table["recording"] == name].set_index(["axis", "coefficient"])
         assert len(rows) == 4
-        for axis_name, found in fit.items():
-            for label, c in found.coefficients.items():
-                row = rows.loc[axis_name, label]
-                own = c.in_unit(row["unit"])
-                # The same program on the same samples: rounding.
-                numbers = [own.value, own.std, *own.interval]
-                assert row[["value", "std", "lower_95", "upper_95"]].tolist() == pytest.approx(
-                    numbers, rel=1e-6
-                )
-                assert row["upper_limit_95"] == pytest.approx(own.upper_limit, rel=1e-6, nan_ok=True)
-                assert (row["detected"], row["measured"]) == (c.detected, found.measured)
-                assert row["p_value"] == pytest.approx(found.p_value, rel=1e-6)
-                assert (row["terms"], row["sensor"]) == (
-                    "angle_random_walk + rate_random_walk",
-                    axis_name[:-2],
-                )
-                assert row["file"] == str(logs / f"{name}.parquet")
-    assert (out / "fleet.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_odd_unit_is_marked_and_a_corrupt_one_is_reported(characterized, logs):
-    out, result = characterized
-    assert result.outlying[["recording", "axis", "coefficient"]].values.tolist() == [
-        ["unit_3", "gyro_x", ARW]
-    ]
+        assert {*rows["file"]} == {str(logs / f"{name}.parquet")}
+        assert {*rows["terms"]} == {f"{ARW} + rate_random_walk"}
+        for (axis_name, label), row in rows.iterrows():
+            found = fit[axis_name]
+            own = found.coefficients[label].in_unit(row["unit"])
+            # The same program on the same samples: rounding.
+            numbers = [own.value, own.std, *own.interval, own.upper_limit, found.p_value]
+            columns = ["value", "std", "lower_95", "upper_95", "upper_limit_95", "p_value"]
+            assert row[columns].tolist() == pytest.approx(numbers, rel=1e-6, nan_ok=True)
+            assert (row["detected"], row["measured"]) == (own.detected, found.measured)
+            assert row["sensor"] == axis_name[:-2]
+    # The odd unit is marked and a corrupt one is reported.
+    odd = result.outlying[["recording", "axis", "coefficient"]]
+    assert odd.values.tolist() == [["unit_3", "gyro_x", ARW]]
     usual = result.table.query("axis == 'gyro_x' and coefficient == @ARW").set_index("recording")["value"]
     ratio = usual["unit_3"] / usual.drop("unit_3").median()
     assert f"unit_3 ({ratio:.2g})" in str(result)
@@ -72,19 +58,18 @@ def test_the_odd_unit_is_marked_and_a_corrupt_one_is_reported(characterized, log
     assert pd.read_csv(out / "errors.csv").to_dict("records") == [error]
     assert "6 recordings: 5 without an error, 1 with; 0 taken" in str(result)
     assert (out / "notes.txt").read_text(encoding="utf-8").splitlines() == list(result.notes)
+    assert (out / "fleet.png").read_bytes().startswith(b"\x89PNG")
     assert result.files == tuple(sorted(logs.iterdir()))
 
 
 @pytest.mark.parametrize("stretch", [{}, {"start": 100.003, "stop": 1_400.0}])
 def test_a_long_recording_is_divided_and_put_together(cluster, tmp_path, stretch):
     """The pieces give what one accumulator of the whole gives."""
-    rng = np.random.default_rng(3)
+    rng, path = np.random.default_rng(3), tmp_path / "long.npy"
     x = rng.standard_normal((150_000, 1)) + np.cumsum(rng.standard_normal((150_000, 1)), axis=0) * 1e-3
-    np.save(tmp_path / "long.npy", x)
-    reading = {"rate": 100.0, "gyro_unit": "rad/s", "columns": "gyro_x", **stretch}
-    result = aj.characterize_fleet(
-        tmp_path / "long.npy", tmp_path / "out", "N + K", scheduler=cluster, piece=100_000, **reading
-    )
+    np.save(path, x)
+    options = {"rate": 100.0, "gyro_unit": "rad/s", "columns": "gyro_x", "piece": 100_000, **stretch}
+    result = aj.characterize_fleet(path, tmp_path / "out", "N + K", scheduler=cluster, **options)
     assert not result.errors
     begin, end = (int(np.ceil(t * 100.0)) for t in (stretch.get("start", 0.0), stretch.get("stop", 1_500.0)))
     accumulator = aj.AllanAccumulator(100.0, ["gyro_x"])
@@ -94,9 +79,6 @@ def test_a_long_recording_is_divided_and_put_together(cluster, tmp_path, stretch
         (row,) = result.table[result.table["coefficient"] == label].to_dict("records")
         assert row["value"] == pytest.approx(c.in_unit(row["unit"]).value, rel=1e-9)
         assert row["std"] == pytest.approx(c.in_unit(row["unit"]).std, rel=1e-6)
-
-
-# --- What a later run takes ---------------------------------------------------------------------------------
 
 
 def test_a_second_run_computes_only_what_is_not_there(characterized, logs, cluster):
@@ -126,64 +108,54 @@ def test_a_second_run_computes_only_what_is_not_there(characterized, logs, clust
     pd.testing.assert_frame_equal(third.table, first.table)
 
 
+ONE = [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])]
+
+
 @pytest.fixture
 def three(fleet):
-    """A fleet of three files with stored fits."""
-    for name in ("a", "b", "c"):
-        fleet.store(name, [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])])
+    """A fleet of three files with stored fits, and the files."""
+    for name in "abc":
+        fleet.store(name, ONE)
+    fleet.files = [fleet.file(name) for name in "abc"]
     return fleet
 
 
-# Each option, another value than the default, and as the stored key and the command have it.
-OPTIONS = {
-    "rate": (200.0, "200.0", ["--rate", "200"]),
-    "gyro_unit": ("deg/h", "deg/h", ["--gyro-unit", "deg/h"]),
-    "accel_unit": ("mg", "mg", ["--accel-unit", "mg"]),
-    "columns": ("gyro_x", "gyro_x", ["--columns", "gyro_x"]),
-    "time": ("clock", "clock", ["--time", "clock"]),
-    "time_unit": ("ms", "ms", ["--time-unit", "ms"]),
-    "start": (1.0, "1.0", ["--start", "1"]),
-    "stop": (9.0, "9.0", ["--stop", "9"]),
-    "topic": ("/imu", "/imu", ["--topic", "/imu"]),
-    "instance": (1, "1.0", ["--instance", "1"]),
-    "gaps": ("fill", "fill", ["--gaps", "fill"]),
-    "objective": ("whittle", "whittle", ["--objective", "whittle"]),
-    "regressors": (["temperature"], ["temperature"], ["--regressors", "temperature"]),
-    "as_is": (True, True, ["--as-is"]),
-    "vibrating": (True, True, ["--vibrating"]),
-    "plain": (True, True, ["--plain"]),
-}
+# Each option, and another value than the default.
+OPTIONS = {"rate": 200.0, "gyro_unit": "deg/h", "accel_unit": "mg", "columns": "gyro_x", "time": "clock"}
+OPTIONS |= {"time_unit": "ms", "start": 1.0, "stop": 9.0, "topic": "/imu", "instance": 1, "gaps": "fill"}
+OPTIONS |= {"objective": "whittle", "regressors": ["temperature"], "as_is": True, "vibrating": True}
+OPTIONS |= {"plain": True}
 
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("name", OPTIONS)
 def test_each_option_is_part_of_a_results_key(three, cluster, name):
     """With it all is computed anew; what was stored with it is taken, by the call and by the command."""
-    value, stored, words = OPTIONS[name]
-    files = [three.file(each) for each in "abc"]
-    assert three.run(files).resumed == 3
-    changed = three.run(files, scheduler=cluster, **{name: value})
-    assert changed.resumed == 0
-    assert len(changed.errors) == 3
+    value = OPTIONS[name]
+    words = [f"--{name.replace('_', '-')}", *([] if value is True else np.atleast_1d(value))]
+    assert three.run(three.files).resumed == 3
+    changed = three.run(three.files, scheduler=cluster, **{name: value})
+    assert (changed.resumed, len(changed.errors)) == (0, 3)
     of = three.key["options"] if name in three.key["options"] else three.key["options"]["reading"]
-    of[name] = stored
-    three.store("a", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])])
-    assert three.run(files[:1], **{name: value}).resumed == 1
-    outcome = run("fleet", files[0], "--out", three.out, *words)
+    of[name] = str(float(value)) if type(value) in (int, float) else value
+    three.store("a", ONE)
+    assert three.run(three.files[:1], **{name: value}).resumed == 1
+    outcome = run("fleet", three.files[0], "--out", three.out, *words)
     assert "1 recordings: 1 without an error, 0 with; 1 taken from an earlier run" in outcome.stdout
     assert outcome.exit_code == 0
 
 
-MODELS = {
-    "held": aj.Markov(correlation_time=10.0).hold("correlation_time"),
-    "free": aj.Markov(correlation_time=10.0),
-    "started elsewhere": aj.Markov(correlation_time=10.000000001),
-    "first order": aj.LowPass(bandwidth=3.0),
-    "second order": aj.LowPass(bandwidth=3.0, order=2),
-    "held amplitude": "N=1 deg/sqrt(h) held + B",
-    "free amplitude": "N + B",
-    "none": None,
-}
+# Held, free, started elsewhere; of the first and the second order; with an amplitude held and free; chosen.
+MODELS = [
+    aj.Markov(correlation_time=10.0).hold("correlation_time"),
+    aj.Markov(correlation_time=10.0),
+    aj.Markov(correlation_time=10.000000001),
+    aj.LowPass(bandwidth=3.0),
+    aj.LowPass(bandwidth=3.0, order=2),
+    "N=1 deg/sqrt(h) held + B",
+    "N + B",
+    None,
+]
 
 
 def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
@@ -193,7 +165,7 @@ def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
         x += 300.0 * np.exp(-abs(t - 25.0 - 50.0 * k) / 0.5) * np.sin(200.0 * t)
     recording = aj.Recording.from_array(x * 1e-3, 100.0, gyro_unit="rad/s", names=["gyro_x"])
     aj.write(recording, fleet.folder / "knocks.parquet")
-    for model in MODELS.values():
+    for model in MODELS:
         for resumed in (0, 1):
             result = fleet.run([fleet.folder / "knocks.parquet"], model=model, scheduler=cluster)
             assert result.resumed == resumed
@@ -202,75 +174,69 @@ def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
 
 
 def test_another_version_and_another_file_are_computed_anew(three, cluster):
-    files = [three.file(name) for name in "abc"]
-    os.utime(files[0])
-    files[1].write_text("00\n")
-    three.key["allanjax_version"] = "99.0"
-    three.store("c", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])])
-    assert three.run(files, scheduler=cluster).resumed == 0
+    """And what is no result is passed over."""
+    os.utime(three.files[0])
+    three.files[1].write_text("00\n")
+    version, three.key["allanjax_version"] = three.key["allanjax_version"], "99.0"
+    three.store("c", ONE)
+    assert three.run(three.files, scheduler=cluster).resumed == 0
+    three.key["allanjax_version"] = version
+    for name, text in (("a", "{"), ("b", "[1]"), ("c", '{"key": 1, "fit": {}}'), ("note", '"x"')):
+        (three.out / "recordings" / f"{name}.json").write_text(text, encoding="utf-8")
+    result = three.run(three.files, scheduler=cluster)
+    assert (result.resumed, len(result.table)) == (0, 0)
+    assert not any("left out" in note for note in result.notes)
+    full = three.judged(("gyro", ARW, np.ones((3, 1)), 0.1))
+    assert full.resumed == 3
+    assert dict(result.table.dtypes) == dict(full.table.dtypes)
 
 
-def test_an_axis_without_result_is_an_error_again(three):
+def test_rows_of_a_stored_fit(three):
+    """Not of an axis without result, nor of terms for which it was corrected; chosen terms are named."""
     bad = axis("gyro_y", [], converged=False, reason="constant", p_value=None)
-    three.store("b", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)]), bad])
-    result = three.run([three.file(name) for name in "abc"])
-    assert result.errors == ({"file": str(three.file("b")), "message": "gyro_y: no result, constant"},)
+    three.store("b", [*ONE, bad])
+    result = three.run(three.files)
+    assert result.errors == ({"file": str(three.files[1]), "message": "gyro_y: no result, constant"},)
     assert "2 without an error, 1 with" in str(result)
     assert len(result.table) == 3
-
-
-def test_terms_for_which_an_axis_was_corrected_have_no_rows(three):
-    """Nor has what was chosen between: the column of terms names the set that was."""
     both = [coefficient(ARW, 1.0, 0.1), coefficient("sinusoid", 2.0, 0.1)]
     sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
-    three.store("b", [axis("gyro_x", both, extension={"further": ["sinusoid"]}, selection=sets)])
-    rows = three.run([three.file("b")]).table.to_dict("records")
-    assert [(row["coefficient"], row["terms"]) for row in rows] == [(ARW, f"{ARW} + flicker")]
-    three.store("b", [axis("gyro_x", both)])
-    rows = three.run([three.file("b")]).table.to_dict("records")
-    assert [(row["coefficient"], row["terms"]) for row in rows] == [
-        (c, f"{ARW} + sinusoid") for c in (ARW, "sinusoid")
-    ]
+    corrected = {"extension": {"further": ["sinusoid"]}, "selection": sets}
+    for more, labels, terms in (
+        (corrected, [ARW], f"{ARW} + flicker"),
+        ({}, [ARW, "sinusoid"], f"{ARW} + sinusoid"),
+    ):
+        three.store("b", [axis("gyro_x", both, **more)])
+        table = three.run(three.files[1:2]).table
+        assert (table["coefficient"].tolist(), {*table["terms"]}) == (labels, {terms})
 
 
 def test_recordings_that_are_left_out_are_told(three):
-    result = three.run([three.file("c")])
+    result = three.run(three.files[2:])
     assert result.resumed == 1
     assert list(result.table["recording"]) == ["c"]
-    for word in ("2 recordings", str(three.file("a")), str(three.file("b")), "fleet.parquet"):
+    for word in ("2 recordings", *map(str, three.files[:2]), "fleet.parquet"):
         assert word in result.notes[0]
     # Named again they are there again, and nothing is said.
-    whole = three.run([three.file(name) for name in "abc"])
+    whole = three.run(three.files)
     assert whole.resumed == 3
     assert not any("left out" in note for note in whole.notes)
 
 
 def test_names_tell_recordings_apart_and_may_change_from_run_to_run(fleet):
-    names = {}
-    for path in ("x/a/imu.csv", "y/a/imu.csv", "y/b/imu.csv.gz", "y/b/imu.npz", "z/gyro.1.csv"):
-        names[path] = fleet.file(path.removesuffix(".csv")) if path.endswith(".csv") else fleet.folder / path
-        names[path].parent.mkdir(parents=True, exist_ok=True)
-        names[path].touch()
-    for k, path in enumerate(names.values()):
-        fleet.store(f"stored_{k}", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], path)
-    result = fleet.run([*names.values()])
+    paths = ["x/a/imu.csv", "y/a/imu.csv", "y/b/imu.csv.gz", "y/b/imu.npz", "z/gyro.1.csv"]
+    files = [fleet.folder / path for path in paths]
+    for k, path in enumerate(files):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        fleet.store(f"stored_{k}", ONE, path)
+    result = fleet.run(files)
     assert result.resumed == 5
     assert list(result.table["recording"]) == ["x_a_imu", "y_a_imu", "imu.csv.gz", "imu.npz", "gyro.1"]
-    alone = fleet.run([names["y/a/imu.csv"]])
+    alone = fleet.run(files[1:2])
     assert (alone.resumed, list(alone.table["recording"])) == (1, ["imu"])
     stored = {path.name for path in (fleet.out / "recordings").iterdir()}
     assert stored == {"imu.json", "x_a_imu.json", "imu.csv.gz.json", "imu.npz.json", "gyro.1.json"}
-
-
-def test_what_is_no_result_is_passed_over(three, cluster):
-    for name, text in (("a", "{"), ("b", "[1]"), ("c", '{"key": 1, "fit": {}}'), ("note", '"x"')):
-        (three.out / "recordings" / f"{name}.json").write_text(text, encoding="utf-8")
-    result = three.run([three.file(name) for name in "abc"], scheduler=cluster)
-    assert result.resumed == 0
-    assert not any("left out" in note for note in result.notes)
-    assert len(result.table) == 0
-    full = three.judged(("gyro", ARW, np.ones((3, 1)), 0.1)).table
-    assert dict(result.table.dtypes) == dict(full.dtypes)
 
 
 def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch):
@@ -280,11 +246,9 @@ def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch
     for name in there.split():
         Path(name).parent.mkdir(parents=True, exist_ok=True)
         Path(name).touch()
+    every = "b/imu.csv a/deeper/x.csv a/imu.csv log[1].csv gone.csv"
     for patterns, found in (
-        (
-            ["b/*.csv", "**/*.csv", "log[1].csv", "gone.csv"],
-            "b/imu.csv a/deeper/x.csv a/imu.csv log[1].csv gone.csv",
-        ),
+        (["b/*.csv", "**/*.csv", "log[1].csv", "gone.csv"], every),
         ("*", "log[1].csv one"),
         ("**/*.mcap", "one/0.mcap"),
     ):
@@ -293,124 +257,88 @@ def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch
         assert len(result.errors) == len(result.files)
     # A bag is another one when a file in it has changed.
     status = [path.stat() for path in Path("one").iterdir()]
-    fleet.store("one", [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], Path("one"))
+    fleet.store("one", ONE, Path("one"))
     stored = Path("out/recordings/one.json")
-    document = json.loads(stored.read_text())
-    document["key"] |= {
-        "size": sum(s.st_size for s in status),
-        "modified_ns": max(s.st_mtime_ns for s in status),
-    }
+    document, newest = json.loads(stored.read_text()), max(s.st_mtime_ns for s in status)
+    document["key"] |= {"size": sum(s.st_size for s in status), "modified_ns": newest}
     stored.write_text(json.dumps(document))
     assert aj.characterize_fleet("one", "out").resumed == 1
     Path("one/0.mcap").write_text("more")
     assert aj.characterize_fleet("one", "out", scheduler=cluster).resumed == 0
 
 
-# --- Groups -------------------------------------------------------------------------------------------------
-
 GROUPED = {"mems_a": "logs/mems/a", "b": "logs/mems/b", "fog_a": "logs/fog/a"}
-CSV = {
-    "by file": "file,group\nlogs/mems/a.csv,mems\nb.csv,mems\nlogs/fog/a.csv,fog\nunused.csv,x\n",
-    "by recording": "\ufeffgroup, recording\nmems, mems_a\nmems, b\nfog, fog_a\n",
-    "among others": "id,file,group\n1,logs/mems/a.csv,mems\n2,logs/mems/b.csv,mems\n3,logs/fog/a.csv,fog\n",
-    "other columns": "name,grade\na,x\n",
-    "empty": "",
-}
-GROUPS = {
-    "pattern": r"logs/(\w+)/",
-    "whole match": "mems|fog",
-    "of path or name": "^([a-z]+)_|/(mems)/",
-    "paths, files, names": {"logs/mems/a.csv": "mems", "b.csv": "mems", "fog_a": "fog", "other.csv": "x"},
-    "function": lambda path: path.parent.name,
-    **dict.fromkeys(("by file", "by recording", "among others"), "groups.csv"),
-}
-NO_GROUPS = {
-    "one without": ("logs/(mems)/", "1 of 3|logs/fog/a.csv|logs/(mems)/"),
-    "no expression": ("logs/(", "group=|--group"),
-    "no file": ("gone/groups.csv", "gone/groups.csv"),
-    "two without": ({"mems_a": "mems"}, "2 of 3|group="),
-    "two groups": ({"mems_a": "x", "logs/mems/a.csv": "y"}, "logs/mems/a.csv|'x' and 'y'"),
-    "a name of two": ({"a.csv": "x", "b.csv": "x"}, "2 of 3"),
-    "function": (lambda path: "", "3 of 3|group="),
-    "other columns": ("groups.csv", "group|name, grade"),
-    "empty": ("groups.csv", "group|nothing"),
-}
+# What divides them, and the content of a file of groups, or None.
+GROUPS = [
+    (r"logs/(\w+)/", None),
+    ("mems|fog", None),
+    ("^([a-z]+)_|/(mems)/", None),
+    ({"logs/mems/a.csv": "mems", "b.csv": "mems", "fog_a": "fog", "other.csv": "x"}, None),
+    (lambda path: path.parent.name, None),
+    ("groups.csv", "file,group\nlogs/mems/a.csv,mems\nb.csv,mems\nlogs/fog/a.csv,fog\nunused.csv,x\n"),
+    ("groups.csv", "\ufeffgroup, recording\nmems, mems_a\nmems, b\nfog, fog_a\n"),
+    ("groups.csv", "id,file,group\n1,logs/mems/a.csv,mems\n2,logs/mems/b.csv,mems\n3,logs/fog/a.csv,fog\n"),
+]
+# What does not, and what the error names.
+NO_GROUPS = [
+    ("logs/(mems)/", "1 of 3|logs/fog/a.csv|logs/(mems)/", None),
+    ("logs/(", "group=|--group", None),
+    ("gone/groups.csv", "gone/groups.csv", None),
+    ({"mems_a": "mems"}, "2 of 3|group=", None),
+    ({"mems_a": "x", "logs/mems/a.csv": "y"}, "logs/mems/a.csv|'x' and 'y'", None),
+    ({"a.csv": "x", "b.csv": "x"}, "2 of 3", None),
+    (lambda path: "", "3 of 3|group=", None),
+    ("groups.csv", "group|name, grade", "name,grade\na,x\n"),
+    ("groups.csv", "group|nothing", ""),
+]
 
 
-@pytest.fixture
-def grouped(fleet, monkeypatch):
-    """Runs three recordings in folders, in one of which a file of groups may be."""
+def test_groups(fleet, monkeypatch):
     monkeypatch.chdir(fleet.folder)
     paths = {name: fleet.file(path).relative_to(fleet.folder) for name, path in GROUPED.items()}
     for name, path in paths.items():
-        fleet.store(name, [axis("gyro_x", [coefficient(ARW, 1.0, 0.1)])], path)
+        fleet.store(name, ONE, path)
 
-    def run_with(group, content=None):
-        if content is not None:
-            Path("groups.csv").write_text(content, encoding="utf-8")
-        return fleet.run([*paths.values()], group=group)
+    def grouped(group, content):
+        Path("groups.csv").write_text(content or "", encoding="utf-8")
+        return fleet.run([*paths.values()], group=group).table
 
-    return run_with
-
-
-def test_groups(grouped):
     expected = {"logs/mems/a.csv": "mems", "logs/mems/b.csv": "mems", "logs/fog/a.csv": "fog"}
-    for kind, group in GROUPS.items():
-        table = grouped(group, CSV.get(kind)).table
-        assert dict(zip(table["file"], table["group"], strict=True)) == expected, kind
-    assert {*grouped(None).table["group"]} == {""}
-
-
-def test_what_is_wrong_with_groups_is_said(grouped):
-    for kind, (group, words) in NO_GROUPS.items():
-        with pytest.raises(aj.AllanjaxError) as caught:
-            grouped(group, CSV.get(kind))
-        assert all(word in str(caught.value) for word in words.split("|")), kind
+    for group, content in GROUPS:
+        table = grouped(group, content)
+        assert dict(zip(table["file"], table["group"], strict=True)) == expected, group
+    assert {*grouped(None, None)["group"]} == {""}
+    for group, words, content in NO_GROUPS:
+        refused(lambda a=group, b=content: grouped(a, b), words, aj.AllanjaxError)
 
 
 # Arguments of `characterize_fleet`, and what the error names.
-WRONG = {
-    "pattern": ({"files": "none*.csv"}, "none*.csv"),
-    "no files": ({"files": []}, "files"),
-    "workers": ({"workers": 0}, "workers=|0"),
-    "workers of another": ({"workers": 1, "scheduler": "tcp://127.0.0.1:1"}, "workers=|scheduler="),
-    "no scheduler": ({"scheduler": "nonsense://"}, "nonsense|--scheduler"),
-    "piece": ({"piece": 99_999}, "piece=|100000"),
-    "objective": ({"gaps": "drop"}, "gaps="),
-}
+WRONG = [
+    ({"files": "none*.csv"}, "none*.csv"),
+    ({"files": []}, "files"),
+    ({"workers": 0}, "workers=|0"),
+    ({"workers": 1, "scheduler": "tcp://127.0.0.1:1"}, "workers=|scheduler="),
+    ({"scheduler": "nonsense://"}, "nonsense|--scheduler"),
+    ({"piece": 99_999}, "piece=|100000"),
+    ({"gaps": "drop"}, "gaps=", aj.RecordingError),
+]
 
 
-def test_wrong_arguments_are_named(tmp_path):
+def test_wrong_arguments_and_dask_that_is_not_there_are_named(tmp_path, monkeypatch):
     (tmp_path / "a.csv").write_text("0\n")
-    for change, words in WRONG.values():
-        with pytest.raises(aj.AllanjaxError) as caught:
-            aj.characterize_fleet(**{"files": tmp_path / "a.csv", "out": tmp_path / "out", **change})
-        assert all(word in str(caught.value) for word in words.split("|"))
-
-
-def test_dask_that_is_not_there_is_named(tmp_path, monkeypatch):
-    (tmp_path / "a.csv").write_text("0\n")
+    arguments = {"files": tmp_path / "a.csv", "out": tmp_path / "out"}
+    for change, words, *error in WRONG:
+        refused(aj.characterize_fleet, words, *(error or [aj.AllanjaxError]), **arguments | change)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(aj.AllanjaxError, match=r"allanjax\[fleet\]"):
-        aj.characterize_fleet(tmp_path / "a.csv", tmp_path / "out")
+    refused(aj.characterize_fleet, "allanjax[fleet]", aj.AllanjaxError, **arguments)
 
 
 @pytest.mark.usefixtures("elsewhere")
 def test_the_command_runs_a_cluster_of_its_own(characterized, logs, tmp_path):
     """The one test with processes; a recording that fails stops no others, and the exit code tells."""
     _, first = characterized
-    outcome = run(
-        "fleet",
-        logs / "unit_0.parquet",
-        "missing.csv",
-        "--terms",
-        "N + K",
-        "--plain",
-        "--workers",
-        1,
-        "--out",
-        "out",
-    )
+    words = ["--terms", "N + K", "--plain", "--workers", 1, "--out", "out"]
+    outcome = run("fleet", logs / "unit_0.parquet", "missing.csv", *words)
     assert outcome.exit_code == 1
     assert "2 recordings: 1 without an error, 1 with; 0 taken" in outcome.stdout
     assert "missing.csv" in outcome.stderr
@@ -421,9 +349,6 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs, tmp_path):
     nothing = run("fleet", "*.parquet")
     assert nothing.exit_code == 1
     assert "*.parquet" in nothing.stderr
-
-
-# --- Table and picture --------------------------------------------------------------------------------------
 
 
 def test_the_printed_table_has_median_scatter_and_quantiles(fleet):
@@ -454,14 +379,7 @@ def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units(fleet, monkey
     parts = [("gyro", ARW, values, 0.05), ("accel", ARW, values[:, :1], 0.05)]
     fleet.out.mkdir()
     result = fleet.judged(*parts, ("gyro", "bias_instability", 1.0 + values[:, :1], 0.05, limits))
-    figure = result.plot()
-    panels = {panel.get_title(loc="left"): panel for panel in figure.axes}
-    assert [*panels] == [
-        "gyros: angle random walk",
-        "accelerometers: velocity random walk",
-        "gyros: bias instability",
-    ]
-    walk, _, instability = panels.values()
+    walk, _, instability = result.plot().axes
     assert [text.get_text() for text in walk.texts] == ["unit_8"]
     assert [label.get_text() for label in walk.get_xticklabels()] == ["gyro_x", "gyro_y"]
     (marks,) = [line for line in instability.lines if line.get_marker() == "v"]
@@ -476,5 +394,5 @@ def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units(fleet, monkey
         np.testing.assert_allclose(bars, np.outer(y, np.exp([-0.098, 0.098])), rtol=1e-9)
     medians = [line.get_ydata()[0] for line in panel.lines if line.get_linewidth() == 1.4]
     np.testing.assert_allclose(medians, [np.median(y) for y in expected])
-    with pytest.raises(aj.AllanjaxError, match="outlying"):
-        aj.FleetResult(result.table.drop(columns="outlying"), (), (), 0).plot()
+    bare = aj.FleetResult(result.table.drop(columns="outlying"), (), (), 0)
+    refused(bare.plot, "outlying", aj.AllanjaxError)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import scipy.signal
-from places import DATA
 
 import allanjax as aj
 from allanjax.inspection import Windows
@@ -42,9 +41,6 @@ def motion(seed, n):
     return x / np.std(x, axis=0)
 
 
-# --- Windows ------------------------------------------------------------------------------------------------
-
-
 def test_windows_are_sums_of_squares_by_brute_force():
     x = np.random.default_rng(0).integers(-30, 30, (100_000, 2)) / 8.0
     w = Windows.of(x)
@@ -66,64 +62,48 @@ def test_windows_are_sums_of_squares_by_brute_force():
     np.testing.assert_allclose(w.resolution, 0.125)
 
 
-@pytest.mark.parametrize("chunk", [17, 5000, 40_000])
-def test_windows_of_a_stream_are_those_of_the_whole(chunk):
+def test_windows_of_a_stream_are_those_of_the_whole_and_merged_ones_hold_every_sample():
     x = np.random.default_rng(1).standard_normal((70_001, 2))
-    stream = Windows.of(x[:0])
-    for k in range(0, len(x), chunk):
-        stream = stream.updated(x[k : k + chunk])
     whole = Windows.of(x)
-    assert stream.size == whole.size
-    for name in ("count", "mean", "low", "high", "power", "pairs", "peak", "repeats", "rest"):
-        np.testing.assert_allclose(getattr(stream, name), getattr(whole, name), rtol=1e-9, err_msg=name)
-
-
-def test_merged_windows_hold_every_sample():
-    x = np.random.default_rng(2).standard_normal((70_001, 2))
+    for chunk in (17, 5000, 40_000):
+        stream = Windows.of(x[:0])
+        for k in range(0, len(x), chunk):
+            stream = stream.updated(x[k : k + chunk])
+        assert stream.size == whole.size
+        for name in ("count", "mean", "low", "high", "power", "pairs", "peak", "repeats", "rest"):
+            np.testing.assert_allclose(getattr(stream, name), getattr(whole, name), rtol=1e-9, err_msg=name)
     merged = Windows.of(x[:33_333]).merge(Windows.of(x[33_333:])).closed()
     assert merged.n == merged.count.sum() == len(x)
     np.testing.assert_allclose(merged.count @ merged.mean, x.sum(axis=0), rtol=1e-9)
     np.testing.assert_allclose([merged.low.min(), merged.high.max()], [x.min(), x.max()])
 
 
-# --- What happened ------------------------------------------------------------------------------------------
+def ringing(at, t):
+    return np.where(t >= at, np.exp(-np.maximum(t - at, 0.0) / 0.3) * np.sin(200.0 * t), 0.0)
 
 
-def _ringing(at, t):
-    return np.where(t >= at, np.exp(-np.maximum(t - at, 0.0) / 0.3) * np.sin(200.0 * t), 0.0)[:, None]
-
-
-# What is done to a record z in units of the axes' noise, of which some are hit harder.
 HARDER = np.array([0.5, 1.0, 0.4, 0.3, 0.2, 0.6])
-DONE = {
-    "noisier": lambda z, t: np.where((t < 4.0)[:, None], 19.0 * z * HARDER, 0.0),
-    "knock": lambda z, t: 200.0 * HARDER * _ringing(120.0, t),
-    "spike": lambda z, t: -500.0 * HARDER * (np.arange(N) == 12_345)[:, None],
-    "step": lambda z, t: -8.0 * HARDER * (t >= 110.0)[:, None],
-    "shift": lambda z, t: 20.0 * HARDER * np.clip((t - 150.0) / 20.0, 0.0, 1.0)[:, None],
-    "warm-up": lambda z, t: 50.0 * HARDER * np.exp(-t / 10.0)[:, None],
-    "silent": lambda z, t: np.where((t >= 270.0)[:, None], -z, 0.0) * (np.arange(6) == 4),
-}
-# Where; the axis of which it is told, and the size there in units of its noise, or as a ratio; its tolerance.
+# What is done to a record z in units of the axes' noise, of which some are hit harder; from when to when; the
+# axis of which it is told, and the size there in units of its noise, or as a ratio; its tolerance.
 HAPPENED = {
     # Of twelve windows the largest excess at any scale is up to twice the usual.
-    "noisier": (0.0, 4.0, 1, 20.0, 0.5),
-    "knock": (120.0, 121.0, 1, 185.0, 0.1),
-    "spike": (123.45, 123.46, 1, 500.0, 0.01),
-    # Means over sixteen windows of 32 samples on either side: ±0.07.
-    "step": (110.0, 110.0, 1, -8.0, 0.05),
-    "shift": (150.0, 170.0, 1, 20.0, 0.05),
+    "noisier": (lambda z, t: np.where(t < 4.0, 19.0 * z * HARDER, 0.0), 0.0, 4.0, 1, 20.0, 0.5),
+    "knock": (lambda z, t: 200.0 * HARDER * ringing(120.0, t), 120.0, 121.0, 1, 185.0, 0.1),
+    "spike": (lambda z, t: -500.0 * HARDER * (t == TIME[12_345]), 123.45, 123.46, 1, 500.0, 0.01),
+    # Means over sixteen windows of 32 samples on either side: ±0.07; what wanders farther off adds nothing.
+    "step": (lambda z, t: HARDER * (np.sin(t / 30.0) - 8.0 * (t >= 110.0)), 110.0, 110.0, 1, -8.15, 0.05),
+    "shift": (lambda z, t: 20.0 * HARDER * np.clip(t / 20.0 - 7.5, 0.0, 1.0), 150.0, 170.0, 1, 20.0, 0.05),
     # The first window of 0.32 s, from what is left after the search.
-    "warm-up": (0.0, 20.0, 1, 49.0, 0.05),
-    "silent": (270.0, 300.0, 4, 0.0, 0.0),
+    "warm-up": (lambda z, t: 50.0 * HARDER * np.exp(-t / 10.0), 0.0, 20.0, 1, 49.0, 0.05),
+    "silent": (lambda z, t: np.where(t < 270.0, 0.0, -z) * (np.arange(6) == 4), 270.0, 300.0, 4, 0.0, 0.0),
 }
 
 
 @pytest.mark.parametrize("kind", HAPPENED)
 def test_what_happened_is_named_measured_and_left_out(kind):
-    first, last, axis, size, close = HAPPENED[kind]
+    done, first, last, axis, size, close = HAPPENED[kind]
     x = values(5)
-    touched = x + SIGMA * DONE[kind]((x - LEVEL) / SIGMA, TIME)
+    touched = x + SIGMA * done((x - LEVEL) / SIGMA, TIME[:, None])
     if kind == "silent":
         touched[27_000:, 4] = 0.123
     seen = aj.inspect(own(touched))
@@ -142,18 +122,16 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     assert stop - start > max(first, 300.0 - last) - (45.0 if slow else 6.0)
     (told,) = seen.about("events")
     assert told.startswith(seen.said)
-    for word in (f"{start:g}", f"{stop:g}", *([NAMES[axis]] if kind != "noisier" else [])):
+    sizes = [f"{abs(event.size) / DEG:.2g} deg/s"] if kind in ("step", "spike", "shift") else []
+    for word in (f"{start:g}", f"{stop:g}", *sizes, *([NAMES[axis]] if kind != "noisier" else [])):
         assert word in told
-    if kind in ("step", "spike", "shift"):
-        assert f"{abs(event.size) / DEG:.2g} deg/s" in told
     # Of what is left: mean and rms by definition, but for windows at its ends.
     rows = slice(round(start * RATE), round(stop * RATE))
     np.testing.assert_allclose((seen.mean - touched[rows].mean(axis=0)) / SIGMA, 0.0, atol=0.02)
     np.testing.assert_allclose(seen.rms, touched[rows].std(axis=0), rtol=0.01)
     assert seen.quiet(own(touched)).n == rows.stop - rows.start
     asked = aj.inspect(own(touched), as_is=True)
-    assert (asked.stretch, asked.refusal) == (None, "")
-    assert asked.about("events")
+    assert (asked.stretch, asked.refusal, bool(asked.about("events"))) == (None, "", True)
     # What is accumulated cannot be cut any more: a refusal that names the stretch to read.
     uncut = seen.uncut()
     assert uncut.stretch is None
@@ -197,97 +175,65 @@ def test_what_changes_no_coefficient_is_a_note():
     assert len(seen.notes) == 1
 
 
-@pytest.mark.parametrize(("share", "refused"), [(0.33, False), (0.29, True)])
-def test_three_tenths_of_the_record_must_be_quiet(share, refused):
+def test_three_tenths_of_the_record_must_be_quiet():
     """Knocks leave parts of this share."""
-    x = values(7)
-    for k in (1, 2, 3):
-        x += 300.0 * SIGMA * _ringing(300.0 * share * k, TIME)
-    seen = aj.inspect(recording(x))
-    assert bool(seen.refusal) == refused
-    assert (seen.stretch is None) == refused
-    if refused:
-        fit = aj.fit(recording(x[:, :3]), "N + K")
-        assert not fit.converged
-        assert "3 knocks" in fit["gyro_x"].reason
-        assert "--as-is" in fit["gyro_x"].reason
-        with pytest.raises(aj.FitError):
-            fit["gyro_x"]["N"]
-
-
-@pytest.mark.parametrize(
-    ("until", "louder", "refused"), [(6000, 10.0, True), (6000, 1.3, False), (1500, 10.0, False)]
-)
-def test_a_quiet_part_may_be_the_sensor_at_rest(until, louder, refused):
-    """One of more than a tenth of the record, and much quieter: no coefficients of the louder one."""
-    x = values(8)
-    x[until:] += np.sqrt(louder**2 - 1.0) * SIGMA * np.random.default_rng(8).standard_normal((N - until, 6))
-    seen = aj.inspect(recording(x))
-    assert bool(seen.refusal) == refused
-    (event,) = seen.events
-    assert event.kind == "quieter"
-    # The largest ratio at any scale and axis.
-    assert event.size == pytest.approx(louder, rel=0.3)
-    assert event.last == pytest.approx(until, abs=200)
-
-
-# --- False alarms -------------------------------------------------------------------------------------------
+    for share, refused in ((0.33, False), (0.29, True)):
+        x = values(7) + 300.0 * SIGMA * sum(ringing(300.0 * share * k, TIME[:, None]) for k in (1, 2, 3))
+        seen = aj.inspect(recording(x))
+        assert (bool(seen.refusal), seen.stretch is None) == (refused, refused)
+    failed = aj.fit(recording(x[:, :3]), "N + K")["gyro_x"]
+    assert not failed.converged
+    assert "3 knocks" in failed.reason
+    assert "--as-is" in failed.reason
+    with pytest.raises(aj.FitError):
+        failed["N"]
+    # A quiet part may be the sensor at rest: one of more than a tenth of the record, and much quieter.
+    for until, louder, refused in ((6000, 10.0, True), (6000, 1.3, False), (1500, 10.0, False)):
+        x, more = values(8), np.random.default_rng(8).standard_normal((N - until, 6))
+        x[until:] += np.sqrt(louder**2 - 1.0) * SIGMA * more
+        seen = aj.inspect(recording(x))
+        assert bool(seen.refusal) == refused
+        (event,) = seen.events
+        assert event.kind == "quieter"
+        # The largest ratio at any scale and axis.
+        assert event.size == pytest.approx(louder, rel=0.3)
+        assert event.last == pytest.approx(until, abs=200)
 
 
 def clean(seed):
-    """A clean record of a sensor: white noise with a walk, flicker-like, telegraph or a line, or rounded."""
-    rng = np.random.default_rng(seed)
-    x, n = values(seed), N
-    kind = seed % 6
-    if kind == 1:
-        x += 2.0 * SIGMA * np.sin(2.0 * np.pi * rng.uniform(0.01, 40.0) * np.arange(n) / RATE)[:, None]
-    elif kind == 2:
-        time = 10.0 ** rng.uniform(-1.0, 1.5) * RATE
-        markov = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / time)], rng.standard_normal((n, 6)), axis=0)
-        x += SIGMA * markov / np.sqrt(time)
-    elif kind == 3:
-        x = LEVEL + scipy.signal.lfilter(*scipy.signal.butter(2, 0.4), x - LEVEL, axis=0)
-    elif kind == 4:
-        x = np.round(x / SIGMA) * SIGMA
-    elif kind == 5:
-        x += SIGMA * (np.cumsum(rng.random((n, 6)) < 2e-3, axis=0) % 2.0)
-    return x
+    """White noise with a walk; a line, a slow process or a telegraph in it; filtered, or rounded."""
+    rng, x = np.random.default_rng(seed), values(seed)
+    line = np.sin(2.0 * np.pi * rng.uniform(0.01, 40.0) * TIME)[:, None]
+    time = 10.0 ** rng.uniform(-1.0, 1.5) * RATE
+    white = rng.standard_normal((N, 6)) / np.sqrt(time)
+    slow = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / time)], white, axis=0)
+    telegraph = np.cumsum(rng.random((N, 6)) < 2e-3, axis=0) % 2.0
+    filtered = LEVEL + scipy.signal.lfilter(*scipy.signal.butter(2, 0.4), x - LEVEL, axis=0)
+    added = [x + SIGMA * more for more in (0.0, 2.0 * line, slow, telegraph)]
+    return [*added, filtered, np.round(x / SIGMA) * SIGMA][seed % 6]
 
 
-def alarmed(first, last):
-    """How many of these clean records something is said of."""
-    seen = (aj.inspect(recording(clean(k))) for k in range(first, last))
-    return sum(bool(each.said) or not each.at_rest for each in seen)
-
-
-def test_noise_of_any_colour_is_nothing_unusual():
-    # At the 0.8 % that benchmarks measured, 0.3 of 36 are expected, and three come once in 300 times.
-    assert alarmed(0, 36) <= 2
-
-
-@pytest.mark.study
-def test_noise_of_any_colour_is_nothing_unusual_in_many_draws():
-    # 2.4 of 300 are expected, and nine come once in 2000 times.
-    assert alarmed(36, 336) <= 8
-
-
+# At the 0.8 % that benchmarks measured, 0.3 of 36 are expected, and three come once in 300 times; of 300 it
+# is 2.4, and nine come once in 2000 times.
 @pytest.mark.parametrize(
-    ("louder", "step", "found"), [(1.04, 0.1, False), (1.11, 0.0, True), (1.0, 1.0, True)]
+    ("first", "last", "most"), [(0, 36, 2), pytest.param(36, 336, 8, marks=pytest.mark.study)]
 )
-def test_what_is_unlike_the_rest(louder, step, found):
+def test_noise_of_any_colour_is_nothing_unusual(first, last, most):
+    seen = (aj.inspect(recording(clean(k))) for k in range(first, last))
+    assert sum(bool(each.said) or not each.at_rest for each in seen) <= most
+
+
+def test_what_is_unlike_the_rest():
     """20 s, 64 of 937 windows, are found where all axes are 7 % louder, eight standard deviations.
 
     Those of the cube root of a mean of 64·16·6 squared differences are √(2/9)/√6144 = 0.6 %. A step is found
     if it is ten standard deviations of what the mean changes by from some 40 s to the next, 0.4 of the noise.
     """
-    z = np.random.default_rng(22).standard_normal((N, 6))
-    z[15_000:17_000] *= louder
-    z[6000:] += step
-    seen = aj.inspect(recording(LEVEL + SIGMA * z))
-    assert bool(seen.events) == found
-
-
-# --- Streams ------------------------------------------------------------------------------------------------
+    for louder, step, found in ((1.04, 0.1, False), (1.11, 0.0, True), (1.0, 1.0, True)):
+        z = np.random.default_rng(22).standard_normal((N, 6))
+        z[15_000:17_000] *= louder
+        z[6000:] += step
+        assert bool(aj.inspect(recording(LEVEL + SIGMA * z)).events) == found
 
 
 def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
@@ -310,9 +256,6 @@ def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
     assert "start={:g}, stop={:g}".format(*whole.stretch) in fit["gyro_x"].reason
 
 
-# --- Motion -------------------------------------------------------------------------------------------------
-
-
 def _share(path, sensor):
     """Rms difference of neighbouring clusters of 0.32 s to 5 s, at most, as a share of the limit at rest."""
     total, shares = np.concatenate([[0.0], np.cumsum(path)])[::32], []
@@ -324,35 +267,32 @@ def _share(path, sensor):
 
 
 WAVES, BUZZ = motion(1, N)[:, 0], np.sqrt(2.0) * np.sin(2.0 * np.pi * 25.0 * TIME + 0.3)
-# Motions, and the size that is the largest of a sensor at rest.
-MOTIONS = {
-    ("changes", "gyro"): (WAVES, 1.0 / _share(WAVES, "gyro")),
-    ("changes", "accel"): (WAVES, 1.0 / _share(WAVES, "accel")),
-    ("wanders", "gyro"): (TIME / 300.0, 3.0 * DEG),
-    ("wanders", "accel"): (TIME / 300.0, 0.5),
-    ("shakes", "gyro"): (BUZZ, 10.0 * DEG),
-    ("shakes", "accel"): (BUZZ, 2.0),
-}
+# Sensors, motions, and the size that is the largest of a sensor at rest.
+MOTIONS = [
+    ("gyro", WAVES, 1.0 / _share(WAVES, "gyro")),
+    ("accel", WAVES, 1.0 / _share(WAVES, "accel")),
+    ("gyro", TIME / 300.0, 3.0 * DEG),
+    ("accel", TIME / 300.0, 0.5),
+    ("gyro", BUZZ, 10.0 * DEG),
+    ("accel", BUZZ, 2.0),
+]
 
 
-@pytest.mark.parametrize("kind", MOTIONS)
-def test_motion_is_what_no_sensor_does(kind):
+@pytest.mark.parametrize(("sensor", "path", "limit"), MOTIONS)
+def test_motion_is_what_no_sensor_does(sensor, path, limit):
     """At nine tenths of the limit nothing is said, and at 1.1 of it the axis is not at rest."""
-    path, limit = MOTIONS[kind]
-    axes = [1] if kind[1] == "gyro" else [4]
+    axes = [1] if sensor == "gyro" else [4]
     for share, moving in ((0.9, ()), (1.1, tuple(axes))):
         x = values(11)
         x[:, axes] += share * limit * path[:, None]
         seen = aj.inspect(recording(x))
-        assert seen.moving == moving
-        assert seen.at_rest == (not moving)
-        assert bool(seen.about("motion")) == bool(moving)
-        assert seen.refusal == ""
+        assert (seen.moving, seen.refusal) == (moving, "")
+        assert (not seen.at_rest, bool(seen.about("motion"))) == (bool(moving), bool(moving))
     assert NAMES[axes[0]] in seen.about("motion")[0]
     # Meant to be.
     assert aj.inspect(recording(x), vibrating=True).about("motion") == ()
     # Two axes that move are a moving platform.
-    x[:, 0 if kind[1] == "gyro" else 3] += 1.1 * limit * path
+    x[:, 0 if sensor == "gyro" else 3] += 1.1 * limit * path
     assert aj.inspect(recording(x)).moving == tuple(range(6))
 
 
@@ -362,20 +302,6 @@ def test_what_moves_is_no_measurement_of_the_sensor():
     found = aj.fit(recording(moved), "N + K", plain=True)
     assert [result.measured for result in found.values()] == [False, True, True]
     assert np.isnan(found["gyro_x"]["N"].std)
-
-
-@pytest.mark.skipif(not DATA.exists(), reason="the real recordings are not here")
-def test_a_flight_and_a_hand_are_not_static():
-    flight = np.genfromtxt(DATA / "euroc_slice.csv", delimiter=",", skip_header=1)[:, 1:]
-    assert not aj.inspect(recording(flight, 200.0)).at_rest
-    hand = np.genfromtxt(DATA / "xio_sensor_data.csv", delimiter=",", skip_header=1)[:, 1:7]
-    moved = recording(hand, gyro_unit="deg/s", accel_unit="g")
-    assert not aj.inspect(moved).at_rest
-    # Before it was picked up.
-    assert aj.inspect(moved.between(0.0, 9.0)).at_rest
-
-
-# --- Units, rates, resolution -------------------------------------------------------------------------------
 
 
 def changed(gyro=1.0, accel=1.0, bias=0.0, **units):
@@ -417,15 +343,12 @@ def test_units_that_can_and_cannot_be(name):
     assert option in found.get(subject, "")
 
 
-@pytest.mark.parametrize(("N", "said"), [(2e-5, True), (5e-5, False), (17.0, False), (21.0, True)])
-def test_noise_of_no_gyro(N, said):
+def test_noise_that_no_gyro_has():
     """White noise [deg/√h] below that of the best gyro made, 3e-5, or above that of any at rest, 18."""
-    x = np.random.default_rng(3).standard_normal((20_000, 3)) * N * DEG / 60.0 * np.sqrt(RATE)
-    assert bool(aj.inspect(recording(x)).about("gyro")) == said
-
-
-def test_noise_of_gyros_beside_that_of_accelerometers():
-    """A tenth of it [deg/√h beside m/s/√h] at least, in degrees, and beside MEMS accelerometers."""
+    white = np.random.default_rng(3).standard_normal((20_000, 3)) * DEG / 60.0 * np.sqrt(RATE)
+    for density, said in ((2e-5, True), (5e-5, False), (17.0, False), (21.0, True)):
+        assert bool(aj.inspect(recording(density * white)).about("gyro")) == said
+    # At least a tenth of that of accelerometers [deg/√h beside m/s/√h], in degrees, and beside MEMS.
     rng = np.random.default_rng(4)
     for ratio, accel, unit, said in (
         (0.08, 0.05, "deg/s", True),
@@ -442,24 +365,17 @@ def test_noise_of_gyros_beside_that_of_accelerometers():
 def test_orientations_that_can_be():
     """On its side; without gravity, as a simulation; a single accelerometer that is tilted."""
     x = values(13)
-    for made in (recording(x[:, [0, 1, 2, 5, 3, 4]]), recording(x - LEVEL)):
-        assert aj.inspect(made).warnings == ()
     level = aj.Recording.from_array(x[:, 3:4] + 0.5, RATE, names=["accel_x"], accel_unit="m/s²")
-    assert aj.inspect(level).warnings == ()
+    for made in (recording(x[:, [0, 1, 2, 5, 3, 4]]), recording(x - LEVEL), level):
+        assert aj.inspect(made).warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("step", "said"),
-    [(1e-3, "1000 Hz"), (10.4, ""), (9.6, ""), (10.6, "94.34 Hz"), (10_000.0, ""), (1e7, "")],
-)
-def test_a_rate_beside_stamps_that_say_another(step, said):
-    """They may be in s, ms, µs or ns, and 5 % off."""
-    given = recording(values(14), auxiliary={"time": np.arange(N) * step})
-    (warning,) = aj.inspect(given).about("rate") or ("",)
-    assert said in warning if said else not warning
-
-
-def test_a_record_that_is_short():
+def test_rates_and_lengths():
+    """Stamps beside a rate may be in s, ms, µs or ns, and 5 % off."""
+    for step, said in ((1e-3, "1000 Hz"), (10.4, ""), (9.6, ""), (10.6, "94.34 Hz"), (1e4, ""), (1e7, "")):
+        given = recording(values(14), auxiliary={"time": np.arange(N) * step})
+        (warning,) = aj.inspect(given).about("rate") or ("",)
+        assert said in warning if said else not warning
     for n, words in ((6000, ()), (5999, ("60 s",)), (1000, ("10 s",)), (999, ("9.99 s", "3 %"))):
         found = aj.inspect(recording(values(15, n))).about("length")
         assert len(found) == bool(words)
@@ -468,23 +384,18 @@ def test_a_record_that_is_short():
     assert not aj.inspect(recording(values(15, 1000), 10.0)).about("length")
 
 
-@pytest.mark.parametrize(("steps", "subjects"), [(1.0, set()), (1.8, set()), (3.0, {"resolution"})])
-def test_noise_below_the_resolution(steps, subjects):
+def test_noise_below_the_resolution_and_samples_that_are_held():
     """The share of equal neighbours is 60 % where the noise is 0.4 steps; then few values are left."""
-    x = values(15)
-    x = LEVEL + SIGMA * steps * np.round((x - LEVEL) / SIGMA / steps)
-    seen = aj.inspect(recording(x))
-    assert {about for about, _ in seen.findings} == subjects
-    for axis, told in zip(NAMES, seen.about("resolution"), strict=False):
-        count = len(np.unique(x[:, NAMES.index(axis)].round(9)))
-        assert told.startswith(axis)
-        assert f"{count} distinct" in told
-        assert f"{steps * SIGMA[NAMES.index(axis)]:.3g}" in told
-
-
-@pytest.mark.parametrize(("held", "share"), [(2, 53), (4, 80), (1, 0)])
-def test_samples_that_are_held(held, share):
-    """Of 15 neighbours in a block of 16, eight are equal if each sample comes twice."""
-    found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about("repeats")
-    assert len(found) == (6 if share else 0)
-    assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))
+    for steps, subjects in ((1.0, set()), (1.8, set()), (3.0, {"resolution"})):
+        x = LEVEL + SIGMA * steps * np.round((values(15) - LEVEL) / SIGMA / steps)
+        seen = aj.inspect(recording(x))
+        assert {about for about, _ in seen.findings} == subjects
+        for k, told in enumerate(seen.about("resolution")):
+            assert told.startswith(NAMES[k])
+            assert f"{len(np.unique(x[:, k].round(9)))} distinct" in told
+            assert f"{steps * SIGMA[k]:.3g}" in told
+    # Of 15 neighbours in a block of 16, eight are equal if each sample comes twice.
+    for held, share in ((2, 53), (4, 80), (1, 0)):
+        found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about("repeats")
+        assert len(found) == (6 if share else 0)
+        assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import allanjax as aj
 
@@ -28,8 +29,12 @@ def test_weights_are_bayes_rule():
     """Written out with probabilities, normalized at each sample; so are bias and its spread."""
     change, record = 0.02, recording(QUIETLY, LOUDLY)
     lost = np.arange(N) == 100
-    found = aj.adaptive_filter(record, MODELS, switching=change * RATE, missing=lost).results[0]
+    bank = aj.adaptive_filter(record, MODELS, switching=change * RATE, missing=lost)
+    found, frame = bank.results[0], bank.to_dataframe()
     assert found.labels == tuple(MODELS)
+    for k, label in enumerate(MODELS):
+        assert_array_equal(frame[f"weight_{label}"], found.weights[:, k])
+        assert_array_equal(frame[f"probability_{label}"], found.probability[:, k])
     filters = [aj.kalman_filter(record, model, missing=lost).results[0] for model in MODELS.values()]
     density = [np.exp(-0.5 * f.standardized**2) / (np.sqrt(2.0 * np.pi) * f.innovation_std) for f in filters]
     density = np.where(np.isnan(density), 1.0, density).T
@@ -39,7 +44,7 @@ def test_weights_are_bayes_rule():
         weights = transition @ weights * density[k]
         total += np.log(weights.sum())
         weights = weights / weights.sum()
-        np.testing.assert_allclose(found.weights[k], weights, rtol=1e-8)
+        assert_allclose(found.weights[k], weights, rtol=1e-8)
         bias = weights @ [f.bias[k] for f in filters]
         assert found.bias[k] == pytest.approx(bias, rel=1e-9)
         if k:
@@ -49,21 +54,19 @@ def test_weights_are_bayes_rule():
     later = np.ones(3)
     for k in range(N - 1, -1, -1):
         both = found.weights[k] * later
-        np.testing.assert_allclose(found.probability[k], both / both.sum(), rtol=1e-7)
+        assert_allclose(found.probability[k], both / both.sum(), rtol=1e-7)
         later = transition @ (density[k] * later)
         later = later / later.sum()
     low, high = found.bias_interval
-    np.testing.assert_allclose(high - low, 2.0 * 1.959964 * found.bias_std, rtol=1e-6)
+    assert_allclose(high - low, 2.0 * 1.959964 * found.bias_std, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("second", "label", "within"), [(LOUDLY, "noisy", 2.0), (DRIFTINGLY, "drifting", 2.0)]
-)
-def test_a_change_half_way_is_found_and_dated(second, label, within):
+@pytest.mark.parametrize(("second", "label"), [(LOUDLY, "noisy"), (DRIFTINGLY, "drifting")])
+def test_a_change_half_way_is_found_and_dated(second, label):
     """N four times as large, K a hundred times: both show in a second or two."""
     found = aj.adaptive_filter(recording(QUIETLY, second), MODELS)["gyro_x"]
     assert [(c.before, c.after) for c in found.changes] == [("quiet", label)]
-    assert found.changes[0].time == pytest.approx(12.0, abs=within)
+    assert found.changes[0].time == pytest.approx(12.0, abs=2.0)
     assert found.weights[110, 0] > 0.95
     assert found.weights[-1, found.labels.index(label)] > 0.9
     assert found.switching == 1e-3
@@ -76,28 +79,17 @@ def test_a_model_that_was_ruled_out_comes_back_only_if_it_may():
     never = aj.adaptive_filter(record, MODELS, switching=0.0).results[0]
     assert never.changes == ()
     # Without a change the probability by all samples is the last weight.
-    np.testing.assert_allclose(never.probability, np.tile(never.weights[-1], (N, 1)), atol=1e-9)
+    assert_allclose(never.probability, np.tile(never.weights[-1], (N, 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("models", "options", "word"),
-    [
-        ([QUIET], {}, "two models"),
-        ([QUIET, NOISY], {"switching": 5.0}, "change"),
-        ([QUIET, NOISY], {"switching": -0.1}, "change"),
-        ([QUIET, aj.AngleRandomWalk()], {}, "angle_random_walk"),
-        ([QUIET, NOISY], {"missing": np.zeros(3, bool)}, "missing"),
-    ],
-)
-def test_what_is_no_bank_is_said(models, options, word):
-    with pytest.raises(aj.AllanjaxError, match=word):
-        aj.adaptive_filter(recording(QUIETLY), models, **options)
+REFUSED = [
+    ([QUIET], {}, "two models"), ([QUIET, NOISY], {"switching": 5.0}, "change"),
+    ([QUIET, NOISY], {"switching": -0.1}, "change"), ([QUIET, aj.AngleRandomWalk()], {}, "angle_random_walk"),
+    ([QUIET, NOISY], {"missing": np.zeros(3, bool)}, "missing"),
+]  # fmt: skip
 
 
-def test_tables_have_the_weights():
-    found = aj.adaptive_filter(recording(QUIETLY, LOUDLY), MODELS)
-    frame = found.to_dataframe()
-    for k, label in enumerate(MODELS):
-        np.testing.assert_array_equal(frame[f"weight_{label}"], found["gyro_x"].weights[:, k])
-        np.testing.assert_array_equal(frame[f"probability_{label}"], found["gyro_x"].probability[:, k])
-    assert "quiet → noisy" in str(found)
+def test_what_is_no_bank_is_said():
+    for models, options, word in REFUSED:
+        with pytest.raises(aj.AllanjaxError, match=word):
+            aj.adaptive_filter(recording(QUIETLY), models, **options)

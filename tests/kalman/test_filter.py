@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import dense
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import allanjax as aj
@@ -16,20 +17,12 @@ WHITE = aj.AngleRandomWalk(1e-3)
 SUM = WHITE + aj.RateRandomWalk(1e-3) + aj.Quantization(2e-5) + aj.Markov(1e-3, 3.0)
 # Lines and ramps leave no noise in a sample without others.
 TERMS = {
-    "white": WHITE,
-    "walk": aj.RateRandomWalk(1e-4),
-    "quantization": aj.Quantization(2e-5),
-    "markov": aj.Markov(1e-3, 3.0),
-    "short markov": aj.Markov(1e-2, 0.004),
-    "low-pass": aj.LowPass(1e-3, 8.0),
-    "second-order low-pass": aj.LowPass(1e-3, 8.0, 2),
-    "resonance": aj.Resonance(1e-3, 7.0, 20.0),
-    "wandering resonance": aj.WanderingResonance(1e-3, 7.0, 20.0, 0.1),
-    "telegraph": aj.Telegraph(1e-3, 0.3),
-    "line": aj.Sinusoid(1e-3, 3.3) + WHITE,
-    "ramp": aj.DriftRamp(1e-2) + WHITE,
-    "sum": SUM,
-}
+    "white": WHITE, "walk": aj.RateRandomWalk(1e-4), "quantization": aj.Quantization(2e-5),
+    "markov": aj.Markov(1e-3, 3.0), "short markov": aj.Markov(1e-2, 0.004), "low-pass": aj.LowPass(1e-3, 8.0),
+    "second-order low-pass": aj.LowPass(1e-3, 8.0, 2), "resonance": aj.Resonance(1e-3, 7.0, 20.0),
+    "wandering resonance": aj.WanderingResonance(1e-3, 7.0, 20.0, 0.1), "telegraph": aj.Telegraph(1e-3, 0.3),
+    "line": aj.Sinusoid(1e-3, 3.3) + WHITE, "ramp": aj.DriftRamp(1e-2) + WHITE, "sum": SUM,
+}  # fmt: skip
 RESPONSES = [
     *(aj.LowPass1(5.0), aj.LowPass2(5.0, 3.0), aj.Butterworth(5.0, 4), aj.Biquad(5.0, 2.0)),
     *(aj.MovingAverage.of(5 / RATE), aj.MovingAverage(3.33)),
@@ -52,21 +45,6 @@ def filtered(z, model, **options) -> aj.FilteredAxis:
     return aj.kalman_filter(recording(z), model, **options).results[0]
 
 
-def dense_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of n samples, [n, n], and of all their states, [n·states, n·states], by the recursion."""
-    size = space.size
-    joint, P = np.zeros((n * size, n * size)), space.P0
-    for j in range(n):
-        column = P
-        for k in range(j, n):
-            joint[k * size : (k + 1) * size, j * size : (j + 1) * size] = column
-            joint[j * size : (j + 1) * size, k * size : (k + 1) * size] = column.T
-            column = space.A @ column
-        P = space.A @ P @ space.A.T + space.Q
-    H = np.kron(np.eye(n), space.H)
-    return H @ joint @ H.T + space.R[0, 0] * np.eye(n), joint
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_likelihood_is_that_of_the_dense_covariance(name):
     """Of the differences, whose covariance is by G(t): rounding leaves it ten digits at worst (LowPass2)."""
@@ -80,7 +58,7 @@ def test_likelihood_of_flicker_is_that_of_its_sum_of_processes_and_near_its_own(
     model = WHITE + aj.BiasInstability(1e-2)
     z, D = samples(model), np.diff(np.eye(N), axis=0)
     found = filtered(z, model).log_likelihood
-    own = D @ dense_states(model.state_space(RATE, duration=N / RATE), N)[0] @ D.T
+    own = D @ dense.of_states(model.state_space(RATE, duration=N / RATE), N)[0] @ D.T
     law = stats.multivariate_normal(np.zeros(N - 1), own)
     assert found == pytest.approx(law.logpdf(np.diff(z)), rel=1e-8)
     # A variance that is 3 % off in some directions: 70·0.03²/4 nats of bias, and its scatter.
@@ -90,7 +68,7 @@ def test_likelihood_of_flicker_is_that_of_its_sum_of_processes_and_near_its_own(
 def test_the_constant_is_that_of_generalized_least_squares():
     """Unknown, known to be about zero, and none: estimate, deviation and likelihood."""
     z, std = samples(SUM, constant=0.01), 0.02
-    C, one = dense_states(SUM.state_space(RATE), N)[0], np.ones(N)
+    C, one = dense.of_states(SUM.state_space(RATE), N)[0], np.ones(N)
     information = one @ np.linalg.solve(C, one)
     unknown, known, none = (filtered(z, SUM, constant_std=s) for s in (None, std, 0.0))
     mean = one @ np.linalg.solve(C, z)
@@ -117,7 +95,7 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
     assert (found.slow, found.smoothed) == (("rate_random_walk", "markov"), smooth)
     space = model.state_space(RATE)
     drift = np.array([n.endswith("_mean") for n in space.names], float)
-    C, joint = dense_states(space, N)
+    C, joint = dense.of_states(space, N)
     size, wide = space.size, 1e3 * np.abs(C).max()
     rows, constant = np.vstack([np.eye(size), drift]), np.append(np.zeros(size), 1.0)
     with_samples = joint @ np.kron(np.eye(N), space.H).T
@@ -129,13 +107,12 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
         weights = np.linalg.solve((C + wide)[np.ix_(there, there)], cross[:, there].T).T
         mean = weights @ (z[there] - 3.0)
         std = np.sqrt(np.diag(prior - weights @ cross[:, there].T))
-        np.testing.assert_allclose(found.states[k], mean[:-1], atol=0.02 * np.max(std), rtol=1e-3)
+        assert_allclose(found.states[k], mean[:-1], atol=0.02 * np.max(std), rtol=1e-3)
         assert found.bias[k] == pytest.approx(mean[-1] + 3.0, abs=5e-3 * (std + abs(mean))[-1])
-        np.testing.assert_allclose(found.state_stds[k], std[:-1], rtol=5e-3, atol=1e-3 * std.max())
+        assert_allclose(found.state_stds[k], std[:-1], rtol=5e-3, atol=1e-3 * std.max())
         assert found.bias_std[k] == pytest.approx(std[-1], rel=5e-3, abs=1e-9)
-    low, high = found.bias_interval
-    np.testing.assert_allclose(high - found.bias, stats.norm.ppf(0.975) * found.bias_std, rtol=1e-7)
-    np.testing.assert_allclose(found.bias - low, stats.norm.ppf(0.975) * found.bias_std, rtol=1e-7)
+    half = stats.norm.ppf(0.975) * found.bias_std * np.array([[-1.0], [1.0]])
+    assert_allclose(found.bias_interval - found.bias, half, rtol=1e-7)
 
 
 def by_numbers(z: np.ndarray, N: float, K: float):
@@ -169,10 +146,10 @@ def test_gains_that_are_kept_or_interpolated_give_the_results_of_every_gain(K):
     z = 1e-3 * np.sqrt(RATE) * white + K / np.sqrt(RATE) * np.cumsum(steps)
     found = filtered(z, model, smooth=True, constant_std=0.0)
     e, s, means, variances = by_numbers(z, 1e-3, K)
-    np.testing.assert_allclose(found.innovation_std, np.sqrt(s), rtol=1e-9)
-    np.testing.assert_allclose(found.innovation, e, rtol=0.0, atol=1e-6 * np.sqrt(s.max()))
-    np.testing.assert_allclose(found.bias_std, np.sqrt(variances), rtol=1e-6)
-    np.testing.assert_allclose(found.bias, means, rtol=0.0, atol=1e-5 * np.sqrt(variances.max()))
+    assert_allclose(found.innovation_std, np.sqrt(s), rtol=1e-9)
+    assert_allclose(found.innovation, e, rtol=0.0, atol=1e-6 * np.sqrt(s.max()))
+    assert_allclose(found.bias_std, np.sqrt(variances), rtol=1e-6)
+    assert_allclose(found.bias, means, rtol=0.0, atol=1e-5 * np.sqrt(variances.max()))
     law = -0.5 * np.sum(np.log(2.0 * np.pi * s) + e**2 / s)
     assert found.log_likelihood == pytest.approx(law, abs=1e-6)
 
@@ -186,7 +163,7 @@ def test_missing_samples_of_a_recording_are_not_seen(n, gap):
     found = aj.kalman_filter(spoilt, SUM).results[0]
     expected = dense.loglikelihood(z, SUM, RATE, missing=lost)
     assert found.log_likelihood == pytest.approx(expected, rel=1e-8)
-    np.testing.assert_array_equal(found.missing, lost)
+    assert_array_equal(found.missing, lost)
     assert np.isnan(found.innovation[lost]).all()
     assert found.to_dict()["missing"] == lost.sum()
     # Nothing is learnt within the gap, while the walk goes on.
@@ -196,10 +173,13 @@ def test_missing_samples_of_a_recording_are_not_seen(n, gap):
 
 
 def test_drift_is_what_lasts_ten_samples_and_does_not_oscillate():
-    terms = {"markov": aj.Markov(1e-3, 11.0 / RATE), "resonance": aj.Resonance(1e-3, 7.0, 20.0)}
-    for label, term in terms.items():
-        assert filtered(samples(WHITE), WHITE + term).slow == ((label,) if label == "markov" else ())
-    assert filtered(samples(WHITE), WHITE + aj.Markov(1e-3, 9.0 / RATE)).slow == ()
+    z, resonance = samples(WHITE), aj.Resonance(1e-3, 7.0, 20.0)
+    for term, slow in (
+        (aj.Markov(1e-3, 11.0 / RATE), ("markov",)),
+        (aj.Markov(1e-3, 9.0 / RATE), ()),
+        (resonance, ()),
+    ):
+        assert filtered(z, WHITE + term).slow == slow
 
 
 def test_tests_of_innovations_are_those_of_their_definitions():
@@ -210,7 +190,7 @@ def test_tests_of_innovations_are_those_of_their_definitions():
         lost[gap] = True
         found = filtered(scale * z, WHITE, missing=lost)
         u = (found.innovation / found.innovation_std)[1:]
-        np.testing.assert_array_equal(found.standardized[1:], u)
+        assert_array_equal(found.standardized[1:], u)
         there = ~np.isnan(u)
         v, n = np.where(there, u, 0.0), there.sum()
         lags = range(1, min(40, n // 5) + 1)
@@ -224,20 +204,12 @@ def test_tests_of_innovations_are_those_of_their_definitions():
         assert found.nis.p_value == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-def test_wrong_models_are_seen_in_the_innovations():
-    z = samples(WHITE + aj.Markov(1e-2, 0.5), 250)
-    assert filtered(z, WHITE).whiteness.p_value < 1e-6
-    for size in (0.7, 1.4):
-        assert filtered(size * samples(SUM, 250), SUM).nis.p_value < 1e-4
-
-
 def test_each_axis_has_its_model():
     values = np.column_stack([samples(WHITE), samples(WHITE, seed=2)])
     both = aj.Recording.from_array(values, RATE, gyro_unit="rad/s", names=["gyro_x", "gyro_y"])
     loud = aj.AngleRandomWalk(2e-3)
-    found = aj.kalman_filter(
-        both, {"gyro_x": "N=1e-3 rad/√s", "gyro_y": SimpleNamespace(model=aj.Model((loud,)))}
-    )
+    models = {"gyro_x": "N=1e-3 rad/√s", "gyro_y": SimpleNamespace(model=aj.Model((loud,)))}
+    found = aj.kalman_filter(both, models)
     assert found["gyro_x"].model == aj.Model((WHITE,))
     assert found["gyro_y"].model == aj.Model((loud,))
     each = [dense.loglikelihood(z, m, RATE) for z, m in zip(values.T, (WHITE, loud), strict=True)]
@@ -246,35 +218,30 @@ def test_each_axis_has_its_model():
         aj.kalman_filter(both, {"gyro_x": WHITE})
 
 
-@pytest.mark.parametrize(
-    ("model", "options", "word"),
-    [
-        (aj.AngleRandomWalk(), {}, "angle_random_walk"),
-        (aj.DriftRamp(1e-3), {}, "noise term"),
-        (WHITE, {"constant_std": -1.0}, "constant_std"),
-        (WHITE, {"constant_std": np.inf}, "constant_std"),
-        (WHITE, {"missing": np.zeros(3, bool)}, "missing"),
-        (WHITE, {"missing": np.ones(N, bool)}, "missing"),
-    ],
-)
-def test_what_cannot_be_filtered_is_said(model, options, word):
-    with pytest.raises(aj.AllanjaxError, match=word):
-        filtered(samples(WHITE), model, **options)
+REFUSED = [
+    (aj.AngleRandomWalk(), {}, "angle_random_walk"), (aj.DriftRamp(1e-3), {}, "noise term"),
+    (WHITE, {"constant_std": -1.0}, "constant_std"), (WHITE, {"constant_std": np.inf}, "constant_std"),
+    (WHITE, {"missing": np.zeros(3, bool)}, "missing"), (WHITE, {"missing": np.ones(N, bool)}, "missing"),
+]  # fmt: skip
+
+
+def test_what_cannot_be_filtered_is_said():
+    for model, options, word in REFUSED:
+        with pytest.raises(aj.AllanjaxError, match=word):
+            filtered(samples(WHITE), model, **options)
 
 
 def test_tables_have_the_numbers():
     z, lost = samples(SUM), np.arange(N) == 3
     result = aj.kalman_filter(recording(z), SUM, missing=lost)
     found, frame = result["gyro_x"], result.to_dataframe()
-    np.testing.assert_allclose(frame["time"], np.arange(N) / RATE)
-    np.testing.assert_array_equal(frame["bias_lower_95"], found.bias_interval[0])
-    np.testing.assert_array_equal(frame["bias_upper_95"], found.bias_interval[1])
+    assert_allclose(frame["time"], np.arange(N) / RATE)
+    assert_array_equal(frame["bias_lower_95"], found.bias_interval[0])
+    assert_array_equal(frame["bias_upper_95"], found.bias_interval[1])
     end = found.names.index("markov_end")
-    np.testing.assert_array_equal(frame["markov_end"], found.states[:, end])
-    np.testing.assert_array_equal(
-        frame["markov_end_std"], found.state_stds[:, found.names.index("markov_end")]
-    )
-    np.testing.assert_array_equal(np.isnan(frame["sample"]), lost)
+    assert_array_equal(frame["markov_end"], found.states[:, end])
+    assert_array_equal(frame["markov_end_std"], found.state_stds[:, end])
+    assert_array_equal(np.isnan(frame["sample"]), lost)
     own = aj.Recording.from_array(z, RATE, accel_unit="m/s²", names=["accel_x"])
     assert aj.kalman_filter(own, SUM)["accel_x"].units == ("m/s²", "m/s²", "m/s", "m/s", "m/s²", "m/s²")
     assert found.units == ("rad/s", "rad/s", "rad", "rad", "rad/s", "rad/s")
@@ -282,4 +249,3 @@ def test_tables_have_the_numbers():
     assert (told["bias"], told["bias_std"]) == (found.bias[-1], found.bias_std[-1])
     assert (told["drift"], told["samples"]) == (["rate_random_walk", "markov"], N)
     assert told["nis"]["statistic"] == found.nis.statistic
-    assert "rad/s" in str(result)

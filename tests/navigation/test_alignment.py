@@ -1,4 +1,4 @@
-"""Leveling and gyro-compassing: against closed forms, a simulation of two positions, draws, and refusals."""
+"""Leveling and gyro-compassing: against closed forms, draws, and refusals."""
 
 import dataclasses
 import math
@@ -26,14 +26,11 @@ def test_white_noise_takes_the_time_of_the_thesis():
     np.testing.assert_allclose(found.error, N / EARTH / np.sqrt(found.time), rtol=1e-9)
     assert found.time[[0, 1]] == pytest.approx([0.02, 0.04])
     assert 0.9 * 1e5 < found.time[-1] <= 1e5
-    assert found.best == found.error[-1]
     # Within 1 % of the least: the last time.
-    assert found.best_time == found.time[-1]
-    assert found.falling
-    assert found.out_of_reach == 0.0
-    assert np.isnan(
-        [*found.needed_interval, *found.best_interval, *found.best_time_interval, *found.lower]
-    ).all()
+    assert (found.best, found.best_time) == (found.error[-1], found.time[-1])
+    assert (found.falling, found.out_of_reach) == (True, 0.0)
+    ends = (*found.needed_interval, *found.best_interval, *found.best_time_interval, *found.lower)
+    assert np.isnan(ends).all()
 
 
 def test_a_walk_makes_an_optimum():
@@ -43,9 +40,8 @@ def test_a_walk_makes_an_optimum():
     """
     models = {"gyro_x": WALKING}
     found = aj.align(models, 51.0, 1.5 * LEAST, rate=10.0)["gyro_x"]
-    np.testing.assert_allclose(
-        found.error * EARTH, np.sqrt(N**2 / found.time + K**2 * found.time / 12.0), rtol=1e-6
-    )
+    expected = np.sqrt(N**2 / found.time + K**2 * found.time / 12.0)
+    np.testing.assert_allclose(found.error * EARTH, expected, rtol=1e-6)
     assert found.best == pytest.approx(LEAST, rel=1e-3)
     assert found.best_time == pytest.approx(0.82 * math.sqrt(12.0) * N / K, rel=0.1)
     # The smaller root of N²/T + K²T/12 = wanted².
@@ -55,21 +51,8 @@ def test_a_walk_makes_an_optimum():
     assert found.white_time == pytest.approx(N**2 / wanted, rel=1e-6)
     assert not found.falling
     beyond = aj.align(models, 51.0, 0.9 * LEAST, rate=10.0)["gyro_x"]
-    assert math.isinf(beyond.needed)
-    assert beyond.out_of_reach == 1.0
+    assert (beyond.needed, beyond.out_of_reach) == (math.inf, 1.0)
     assert "out of reach" in beyond.verdict()
-
-
-def test_half_the_difference_of_two_positions_is_as_accurate_as_told():
-    """4,000 gyros by NumPy, turned half-way: a standard deviation scatters by 1.1 %, within 4 %."""
-    rng = np.random.default_rng(5)
-    count, n = 4000, 400
-    steps, bridge = rng.standard_normal((2, count, n)) * K
-    walk = np.cumsum(steps, axis=1) - steps / 2.0 + bridge / math.sqrt(12.0)
-    z = N * rng.standard_normal((count, n)) + walk + 1e-3 * rng.standard_normal((count, 1))
-    azimuth = (z[:, : n // 2].mean(axis=1) - z[:, n // 2 :].mean(axis=1)) / 2.0 / EARTH
-    found = aj.align({"gyro_x": WALKING}, 51.0, rate=1.0)["gyro_x"]
-    assert azimuth.std() == pytest.approx(np.interp(n, found.time, found.error), rel=0.04)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +71,6 @@ def test_biases_that_remain_are_angles(axis, angle, options, expected):
     assert (found.wanted is None) == (angle == "tilt")
 
 
-# ------------------------------------------------------------------------------------------------- intervals
 def quantiles(values):
     return [np.quantile(values, q, method="nearest") for q in (0.025, 0.975)]
 
@@ -100,10 +82,8 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
     best = aj.align(posterior, latitude, gyro_bias=bias)["gyro_x"].best
     found = aj.align(posterior, latitude, 1.02 * best, gyro_bias=bias)["gyro_x"]
     at, half = found.time, found.time / 2.0
-    models = posterior["gyro_x"].models(400)
-    white, flicker = (
-        np.array([m.values[k] for m in models]) for k in ("angle_random_walk", "bias_instability")
-    )
+    values = [m.values for m in posterior["gyro_x"].models(400)]
+    white, flicker = (np.array([v[k] for v in values]) for k in ("angle_random_walk", "bias_instability"))
     # Allan variances of N and B at half of the time, by themselves of amplitude one; that of the flicker
     # noise's means over a sample interval is below 2 ln 2/π at the first clusters.
     of_flicker = np.array(aj.BiasInstability(1.0).sampled(100.0).allan_variance(half))
@@ -115,18 +95,16 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
     np.testing.assert_allclose([found.lower, found.upper], ends, rtol=1e-6)
     least = errors.min(axis=1)
     np.testing.assert_allclose(found.best_interval, quantiles(least), rtol=1e-6)
-    np.testing.assert_allclose(
-        found.best_time_interval, quantiles(at[np.argmax(errors <= 1.01 * least[:, None], axis=1)])
-    )
-    reached = []
-    for row in errors:
-        k = np.flatnonzero(row <= found.wanted)
-        logs = np.log(np.stack([row, at]))
-        cut = np.r_[k, 0][0] - 1
-        share = (logs[0, cut] - math.log(found.wanted)) / (logs[0, cut] - logs[0, cut + 1])
-        reached.append(
-            math.exp(logs[1, cut] + share * (logs[1, cut + 1] - logs[1, cut])) if len(k) else math.inf
-        )
+    first = at[np.argmax(errors <= 1.01 * least[:, None], axis=1)]
+    np.testing.assert_allclose(found.best_time_interval, quantiles(first))
+    # Errors fall before their optimum: the time by interpolation of the logs.
+    reached = [
+        np.exp(np.interp(-math.log(found.wanted), -np.log(row[:k]), np.log(at[:k])))
+        if row.min() <= found.wanted
+        else math.inf
+        for row in errors
+        for k in [np.argmin(row) + 1]
+    ]
     np.testing.assert_allclose(found.needed_interval, quantiles(reached), rtol=1e-6)
     assert found.out_of_reach == np.isinf(reached).mean()
     assert 0.1 < found.out_of_reach < 0.9
@@ -155,45 +133,34 @@ def test_intervals_of_a_fit_hold_the_truth():
     assert sum(hits) >= 5
 
 
-def test_only_level_axes_are_aligned_and_told():
+def test_only_level_axes_are_told_with_their_numbers():
     found = aj.align(bench.fit("small"), 51.0)
     assert list(found) == ["gyro_x", "gyro_y"]
     # An error of more than 30 degrees is none.
     assert "azimuth not found" in str(found)
-    with pytest.raises(aj.AllanjaxError, match="gyro_z"):
-        aj.align({"gyro_z": aj.AngleRandomWalk(N)}, 51.0, rate=1.0)
-
-
-def test_the_frame_and_document_have_the_numbers():
     models = {"gyro_x": WALKING, "accel_y": aj.AngleRandomWalk(1e-4)}
     found = aj.align(models, 51.0, "1 deg", rate=2.0)
     frame, document = found.to_dataframe(), found.to_dict()
     assert document["latitude_rad"] == pytest.approx(51.0 * DEG)
-    for axis, told in zip(found.values(), document["axes"], strict=True):
+    lines = [line.split("│") for line in str(found).splitlines() if "best" in line]
+    for axis, told, line in zip(found.values(), document["axes"], lines, strict=True):
         rows = frame[frame.axis == axis.axis.name]
         np.testing.assert_array_equal(rows[["time", "error"]].T, [axis.time, axis.error])
         assert set(rows.angle) == {axis.angle}
         names = ("angle", "best", "best_time", "falling", "wanted")
         assert [told[name] for name in names] == [getattr(axis, name) for name in names]
         assert told["best_interval"] == [None, None]
+        assert float(line[3].strip().removesuffix("deg")) == pytest.approx(axis.best / DEG, rel=5e-3)
     assert [told["needed"] for told in document["axes"]] == [found["gyro_x"].needed, None]
-    rows = [
-        [cell.strip() for cell in line.split("│")[1:5]] for line in str(found).splitlines() if "best" in line
-    ]
-    assert float(rows[0][2].removesuffix("deg")) == pytest.approx(found["gyro_x"].best / DEG, rel=5e-3)
-    assert float(rows[1][2].removesuffix("deg")) == pytest.approx(found["accel_y"].best / DEG, rel=5e-3)
 
 
 @pytest.mark.parametrize(
     ("latitude", "azimuth", "options", "word"),
     [
-        (90.0, None, {}, "north"),
         (-89.5, None, {}, "89 deg"),
-        (91.0, None, {}, "latitude"),
         (math.nan, None, {}, "latitude"),
         (51.0, "0.1 m", {}, "convert"),
         (51.0, 0.0, {}, "azimuth"),
-        (51.0, -1.0, {}, "azimuth"),
         (51.0, None, {"gravity": -1.0}, "gravity"),
         (51.0, None, {"gyro_bias": "x"}, "gyro_bias"),
         (51.0, None, {"accel_bias": -1.0}, "accel_bias"),
@@ -204,7 +171,9 @@ def test_what_is_wrong_is_refused(latitude, azimuth, options, word):
         aj.align({"gyro_x": aj.AngleRandomWalk(N)}, latitude, azimuth, rate=1.0, **options)
 
 
-def test_too_short_a_record_is_refused():
+def test_too_short_a_record_and_an_axis_that_is_not_level_are_refused():
+    with pytest.raises(aj.AllanjaxError, match="gyro_z"):
+        aj.align({"gyro_z": aj.AngleRandomWalk(N)}, 51.0, rate=1.0)
     fit = bench.fit("white", "N")
     short = dataclasses.replace(fit, curve=dataclasses.replace(fit.curve, n=3))
     with pytest.raises(aj.AllanjaxError, match="samples"):

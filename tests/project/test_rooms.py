@@ -1,7 +1,7 @@
 """Imports go only down the list of rooms, in which a recording walks through the package."""
 
 import ast
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 from places import ROOT
@@ -40,50 +40,15 @@ def room(module: str) -> int:
     return len(ROOMS) if names in ([], ["__main__"]) else ROOMS.index(names[0])
 
 
-def upward(found: dict[str, set[str]]) -> set[tuple[str, str]]:
-    """Pairs of a module and one that it imports from a later room."""
-    return {(one, other) for one, others in found.items() for other in others if room(one) < room(other)}
-
-
-def cycle(found: dict[str, set[str]]) -> list[str]:
-    """Modules that import each other in a circle; empty if there are none."""
-    try:
-        TopologicalSorter(found).prepare()
-    except CycleError as error:
-        return error.args[1]
-    return []
-
-
-def test_every_folder_is_a_room():
+def test_every_folder_is_a_room_and_imports_go_down_and_in_no_circle():
     folders = {path.name for path in (ROOT / PACKAGE).iterdir() if path.is_dir()} - {"__pycache__"}
     assert folders == set(ROOMS)
-
-
-def test_imports_go_down_and_in_no_circle():
     found = imports(ROOT / PACKAGE)
-    assert upward(found) == set()
-    assert cycle(found) == []
-
-
-def test_what_is_wrong_is_noticed(tmp_path):
-    """An import of a later room, though late or for types only, of the whole package, and a circle."""
-    texts = {
-        "noise/late.py": "def late():\n    from allanjax.fleet import fleet\n",
-        "noise/types.py": "if TYPE_CHECKING:\n    import allanjax.fleet.fleet\n",
-        "noise/whole.py": "from allanjax import fit\n",
-        "base/one.py": "from allanjax.base import other\n",
-        "base/other.py": "from allanjax.base import one\n",
-        "fleet/fleet.py": "",
-        "__init__.py": "",
-    }
-    for name, text in texts.items():
-        path = tmp_path / PACKAGE / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    found = imports(tmp_path / PACKAGE)
-    upwards = {("noise.late", ".fleet.fleet"), ("noise.types", ".fleet.fleet"), ("noise.whole", "")}
-    assert upward(found) == {(f"{PACKAGE}.{one}", f"{PACKAGE}{other}") for one, other in upwards}
-    assert set(cycle(found)) == {f"{PACKAGE}.base.{name}" for name in ("one", "other")}
+    assert len(found) > 100
+    upward = {(one, other) for one, others in found.items() for other in others if room(one) < room(other)}
+    assert upward == set()
+    # Raises where modules import each other in a circle.
+    TopologicalSorter(found).prepare()
 
 
 def test_no_module_is_longer_than_800_lines():

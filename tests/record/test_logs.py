@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bags import KINDS, Topic, write_bag
 from flight_logs import structured, write_dataflash, write_ulog
-from imu_columns import SIX
+from imu_columns import SIX, noted, refused
 from places import DATA
 
 import allanjax as aj
@@ -16,18 +16,8 @@ N = 400
 SAMPLES = np.random.default_rng(8).normal((0.1, 0.2, 0.3, 1.0, 2.0, 9.81), 1.0, (N, 6)).astype("f4")
 VALUES = SAMPLES.astype(float)
 GYRO, ACCEL = VALUES * [1, 1, 1, 0, 0, 0], VALUES * [0, 0, 0, 1, 1, 1]
-
-
-def refused(path, words, **options):
-    with pytest.raises(aj.RecordingError) as caught:
-        aj.read(path, **options)
-    for word in (str(path), *words.split("|")):
-        assert word in str(caught.value)
-
-
-def noted(recording, *words):
-    """Whether a note has all these words."""
-    return any(all(word in note for word in words) for note in recording.notes)
+# All samples but one.
+KEPT = np.delete(np.arange(N), 100)
 
 
 def check(recording, values=VALUES, rate=200.0, names=SIX):
@@ -37,117 +27,100 @@ def check(recording, values=VALUES, rate=200.0, names=SIX):
     return recording
 
 
-# --- Bags ---------------------------------------------------------------------------------------------------
-
-
 def stamps(n=N, rate=200.0):
     """Times [ns]."""
     return 1_700_000_000_123_456_789 + np.round(np.arange(n) * 1e9 / rate).astype(np.int64)
 
 
-def bag(folder, kind, topics, **more):
-    folder.mkdir(exist_ok=True)
-    return write_bag(folder / ("imu.bag" if kind == "ros1" else "imu"), kind, topics, **more)
+@pytest.fixture
+def bag(tmp_path):
+    def write(kind, topics=None, **more):
+        folder = tmp_path / str(len([*tmp_path.iterdir()]))
+        folder.mkdir()
+        topics = {"/imu": Topic(stamps(), VALUES)} if topics is None else topics
+        return write_bag(folder / ("imu.bag" if kind == "ros1" else "imu"), kind, topics, **more)
+
+    return write
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_bags(tmp_path, kind):
+def test_bags(tmp_path, bag, kind):
     """Also compressed, with frames of several lengths, and messages out of order."""
     late = stamps() + np.random.default_rng(3).integers(0, 8_000_000, N)
     frames = [*"abcdefghi", "", "base_link", "imu"]
-    plain = bag(tmp_path / "a", kind, {"/imu": Topic(stamps(), VALUES)}, other=True)
+    plain = bag(kind, other=True)
     recording = check(aj.read(plain))
     assert [axis.unit for axis in recording.axes] == [*3 * ["rad/s"], *3 * ["m/s²"]]
     assert recording.name == "imu"
     assert noted(recording, "400 messages", "'imu_link'")
     check(aj.read(plain, topic="/imu", start=0.5), VALUES[100:])
-    check(aj.read(bag(tmp_path / "b", kind, {"/imu": Topic(stamps(), VALUES, frames=frames)}, small=True)))
-    recording = check(aj.read(bag(tmp_path / "c", kind, {"/imu": Topic(stamps(), VALUES, late)})))
+    check(aj.read(bag(kind, {"/imu": Topic(stamps(), VALUES, frames=frames)}, small=True)))
+    recording = check(aj.read(bag(kind, {"/imu": Topic(stamps(), VALUES, late)})))
     count = np.count_nonzero(np.diff(np.argsort(late, kind="stable")) < 0)
     assert noted(recording, f"{count} messages out of order", "header.stamp")
     # Stamps that are all the same are none: the times in the bag are used.
-    check(aj.read(bag(tmp_path / "d", kind, {"/imu": Topic(N * [0], VALUES, stamps())})))
+    check(aj.read(bag(kind, {"/imu": Topic(N * [0], VALUES, stamps())})))
     if kind != "ros1":
         (path,) = (path for path in plain.iterdir() if path.suffix in (".db3", ".mcap"))
         check(aj.read(path))
         refused(path.rename(tmp_path / "imu.log"), f"rename|{path.suffix}")
 
 
-def test_numbers_with_their_largest_byte_first(tmp_path):
-    topic = Topic(stamps(), VALUES, frames=["", "a", "imu_link"])
-    check(aj.read(bag(tmp_path, "mcap", {"/imu": topic}, big=True)))
-
-
-def test_several_topics_are_listed(tmp_path):
-    rear = Topic(stamps(100, 50.0), VALUES[:100], frames=["rear"])
-    topics = {"/front/imu": Topic(stamps(), VALUES), "/rear/imu": rear, "/spare/imu": Topic([], VALUES[:0])}
-    path = bag(tmp_path, "mcap", topics)
-    front = "/front/imu (400 messages at 200 Hz, frame 'imu_link')"
-    refused(path, f"3 topics|--topic|{front}|/rear/imu (100 messages at 50 Hz, frame 'rear')")
-    refused(path, f"'/imu'|{front}", topic="/imu")
-    refused(path, "/front/imu and /rear/imu|--topic", topic="/front/imu,/rear/imu")
-    refused(path, "/spare/imu|no messages", topic="/spare/imu")
-    check(aj.read(path, topic="/rear/imu"), VALUES[:100], 50.0)
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_two_halves_are_one_recording(tmp_path, kind):
+def test_two_halves_are_one_recording(bag, kind):
     """Each lacks a few samples at its ends that the other has."""
     topics = {"/accel": Topic(stamps()[3:] + 400_000, ACCEL[3:]), "/gyro": Topic(stamps()[:-2], GYRO[:-2])}
-    path = bag(tmp_path, kind, topics)
+    path = bag(kind, topics)
     for chosen in (None, "/accel,/gyro", "/gyro, /accel"):
         check(aj.read(path, topic=chosen), VALUES[3:-2])
     assert noted(check(aj.read(path, topic="/gyro"), VALUES[:-2, :3], names=SIX[:3]), "zero")
     refused(path, "/gyro (398 messages at 200 Hz, frame 'imu_link', gyros alone)", topic="/camera")
 
 
-def test_halves_that_do_not_fit(tmp_path):
-    path = bag(
-        tmp_path / "a",
-        "ros1",
-        {"/accel": Topic(stamps(100, 63.0), ACCEL[:100]), "/gyro": Topic(stamps(), GYRO)},
-    )
+def test_topics_that_do_not_fit(bag):
+    """A sample in ten may be without a partner, and no more."""
+    rear = Topic(stamps(100, 50.0), VALUES[:100], frames=["rear"])
+    topics = {"/front/imu": Topic(stamps(), VALUES), "/rear/imu": rear, "/spare/imu": Topic([], VALUES[:0])}
+    path = bag("mcap", topics)
+    front = "/front/imu (400 messages at 200 Hz, frame 'imu_link')"
+    refused(path, f"3 topics|--topic|{front}|/rear/imu (100 messages at 50 Hz, frame 'rear')")
+    refused(path, f"'/imu'|{front}", topic="/imu")
+    refused(path, "/front/imu and /rear/imu|--topic", topic="/front/imu,/rear/imu")
+    refused(path, "/spare/imu|no messages", topic="/spare/imu")
+    check(aj.read(path, topic="/rear/imu"), VALUES[:100], 50.0)
+    gyro = Topic(stamps(), GYRO)
+    path = bag("ros1", {"/accel": Topic(stamps(100, 63.0), ACCEL[:100]), "/gyro": gyro})
     refused(path, "/gyro are at 200 Hz|/accel at 63 Hz|--topic")
     assert aj.read(path, topic="/accel").rate == pytest.approx(63.0)
-    kept = np.delete(np.arange(N), 200)
-    lost = {"/accel": Topic(stamps()[kept], ACCEL[kept]), "/gyro": Topic(stamps(), GYRO)}
-    refused(bag(tmp_path / "b", "ros1", lost), "0.01 s|row 200")
-    # A sample in ten may be without a partner, and no more.
-    for name, late, matched in (("c", 39, True), ("d", 41, False)):
-        apart = {"/accel": Topic(stamps(2 * N)[late:][:N], ACCEL), "/gyro": Topic(stamps(), GYRO)}
-        path = bag(tmp_path / name, "ros1", apart)
-        if matched:
-            check(aj.read(path), np.hstack([VALUES[late:, :3], VALUES[:-late, 3:]]))
-        else:
-            refused(path, "359 of 400|/gyro|/accel|--topic")
+    refused(bag("ros1", {"/accel": Topic(stamps()[KEPT], ACCEL[KEPT]), "/gyro": gyro}), "0.01 s|row 100")
+    apart = [bag("ros1", {"/accel": Topic(stamps(2 * N)[k:][:N], ACCEL), "/gyro": gyro}) for k in (39, 41)]
+    check(aj.read(apart[0]), np.hstack([VALUES[39:, :3], VALUES[:-39, 3:]]))
+    refused(apart[1], "359 of 400|/gyro|/accel|--topic")
 
 
-def test_bags_that_can_not_be_read(tmp_path, monkeypatch):
-    refused(bag(tmp_path / "a", "ros1", {}, other=True), "/words (std_msgs/msg/String)")
-    refused(bag(tmp_path / "b", "mcap", {"/imu": Topic(stamps(), 0 * VALUES)}), "/imu|zeros")
-    refused(bag(tmp_path / "c", "ros1", {"/imu": Topic([5], VALUES[:1], [6])}), "1 samples")
-    whole = bag(tmp_path / "d", "ros1", {"/imu": Topic(stamps(), VALUES)})
+def test_bags_that_can_not_be_read(tmp_path, bag, monkeypatch):
+    refused(bag("ros1", {}, other=True), "/words (std_msgs/msg/String)")
+    refused(bag("mcap", {"/imu": Topic(stamps(), 0 * VALUES)}), "/imu|zeros")
+    refused(bag("ros1", {"/imu": Topic([5], VALUES[:1], [6])}), "1 samples")
+    # Numbers with their largest byte first.
+    check(aj.read(bag("mcap", {"/imu": Topic(stamps(), VALUES, frames=["", "a", "imu_link"])}, big=True)))
+    whole = bag("ros1")
     np.testing.assert_allclose(aj.read(whole, accel_unit="g").values[:, 3:], VALUES[:, 3:] * 9.80665)
     refused(whole, "instance=|--instance", instance=1)
     content = bytearray(whole.read_bytes())
     # The length of a frame in the midst.
     content[content.find(b"imu_link", len(content) // 2) - 4] = 200
-    (tmp_path / "e.bag").write_bytes(content)
-    refused(tmp_path / "e.bag", "/imu|damaged")
-    (tmp_path / "f.bag").write_bytes(content[: len(content) // 2])
-    refused(tmp_path / "f.bag", "reindex")
-    folder = bag(tmp_path / "g", "mcap", {"/imu": Topic(stamps(), VALUES)})
+    for length, words in ((None, "/imu|damaged"), (len(content) // 2, "reindex")):
+        (tmp_path / "e.bag").write_bytes(content[:length])
+        refused(tmp_path / "e.bag", words)
+    folder = bag("mcap")
     (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 99}")
     refused(folder, "version 99")
     (folder / "metadata.yaml").unlink()
     refused(folder, "metadata.yaml")
-    with pytest.raises(aj.RecordingError, match="chunks"):
-        aj.read_chunks(whole)
+    refused(lambda: aj.read_chunks(whole), "chunks")
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     refused(whole, "allanjax[ros]")
-
-
-# --- PX4 ----------------------------------------------------------------------------------------------------
 
 
 def micros(n=N, interval=5000, start=5_000_000):
@@ -155,49 +128,39 @@ def micros(n=N, interval=5000, start=5_000_000):
     return (start + interval * np.arange(n)).astype("u8")
 
 
+def full(count, value, kind):
+    return np.full(count, value, kind)
+
+
 def sensor(values, times, late=900):
     """Messages that are written somewhat after the sample is taken."""
-    axes = dict(zip("xyz", values.T, strict=True))
-    warm = np.full(len(values), 40.0, "f4")
-    return structured(timestamp=times + np.uint64(late), timestamp_sample=times, **axes, temperature=warm)
+    axes = dict(zip("xyz", values.T, strict=True)) | {"temperature": full(len(values), 40.0, "f4")}
+    return structured(timestamp=times + np.uint64(late), timestamp_sample=times, **axes)
 
 
-def combined(values, times, relative=0):
-    return structured(
-        timestamp=times,
-        gyro_rad=values[:, :3],
-        gyro_integral_dt=np.full(len(values), 5000, "u4"),
-        accelerometer_timestamp_relative=np.full(len(values), relative, "i4"),
-        accelerometer_m_s2=values[:, 3:],
-    )
+def combined(values=SAMPLES, times=None):
+    n = len(values)
+    gyros = {"gyro_rad": values[:, :3], "gyro_integral_dt": full(n, 5000, "u4")}
+    accels = {"accelerometer_timestamp_relative": full(n, 0, "i4"), "accelerometer_m_s2": values[:, 3:]}
+    return structured(timestamp=micros(n) if times is None else times, **gyros, **accels)
 
 
-def fifo(values, interval, batch=8, lost=()):
-    """Messages of `batch` samples in arrays of 32, at an interval [µs], of values in counts."""
-    fields = [
-        ("timestamp", "u8"),
-        ("timestamp_sample", "u8"),
-        ("dt", "f4"),
-        ("scale", "f4"),
-        ("samples", "u1"),
-    ]
-    rows = []
-    for k in range(0, len(values), batch):
-        padded = np.zeros((32, 3), "i2")
-        padded[:batch] = values[k : k + batch]
-        end = np.uint64(1_000_000 + round((k + batch - 1) * interval))
-        rows.append((end + np.uint64(50), end, 125.0, 0.25, batch, *padded.T))
-    return np.delete(np.array(rows, [*fields, *((axis, "i2", 32) for axis in "xyz")]), list(lost))
+def fifo(values, interval, lost=()):
+    """Messages of eight samples in arrays of 32, at an interval [µs], of values in counts."""
+    padded = np.zeros((len(values) // 8, 3, 32), "i2")
+    padded[:, :, :8] = values.reshape(-1, 8, 3).transpose(0, 2, 1)
+    end = (1_000_000 + np.round((8 * np.arange(len(padded)) + 7) * interval)).astype("u8")
+    about = {"dt": full(len(end), 125.0, "f4"), "scale": full(len(end), 0.25, "f4")}
+    about |= {"samples": full(len(end), 8, "u1")} | {a: padded[:, k] for k, a in enumerate("xyz")}
+    return np.delete(structured(timestamp=end + np.uint64(50), timestamp_sample=end, **about), list(lost))
 
 
 def test_gyros_and_accelerometers_of_px4(tmp_path):
     """Several of each, beside what the autopilot has averaged; the time is that of the sample."""
-    messages = {}
-    for number in (0, 1):
-        messages["sensor_gyro", number] = sensor(SAMPLES[:, :3] * (1 + number), micros())
-        messages["sensor_accel", number] = sensor(
-            SAMPLES[:, 3:] * (1 + number), micros() + np.uint64(300), late=10
-        )
+    messages, accel_times = {}, micros() + np.uint64(300)
+    for k in (0, 1):
+        messages["sensor_gyro", k] = sensor(SAMPLES[:, :3] * (1 + k), micros())
+        messages["sensor_accel", k] = sensor(SAMPLES[:, 3:] * (1 + k), accel_times, late=10)
     messages["sensor_combined", 0] = combined(SAMPLES[:50], micros(50, 24_000))
     path = write_ulog(tmp_path / "log.ulg", messages)
     recording = check(aj.read(path))
@@ -214,54 +177,41 @@ def test_gyros_and_accelerometers_of_px4(tmp_path):
     refused(write_ulog(path, messages), "sensor_gyro are at 200 Hz|sensor_accel at 125 Hz|--topic")
 
 
-def test_combined_samples_and_dropouts(tmp_path):
-    rows = combined(SAMPLES, micros())
-    recording = check(aj.read(write_ulog(tmp_path / "log.ulg", {("sensor_combined", 0): rows}, [30, 12])))
+def test_what_px4_combines_integrates_and_batches(tmp_path):
+    """Dropouts are told; increments are divided by their time; a clock is 2 % faster than it tells."""
+    path, rows = tmp_path / "log.ulg", combined()
+    recording = check(aj.read(write_ulog(path, {("sensor_combined", 0): rows}, [30, 12])))
     assert noted(recording, "2 dropouts", "42 ms")
     assert noted(recording, "sensor_combined", "SDLOG_PROFILE")
     # What stands for a time that there is not.
     rows["accelerometer_timestamp_relative"][7] = 0x7FFFFFFF
-    refused(write_ulog(tmp_path / "log.ulg", {("sensor_combined", 0): rows}), "accel_x|row 7")
-
-
-def test_increments_are_divided_by_their_time(tmp_path):
+    refused(write_ulog(path, {("sensor_combined", 0): rows}), "accel_x|row 7")
     intervals = np.resize([5000, 5100, 4900], N).astype("u4")
     increments = (SAMPLES * 1e-6 * intervals[:, None]).astype("f4")
-    rows = structured(
-        timestamp=micros(),
-        timestamp_sample=micros(),
-        delta_angle=increments[:, :3],
-        delta_velocity=increments[:, 3:],
-        delta_angle_dt=intervals,
-        delta_velocity_dt=intervals,
-    )
-    path = write_ulog(tmp_path / "log.ulg", {("vehicle_imu", 2): rows})
+    halves = {"delta_angle": increments[:, :3], "delta_velocity": increments[:, 3:]}
+    halves |= {f"{name}_dt": intervals for name in halves}
+    rows = structured(timestamp=micros(), timestamp_sample=micros(), **halves)
+    write_ulog(path, {("vehicle_imu", 2): rows})
     np.testing.assert_allclose(aj.read(path).values, VALUES, rtol=1e-6)
     rows["delta_velocity_dt"][9] = 0
     refused(write_ulog(path, {("vehicle_imu", 0): rows}), "accel_x|row 9")
-
-
-def test_batches_of_px4(tmp_path):
-    """Each message has several samples, and the sensor's clock is 2 % faster than it tells."""
     counts = np.random.default_rng(1).integers(-999, 999, (800, 3))
     messages = {
-        ("sensor_gyro_fifo", 0): fifo(counts, 122.5),
-        ("sensor_accel_fifo", 0): fifo(counts[::-1], 122.5),
+        (f"sensor_{name}_fifo", 0): fifo(counts[::k], 122.5) for name, k in (("gyro", 1), ("accel", -1))
     }
-    messages["sensor_combined", 0] = combined(np.ones((20, 6), "f4"), micros(20))
-    recording = aj.read(write_ulog(tmp_path / "log.ulg", messages))
+    messages["sensor_combined", 0] = combined(np.ones((20, 6), "f4"))
+    recording = aj.read(write_ulog(path, messages))
     np.testing.assert_array_equal(recording.values, 0.25 * np.hstack([counts, counts[::-1]]))
     assert recording.rate == pytest.approx(1e6 / 122.5, rel=3e-4)
     messages["sensor_gyro_fifo", 0] = fifo(counts, 122.5, lost=[40])
-    refused(write_ulog(tmp_path / "log.ulg", messages), "gap|row 320", topic="sensor_gyro_fifo")
+    refused(write_ulog(path, messages), "gap|row 320", topic="sensor_gyro_fifo")
 
 
 def test_logs_of_px4_that_can_not_be_read(tmp_path, monkeypatch):
-    rows = combined(SAMPLES, micros())
-    path = write_ulog(tmp_path / "log.ulg", {("vehicle_status", 0): rows})
+    path = write_ulog(tmp_path / "log.ulg", {("vehicle_status", 0): combined()})
     refused(path, "SDLOG_PROFILE")
-    refused(write_ulog(path, {("sensor_gyro", 0): rows}), "sensor_gyro|'x'")
-    content = bytearray(write_ulog(path, {("sensor_combined", 0): rows}).read_bytes())
+    refused(write_ulog(path, {("sensor_gyro", 0): combined()}), "sensor_gyro|'x'")
+    content = bytearray(write_ulog(path, {("sensor_combined", 0): combined()}).read_bytes())
     # A message has 45 bytes; after it there is no mark by which to go on.
     content[-45 * 100 : -45 * 99] = bytes(45)
     path.write_bytes(content)
@@ -272,97 +222,92 @@ def test_logs_of_px4_that_can_not_be_read(tmp_path, monkeypatch):
     refused(path, "allanjax[px4]")
 
 
-# --- ArduPilot ----------------------------------------------------------------------------------------------
-
-
 def columns(values, *names):
     """Columns of three axes each."""
-    return {
-        f"{name}{axis}": values[:, 3 * k + i] for k, name in enumerate(names) for i, axis in enumerate("XYZ")
-    }
+    labels = [f"{name}{axis}" for name in names for axis in "XYZ"]
+    return dict(zip(labels, values.T, strict=True))
 
 
-def imu(values, times, **more):
-    warm = np.full(len(values), 31.5, "f4")
+def imu(values=SAMPLES, times=None, **more):
+    warm, times = full(len(values), 31.5, "f4"), micros(len(values)) if times is None else times
     return structured(TimeUS=times, **more, **columns(values, "Gyr", "Acc"), T=warm)
 
 
-@pytest.mark.parametrize("junk", [b"", b"\xa3\x95", b"\xa3\x95\x82 torn"])
-def test_messages_of_ardupilot(tmp_path, junk):
+def test_messages_of_ardupilot(tmp_path):
     """The two bytes with which one begins may be in its numbers, too, and in junk between."""
     values = SAMPLES.copy()
     values[::3, 1] = values[::7, 5] = struct.unpack("<f", b"\xa3\x95\x82\x00")[0]
-    messages = {"IMU": imu(values, micros()), "ATT": structured(TimeUS=micros(), Roll=np.ones(N, "f4"))}
-    recording = check(aj.read(write_dataflash(tmp_path / "log.bin", messages, junk)), values.astype(float))
-    np.testing.assert_array_equal(recording.auxiliary["temperature"], 31.5)
-    # What is before the junk is not known to be whole: a message of another type.
-    assert noted(recording, "bytes") == bool(junk)
+    messages = {"IMU": imu(values), "ATT": structured(TimeUS=micros(), Roll=np.ones(N, "f4"))}
+    for junk in (b"", b"\xa3\x95", b"\xa3\x95\x82 torn"):
+        path = write_dataflash(tmp_path / "log.bin", messages, junk)
+        recording = check(aj.read(path), values.astype(float))
+        np.testing.assert_array_equal(recording.auxiliary["temperature"], 31.5)
+        # What is before the junk is not known to be whole: a message of another type.
+        assert noted(recording, "bytes") == bool(junk)
 
 
-@pytest.mark.parametrize("how", ["by a field", "by names"])
-def test_instances_of_ardupilot(tmp_path, how):
-    messages = {"IMU": imu(SAMPLES, micros()), "IMU3": imu(3 * SAMPLES, micros())}
-    if how == "by a field":
-        numbers = np.tile([0, 2], N).astype("u1")
-        values = np.repeat(SAMPLES, 2, axis=0) * (1.0 + numbers[:, None]).astype("f4")
-        messages = {"IMU": imu(values, np.repeat(micros(), 2), I=numbers)}
-    path = write_dataflash(tmp_path / "log.bin", messages)
-    assert noted(check(aj.read(path)), "IMU 2 at 200 Hz")
-    check(aj.read(path, instance=2), (3 * SAMPLES).astype(float))
-    refused(path, "instance 1|0, 2", instance=1)
-
-
-def test_raw_samples_of_ardupilot(tmp_path):
-    """They are faster than IMU, and their time is that of the sample."""
+def test_instances_and_raw_samples_of_ardupilot(tmp_path):
+    """By a field or by names; raw samples are faster than IMU, and their time is that of the sample."""
+    numbers = np.tile([0, 2], N).astype("u1")
+    values = np.repeat(SAMPLES, 2, axis=0) * (1.0 + numbers[:, None]).astype("f4")
+    by_field = {"IMU": imu(values, np.repeat(micros(), 2), I=numbers)}
+    for messages in (by_field, {"IMU": imu(), "IMU3": imu(3 * SAMPLES)}):
+        path = write_dataflash(tmp_path / "log.bin", messages)
+        assert noted(check(aj.read(path)), "IMU 2 at 200 Hz")
+        check(aj.read(path, instance=2), (3 * SAMPLES).astype(float))
+        refused(path, "instance 1|0, 2", instance=1)
     late = micros() + np.random.default_rng(0).integers(0, 5000, N).astype("u8")
-    messages = {
-        "IMU": imu(SAMPLES[:50], micros(50, 15_000)),
-        "GYR1": structured(TimeUS=late, SampleUS=micros(), **columns(SAMPLES[:, :3], "Gyr")),
-        "ACC1": structured(TimeUS=late, SampleUS=micros(start=5_000_200), **columns(SAMPLES[:, 3:], "Acc")),
-    }
-    path = write_dataflash(tmp_path / "log.bin", messages)
-    check(aj.read(path))
+    messages = {"IMU": imu(SAMPLES[:50], micros(50, 15_000))}
+    messages["GYR1"] = structured(TimeUS=late, SampleUS=micros(), **columns(SAMPLES[:, :3], "Gyr"))
+    messages["ACC1"] = structured(
+        TimeUS=late, SampleUS=micros(start=5_000_200), **columns(SAMPLES[:, 3:], "Acc")
+    )
+    check(aj.read(write_dataflash(path, messages)))
     check(aj.read(path, topic="IMU"), VALUES[:50], 1e6 / 15_000)
     check(aj.read(path, topic="ACC"), VALUES[:, 3:], names=SIX[3:])
+    refused(path, "GYR,IMU|ACC 0, GYR 0, IMU 0", topic="GYR,IMU")
     # As older ones tell it.
     old = structured(TimeMS=(micros() // 1000).astype("u4"), **columns(SAMPLES, "Gyr", "Acc"))
-    check(aj.read(write_dataflash(tmp_path / "old.bin", {"IMU": old})))
-    refused(path, "GYR,IMU|ACC 0, GYR 0, IMU 0", topic="GYR,IMU")
+    check(aj.read(write_dataflash(path, {"IMU": old})))
 
 
 def test_logs_of_ardupilot_that_can_not_be_read(tmp_path):
     batch = structured(N=np.zeros(20, "u2"), seqno=np.arange(20).astype("u2"), x=np.ones((20, 32), "i2"))
-    path = write_dataflash(tmp_path / "log.bin", {"ISBD": batch})
-    refused(path, "batches|LOG_BITMASK")
-    path = write_dataflash(path, {"ISBD": batch, "IMU": imu(SAMPLES, micros())})
-    refused(path, "batches", topic="ISBD")
+    path = tmp_path / "log.bin"
+    for messages, words in (
+        ({"ISBD": batch}, "batches|LOG_BITMASK"),
+        ({"ATT": structured(TimeUS=micros(), Roll=np.ones(N, "f4"))}, "LOG_DISARMED"),
+        ({"IMU": structured(TimeUS=micros(), GyrX=np.ones(N, "f4"))}, "IMU|TimeUS, GyrX"),
+        ({"IMU": imu(SAMPLES[KEPT], micros()[KEPT])}, "0.01 s|row 100"),
+    ):
+        refused(write_dataflash(path, messages), words)
+    refused(write_dataflash(path, {"ISBD": batch, "IMU": imu()}), "batches", topic="ISBD")
     assert noted(check(aj.read(path)), "ISBD")
-    attitude = structured(TimeUS=micros(), Roll=np.ones(N, "f4"))
-    refused(write_dataflash(path, {"ATT": attitude}), "LOG_DISARMED")
-    refused(
-        write_dataflash(path, {"IMU": structured(TimeUS=micros(), GyrX=np.ones(N, "f4"))}), "IMU|TimeUS, GyrX"
-    )
-    kept = np.delete(np.arange(N), 100)
-    refused(write_dataflash(path, {"IMU": imu(SAMPLES[kept], micros()[kept])}), "0.01 s|row 100")
     path.write_bytes(bytes(500))
     refused(path, "DataFlash|CSV")
 
 
+# Real files, the rate [Hz] to which tolerance, and what is read where samples are lost.
+REAL = [
+    ("phidgets_imu.bag", 250.0, 0.25, {"start": 43.190, "stop": 52.711}),
+    ("px4_small.ulg", 204.6, 0.2, {"start": 0.162, "stop": 6.496}),
+    ("euroc_slice.csv", 200.0, 2e-4, {}),
+    ("xio_sensor_data.csv", 100.0, 0.1, {"start": 90.978, "stop": 116.188}),
+]
+
+
 @pytest.mark.skipif(not (DATA / "phidgets_imu.bag").is_file(), reason="the folder of ALLANJAX_DATA is absent")
-def test_real_logs():
-    """In two of them messages are lost, which their stamps tell."""
-    razor = aj.read(DATA / "sparkfun_razor.bag")
-    assert (razor.n, razor.names) == (2144, SIX)
-    assert razor.rate == pytest.approx(69.0, abs=0.1)
-    refused(DATA / "phidgets_imu.bag", "98 gaps|start=43.190, stop=52.711")
-    refused(DATA / "px4_small.ulg", "0.161303 s|start=0.162, stop=6.496")
-    for name, start, stop, rate in (
-        ("phidgets_imu.bag", 43.190, 52.711, 250.0),
-        ("px4_small.ulg", 0.162, 6.496, 204.6),
-    ):
-        still = aj.read(DATA / name, start=start, stop=stop)
-        assert still.rate == pytest.approx(rate, rel=1e-3)
-        assert np.linalg.norm(still.values[:, 3:].mean(axis=0)) == pytest.approx(9.8, abs=0.2)
+def test_real_files():
+    """An accelerometer that is nearly at rest has gravity; a refusal names the longest stretch."""
+    moved = aj.read(DATA / "sparkfun_razor.bag")
+    assert (moved.n, moved.names) == (2144, SIX)
+    assert moved.rate == pytest.approx(69.0, abs=0.1)
+    for name, rate, close, stretch in REAL:
+        if stretch:
+            refused(DATA / name, "start={start:.3f}, stop={stop:.3f}".format(**stretch))
+        still = aj.read(DATA / name, **stretch)
+        assert still.rate == pytest.approx(rate, abs=close)
+        assert np.linalg.norm(still[SIX].values[:, 3:].mean(axis=0)) == pytest.approx(9.8, abs=0.3), name
     content = (DATA / "ardupilot_test.bin").read_bytes()
     for instance, kind in ((0, b"\xa3\x95\x85"), (1, b"\xa3\x95\x8a")):
         expected = [struct.unpack("<6f", part[8:32]) for part in content.split(kind)[1:]]

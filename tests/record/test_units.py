@@ -1,87 +1,71 @@
 """Units of samples and of coefficients in every spelling, against factors computed by hand."""
 
-import math
-
 import numpy as np
 import pytest
+from imu_columns import DEG, G0, refused
 
 import allanjax as aj
 
-DEG = math.pi / 180
-G0 = 9.80665
 RATE = 50.0
 SAMPLES = np.random.default_rng(0).normal(size=40) + 0.2
-
-# Spellings, the factor to SI, and the name under which it is shown.
-RATES = {
-    "gyro": [
-        ("deg/h, deg/hr, °/h, °/hr, deg/hour, Deg/h, deg h^-1, deg per hour, dph", DEG / 3600, "deg/h"),
-        ("deg/s, dps, °/s, DEG/S, deg / s, deg/sec, degrees/second, deg·s⁻¹, deg s^-1", DEG, "deg/s"),
-        ("mdeg/s, mdps", DEG / 1000, "mdeg/s"),
-        ("rad/s, Rad/s, rad s-1, rad.s-1, rad*s^-1, rad·s⁻¹", 1.0, "rad/s"),
-        ("mrad/s", 1e-3, "mrad/s"),
-        ("rad/h, rad/hr", 1 / 3600, "rad/h"),
-        ("arcsec/s", DEG / 3600, "arcsec/s"),
-        ("rpm, rev/min", 2 * math.pi / 60, "rpm"),
-    ],
-    "accel": [
-        ("m/s², m/s^2, m/s2, m/s**2, m s-2, m s^-2, m·s⁻², m/s/s, m.s-2", 1.0, "m/s²"),
-        ("g, g's, G's", G0, "g"),
-        ("mg", 1e-3 * G0, "mg"),
-        ("µg, μg, ug", 1e-6 * G0, "µg"),
-        ("cm/s²", 1e-2, "cm/s²"),
-        ("mm/s²", 1e-3, "mm/s²"),
-        ("Gal, gal", 1e-2, "Gal"),
-        ("mGal, mgal", 1e-5, "mGal"),
-        ("ft/s², ft/s^2", 0.3048, "ft/s²"),
-        ("m/s/h, m/s/hr, (m/s)/h", 1 / 3600, "m/s/h"),
-    ],
+# Spellings, of which the first is shown, and the factor to SI; then the same of increments.
+UNITS = {
+    "gyro": {
+        "deg/h, deg/hr, °/h, °/hr, deg/hour, Deg/h, deg h^-1, deg per hour, dph": DEG / 3600,
+        "deg/s, dps, °/s, DEG/S, deg / s, deg/sec, degrees/second, deg·s⁻¹, deg s^-1": DEG,
+        "mdeg/s, mdps": DEG / 1000,
+        "rad/s, Rad/s, rad s-1, rad.s-1, rad*s^-1, rad·s⁻¹": 1.0,
+        "mrad/s": 1e-3,
+        "rad/h, rad/hr": 1 / 3600,
+        "arcsec/s": DEG / 3600,
+        "rpm, rev/min": 2 * np.pi / 60,
+    },
+    "accel": {
+        "m/s², m/s^2, m/s2, m/s**2, m s-2, m s^-2, m·s⁻², m/s/s, m.s-2": 1.0,
+        "g, g's, G's": G0,
+        "mg": 1e-3 * G0,
+        "µg, μg, ug": 1e-6 * G0,
+        "cm/s²": 1e-2,
+        "mm/s²": 1e-3,
+        "Gal, gal": 1e-2,
+        "mGal, mgal": 1e-5,
+        "ft/s², ft/s^2": 0.3048,
+        "m/s/h, m/s/hr, (m/s)/h": 1 / 3600,
+    },
 }
 INCREMENTS = {
-    "gyro": [
-        ("rad", 1.0, "rad"),
-        ("mrad", 1e-3, "mrad"),
-        ("µrad, μrad, urad", 1e-6, "µrad"),
-        ("deg, °", DEG, "deg"),
-        ('arcsec, ", ″', DEG / 3600, "arcsec"),
-        ("arcmin", DEG / 60, "arcmin"),
-    ],
-    "accel": [
-        ("m/s", 1.0, "m/s"),
-        ("mm/s", 1e-3, "mm/s"),
-        ("cm/s", 1e-2, "cm/s"),
-        ("ft/s", 0.3048, "ft/s"),
-    ],
+    "gyro": {
+        "rad": 1.0,
+        "mrad": 1e-3,
+        "µrad, μrad, urad": 1e-6,
+        "deg, °": DEG,
+        'arcsec, ", ″': DEG / 3600,
+        "arcmin": DEG / 60,
+    },
+    "accel": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048},
 }
+OTHERS = {"gyro": ["m/s²", "mg", "m/s"], "accel": ["deg/s", "rpm", "arcsec"]}
+UNKNOWN = ["", "furlong", "LSB", "deg/", "/s", "((", "deg//s", "G", "MG", "rads", "2*deg/s", "nan", "g^400"]
 
 
-def read_as(unit, sensor):
-    """A recording of samples in this unit."""
-    return aj.Recording.from_array(SAMPLES, RATE, names=[f"{sensor}_x"], **{f"{sensor}_unit": unit})
-
-
-@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+@pytest.mark.parametrize("sensor", UNITS)
 def test_units_of_samples(sensor):
-    """Increments over a sample interval are multiplied by the rate."""
-    for table, rate in ((RATES[sensor], 1.0), (INCREMENTS[sensor], RATE)):
-        for texts, scale, name in table:
+    """Increments over a sample interval are multiplied by the rate; a refusal names what is known."""
+
+    def read_as(text):
+        return aj.Recording.from_array(SAMPLES, RATE, names=[f"{sensor}_x"], **{f"{sensor}_unit": text})
+
+    known = []
+    for table, rate in ((UNITS[sensor], 1.0), (INCREMENTS[sensor], RATE)):
+        for texts, scale in table.items():
+            known.append(texts.split(", ")[0])
             for text in texts.split(", "):
-                recording = read_as(text, sensor)
+                recording = read_as(text)
                 np.testing.assert_allclose(recording.values[:, 0], SAMPLES * scale * rate, rtol=1e-14)
                 np.testing.assert_allclose(recording.own_values[:, 0], SAMPLES, rtol=1e-14)
-                assert recording.axes[0].unit == name
-
-
-@pytest.mark.parametrize("sensor", ["gyro", "accel"])
-def test_unknown_and_ambiguous_units_of_samples_are_refused(sensor):
-    unknown = ("furlong", "LSB", "deg/", "/s", "((", "deg//s", "G", "MG", "rads", "2*deg/s", "nan", "g^400")
-    other = {"gyro": ["m/s²", "mg", "m/s"], "accel": ["deg/s", "rpm", "arcsec"]}[sensor]
-    for text in ["", *unknown, *other]:
-        with pytest.raises(aj.UnitError) as caught:
-            read_as(text, sensor)
-        assert repr(text) in str(caught.value)
-        assert all(name in str(caught.value) for _, _, name in (*RATES[sensor], *INCREMENTS[sensor]))
-        assert isinstance(caught.value, ValueError)
+                assert recording.axes[0].unit == known[-1]
+    for text in UNKNOWN + OTHERS[sensor]:
+        refused(lambda text=text: read_as(text), "|".join([repr(text), *known]), aj.UnitError)
 
 
 # Spellings of units of coefficients, the SI unit and the factor to it.
@@ -105,26 +89,24 @@ COEFFICIENTS = [
     ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2),
     ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
 ]
+# What is not converted: units, the sensor, and what is named.
+NOT_CONVERTED = [
+    ("deg/h", "deg/√h", "gyro", "deg/s"),
+    ("g", "m/s", "accel", "m/s²"),
+    ("deg/h", "furlong", "gyro", "furlong"),
+    ("g", "m/s²", "gyro", "accelerometer"),
+    ("deg/h", "deg/s", "accel", "gyro"),
+    ("deg/h/[temperature]", "deg/h/[current]", None, "current"),
+]
 
 
-@pytest.mark.parametrize(("texts", "si", "scale"), COEFFICIENTS)
-def test_units_of_coefficients(texts, si, scale):
-    for text in texts.split(", "):
-        assert aj.convert(1.0, text, si) == pytest.approx(scale, rel=1e-14)
-        assert aj.convert(scale, si, text) == pytest.approx(1.0, rel=1e-14)
-    sensor = "gyro" if "rad" in si else "accel"
-    np.testing.assert_allclose(aj.convert(np.array([3.0, -2.0]), text, si, sensor), [3 * scale, -2 * scale])
-
-
-def test_units_of_other_dimensions_and_sensors_are_not_converted():
-    for source, target, sensor, word in (
-        ("deg/h", "deg/√h", "gyro", "deg/s"),
-        ("g", "m/s", "accel", "m/s²"),
-        ("deg/h", "furlong", "gyro", "furlong"),
-        ("g", "m/s²", "gyro", "accelerometer"),
-        ("deg/h", "deg/s", "accel", "gyro"),
-        ("deg/h/[temperature]", "deg/h/[current]", None, "current"),
-    ):
-        with pytest.raises(aj.UnitError) as caught:
-            aj.convert(1.0, source, target, sensor)
-        assert word in str(caught.value)
+def test_units_of_coefficients():
+    for texts, si, scale in COEFFICIENTS:
+        sensor = "gyro" if "rad" in si else "accel"
+        for text in texts.split(", "):
+            assert aj.convert(1.0, text, si) == pytest.approx(scale, rel=1e-14), text
+            assert aj.convert(scale, si, text) == pytest.approx(1.0, rel=1e-14), text
+            made = aj.convert(np.array([3.0, -2.0]), text, si, sensor)
+            np.testing.assert_allclose(made, [3 * scale, -2 * scale])
+    for source, target, sensor, word in NOT_CONVERTED:
+        refused(lambda a=source, b=target, s=sensor: aj.convert(1.0, a, b, s), word, aj.UnitError)

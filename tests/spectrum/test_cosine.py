@@ -3,12 +3,11 @@
 Fits by Whittle's likelihood rest on them; no public number is the expectation of one term alone.
 """
 
+import dense
 import numpy as np
 import pytest
-from phase_laws import LAWS, autocovariance, markov
+from numpy.testing import assert_allclose
 from scipy.fft import dct
-from scipy.linalg import toeplitz
-from scipy.special import sici
 
 import allanjax as aj
 from allanjax.estimate.spectral.columns import columns_of
@@ -16,37 +15,20 @@ from allanjax.spectrum.cosine import Bins
 
 RATE = 4.0
 SINGLE = 64
-
-
-def up_to(f0):
-    """Flicker noise with a cutoff (4.48), Ci with the right sign."""
-
-    def G(t):  # noqa: N802
-        x = np.where(t > 0.0, 2.0 * np.pi * f0 * t, 1.0)
-        cin = np.euler_gamma + np.log(x) - sici(x)[1]
-        shape = 0.5 - np.cos(x) / 2.0 + x * np.sin(x) / 2.0 + x**2 * cin / 2.0
-        return np.where(t > 0.0, shape, 0.0) / np.pi / (2.0 * np.pi * f0) ** 2
-
-    return G
-
-
-# The term, its law, and the tolerance in bins, where the record is taken to be long compared with a period:
-# that costs flicker 0.3 % in the first of them and Markov noise up to 0.5 %. Two nodes a bin are right to the
-# fourth power of its width.
+# The term, and the tolerance in bins, where the record is taken to be long compared with a period: that costs
+# flicker 0.3 % in the first of them and Markov noise up to 0.5 %. Two nodes a bin are right to the fourth
+# power of its width.
 CASES = {
-    "quantization": (aj.Quantization(1.0), LAWS["quantization"], 2e-5),
-    "white": (aj.AngleRandomWalk(1.0), LAWS["white"], 1e-10),
-    "flicker": (aj.BiasInstability(1.0), LAWS["flicker"], 5e-3),
-    "walk": (aj.RateRandomWalk(1.0), LAWS["walk"], 2e-5),
-    "fast markov": (aj.Markov(1.0, 0.06), markov(0.06), 6e-3),
-    "markov": (aj.Markov(1.0, 8.0), markov(8.0), 6e-3),
-    "slow markov": (aj.Markov(1.0, 250.0), markov(250.0), 6e-3),
-}
+    "quantization": (aj.Quantization(1.0), 2e-5), "white": (aj.AngleRandomWalk(1.0), 1e-10),
+    "flicker": (aj.BiasInstability(1.0), 5e-3), "walk": (aj.RateRandomWalk(1.0), 2e-5),
+    "fast markov": (aj.Markov(1.0, 0.06), 6e-3), "markov": (aj.Markov(1.0, 8.0), 6e-3),
+    "slow markov": (aj.Markov(1.0, 250.0), 6e-3),
+}  # fmt: skip
 
 
-def squares(law, n: int) -> np.ndarray:
+def squares(term, n: int) -> np.ndarray:
     """Variances of the coefficients c_1 … c_{n−1}."""
-    V = toeplitz(autocovariance(law, n, RATE))
+    V = dense.covariance(term, n, RATE)
     return np.diag(dct(dct(V, norm="ortho", axis=0), norm="ortho", axis=1))[1:]
 
 
@@ -58,13 +40,12 @@ def expected(bins: Bins, term) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CASES)
 def test_expected_squares_are_those_of_the_dense_covariance(name):
-    term, law, in_bins = CASES[name]
+    term, in_bins = CASES[name]
     for n in (65, 1000):
         bins = Bins.of(n, RATE)
-        exact = bins.sums(squares(law, n)) / bins.size
-        found = expected(bins, term)
-        np.testing.assert_allclose(found[:SINGLE], exact[:SINGLE], rtol=1e-6)
-        np.testing.assert_allclose(found[SINGLE:], exact[SINGLE:], rtol=in_bins)
+        found, exact = expected(bins, term), bins.sums(squares(term, n)) / bins.size
+        assert_allclose(found[:SINGLE], exact[:SINGLE], rtol=1e-6)
+        assert_allclose(found[SINGLE:], exact[SINGLE:], rtol=in_bins)
 
 
 def test_expected_squares_of_what_has_an_edge_or_a_line():
@@ -75,23 +56,17 @@ def test_expected_squares_of_what_has_an_edge_or_a_line():
     """
     n = 1000
     for f0 in (0.4, 3.0):
-        bins = Bins.of(n, RATE)
-        exact = bins.sums(squares(up_to(f0), n)) / bins.size
-        found = expected(bins, aj.BiasInstability(1.0, f0))
+        term, bins = aj.BiasInstability(1.0, f0), Bins.of(n, RATE)
+        found, exact = expected(bins, term), bins.sums(squares(term, n)) / bins.size
         below = bins.frequency + bins.size * RATE / (4.0 * n) < 0.8 * f0
-        np.testing.assert_allclose(found[below], exact[below], rtol=0.02)
-        np.testing.assert_allclose(found[:5], exact[:5], rtol=0.01)
+        assert_allclose(found[below], exact[below], rtol=0.02)
+        assert_allclose(found[:5], exact[:5], rtol=0.01)
     for f0, Q_f in ((0.8, 12.0), (0.1, 3.0), (1.5, 40.0)):
-        bins = Bins.of(n, RATE, [(f0, 0.0)])
-        t, w0 = np.arange(n) / RATE, 2.0 * np.pi * f0
-        a = w0 / (2.0 * Q_f)
-        wd = np.sqrt(w0**2 - a**2)
-        V = toeplitz(np.exp(-a * t) * (np.cos(wd * t) + a / wd * np.sin(wd * t)))
-        every = np.diag(dct(dct(V, norm="ortho", axis=0), norm="ortho", axis=1))[1:]
-        found, exact = expected(bins, aj.Resonance(1.0, f0, Q_f)), bins.sums(every) / bins.size
+        term, bins = aj.Resonance(1.0, f0, Q_f), Bins.of(n, RATE, [(f0, 0.0)])
+        found, exact = expected(bins, term), bins.sums(squares(term, n)) / bins.size
         strong = exact > 0.05 * exact.max()
-        np.testing.assert_allclose(found[strong], exact[strong], rtol=2.0 * Q_f / (np.pi * f0 * n / RATE))
-        assert found @ bins.size == pytest.approx(every.sum(), rel=5e-3)
+        assert_allclose(found[strong], exact[strong], rtol=2.0 * Q_f / (np.pi * f0 * n / RATE))
+        assert found @ bins.size == pytest.approx(exact @ bins.size, rel=5e-3)
 
 
 def test_bins_hold_every_coefficient_once():
@@ -103,7 +78,7 @@ def test_bins_hold_every_coefficient_once():
             assert (bins.edges[0], bins.edges[-1]) == (1, n)
             np.testing.assert_array_equal(bins.size, np.diff(bins.edges))
             first = bins.edges[:-1]
-            np.testing.assert_allclose(bins.frequency, (first + (bins.size - 1) / 2.0) * spacing)
+            assert_allclose(bins.frequency, (first + (bins.size - 1) / 2.0) * spacing)
             single = first <= min(SINGLE, n - 1)
             for j in np.round(np.array(around) / spacing):
                 single |= (first > max(j - 12, 0)) & (first < min(j + 12, n))

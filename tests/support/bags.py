@@ -20,14 +20,7 @@ class Topic:
     frames: Sequence[str] = ("imu_link",)
 
 
-def write_bag(
-    path: Path,
-    kind: str,
-    topics: Mapping[str, Topic],
-    other: bool = False,
-    small: bool = False,
-    big: bool = False,
-) -> Path:
+def write_bag(path: Path, kind: str, topics: Mapping[str, Topic], **how: bool) -> Path:
     """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2.
 
     `other` adds a topic that is no Imu; `small` compresses, by LZ4 or Zstandard; `big`
@@ -38,40 +31,31 @@ def write_bag(
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
 
+    other, small, big = (how.get(key, False) for key in ("other", "small", "big"))
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
     cdr = partial(store.serialize_cdr, little_endian=not big)
     serialize = store.serialize_ros1 if kind == "ros1" else cdr
-    types = store.types
-    messages = []
-    if kind == "ros1":
-        bag = Writer1(path)
-        if small:
-            bag.set_compression(Writer1.CompressionFormat.LZ4)
-    else:
+    types, messages, bag = store.types, [], Writer1(path) if kind == "ros1" else None
+    if bag is None:
         bag = Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
-        if small:
-            mode = CompressionMode.STORAGE if kind == "mcap" else CompressionMode.MESSAGE
-            bag.set_compression(mode, CompressionFormat.ZSTD)
+    if small and kind == "ros1":
+        bag.set_compression(Writer1.CompressionFormat.LZ4)
+    elif small:
+        mode = CompressionMode.STORAGE if kind == "mcap" else CompressionMode.MESSAGE
+        bag.set_compression(mode, CompressionFormat.ZSTD)
+    vector, covariance = types["geometry_msgs/msg/Vector3"], np.arange(9.0)
     with bag:
         for name, topic in topics.items():
             connection = bag.add_connection(name, "sensor_msgs/msg/Imu", typestore=store)
             arrivals = topic.stamps if topic.arrivals is None else topic.arrivals
-            for k, (stamp, arrival, sample) in enumerate(
-                zip(topic.stamps, arrivals, topic.samples, strict=True)
-            ):
+            samples = zip(topic.stamps, arrivals, topic.samples, strict=True)
+            for k, (stamp, arrival, sample) in enumerate(samples):
                 time = types["builtin_interfaces/msg/Time"](int(stamp) // 10**9, int(stamp) % 10**9)
-                frame = topic.frames[k % len(topic.frames)]
-                number = {"seq": k} if kind == "ros1" else {}
-                vector, covariance = types["geometry_msgs/msg/Vector3"], np.arange(9.0)
-                message = types["sensor_msgs/msg/Imu"](
-                    types["std_msgs/msg/Header"](**number, stamp=time, frame_id=frame),
-                    types["geometry_msgs/msg/Quaternion"](0.1, 0.2, 0.3, 0.4),
-                    -covariance,
-                    vector(*sample[:3]),
-                    covariance,
-                    vector(*sample[3:]),
-                    covariance,
-                )
+                frame, number = topic.frames[k % len(topic.frames)], {"seq": k} if kind == "ros1" else {}
+                header = types["std_msgs/msg/Header"](**number, stamp=time, frame_id=frame)
+                turn = types["geometry_msgs/msg/Quaternion"](0.1, 0.2, 0.3, 0.4)
+                halves = vector(*sample[:3]), covariance, vector(*sample[3:]), covariance
+                message = types["sensor_msgs/msg/Imu"](header, turn, -covariance, *halves)
                 messages.append((int(arrival), connection, serialize(message, "sensor_msgs/msg/Imu")))
         if other:
             connection = bag.add_connection("/words", "std_msgs/msg/String", typestore=store)

@@ -1,5 +1,8 @@
 """Commands as a user types them."""
 
+import json
+from typing import Any
+
 from click.testing import Result
 from typer.testing import CliRunner
 
@@ -12,3 +15,13 @@ def run(*words: object, given: bytes | None = None) -> Result:
     Errors that no command expects are raised.
     """
     return CliRunner().invoke(app, [str(word) for word in words], input=given, catch_exceptions=False)
+
+
+def schema(name: str) -> Any:
+    """Validator of the documents whose schema `allanjax schema NAME` prints."""
+    # Here, as it takes seconds to import.
+    from jsonschema import Draft202012Validator
+
+    printed = json.loads(run("schema", name).stdout)
+    Draft202012Validator.check_schema(printed)
+    return Draft202012Validator(printed)

@@ -7,7 +7,7 @@ whose phase or sign is random. Terms that are read at the instants of the sample
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import mpmath as mp
 import numpy as np
@@ -74,6 +74,52 @@ def allan_variance(C: np.ndarray, m: int) -> float:
     """Allan variance of clusters of m samples under the covariance of 2m or more."""
     w = np.repeat([-1.0, 1.0], m) / m
     return float(w @ C[: 2 * m, : 2 * m] @ w / 2.0)
+
+
+def _differences(R: np.ndarray, mi: int, mj: int) -> np.ndarray:
+    """Covariance of differences of adjacent averages over mi samples, and over mj that begin s later.
+
+    s is −(n − 1) … n − 1, of which the ends are wrong where a difference would lie outside.
+    """
+    both = np.concatenate([R[:0:-1], R])
+    wi, wj = (np.repeat([-1.0, 1.0], m) / m for m in (mi, mj))
+    # Σ_ab w_a w_b R(s + b − a).
+    lags = np.convolve(wi, wj[::-1])
+    return signal.fftconvolve(both, lags)[2 * mj - 1 :][: len(both)]
+
+
+def allan_covariance(
+    R: np.ndarray, sizes: Sequence[int], strides: Sequence[int], repeated: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Covariance of Allan variances of n samples: over all pairs of differences the mean of C²/2.
+
+    Less the same for what is in every record, whose autocovariance is `repeated`.
+    """
+    n, V = len(R), np.empty((len(sizes), len(sizes)))
+    first = np.arange(n)
+    starts = [(first % s == 0) & (first <= n - 2 * m) for m, s in zip(sizes, strides, strict=True)]
+    for i, mi in enumerate(sizes):
+        for j, mj in enumerate(sizes[: i + 1]):
+            pairs = signal.correlate(starts[j].astype(float), starts[i].astype(float), "full", "direct")
+            C, fixed = (_differences(x, mi, mj) for x in (R, repeated + 0.0 * R))
+            used = pairs > 0
+            V[i, j] = V[j, i] = pairs[used] @ (C**2 - fixed**2)[used] / pairs.sum() / 2.0
+    return V
+
+
+def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of n samples, [n, n], and of all their states, [n·states, n·states], by the recursion."""
+    size, P = space.size, space.P0
+    joint = np.zeros((n * size, n * size))
+    for j in range(n):
+        column = P
+        for k in range(j, n):
+            joint[k * size : (k + 1) * size, j * size : (j + 1) * size] = column
+            joint[j * size : (j + 1) * size, k * size : (k + 1) * size] = column.T
+            column = space.A @ column
+        P = space.A @ P @ space.A.T + space.Q
+    H = np.kron(np.eye(n), space.H)
+    return H @ joint @ H.T + space.R[0, 0] * np.eye(n), joint
 
 
 # --- Terms --------------------------------------------------------------------------------------------------

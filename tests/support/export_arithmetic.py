@@ -9,12 +9,14 @@ import json
 import math
 import re
 import sys
-import types
 import xml.etree.ElementTree as ET
+from functools import partial
 from typing import NamedTuple
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import scipy.linalg
+from ruamel.yaml import YAML
 
 DEG = math.pi / 180.0
 G = 9.80665
@@ -53,94 +55,59 @@ def predicted(N: float, q: float, T: float = math.inf, time: float = 1.0) -> np.
 def relative_error(step: Step, N: float, q: float, T: float = math.inf) -> float:
     """Largest relative error of what steps give; of a target without a bias that of the angle's variance."""
     time = round(1.0 / step.dt) * step.dt
-    got = covariance(step, time)
-    want = predicted(N, q if step.bias is not None else 0.0, T, time)
-    use = (slice(None), slice(None)) if step.bias is not None else (0, 0)
-    return float(np.max(np.abs(got[use] / want[use] - 1.0)))
+    use = (0, 0) if step.bias is None else (slice(None), slice(None))
+    want = predicted(N, 0.0 if step.bias is None else q, T, time)
+    return float(np.max(np.abs(covariance(step, time)[use] / want[use] - 1.0)))
 
 
 # Readers of the files, each by a library that knows nothing of ours.
 
 
 def read_yaml(text):
-    from ruamel.yaml import YAML
-
     return YAML(typ="safe", pure=True).load(text)
 
 
 def read_assignments(text, pattern):
     """Numbers, or lists of them, that lines assign to names."""
-    found = {}
-    for line in text.splitlines():
-        if match := re.fullmatch(pattern, line):
-            found[match["name"]] = json.loads(match["value"])
-    return found
+    lines = (re.fullmatch(pattern, line) for line in text.splitlines())
+    return {match["name"]: json.loads(match["value"]) for match in lines if match}
 
 
 def read_python(text, **modules):
     """Names that a snippet of Python leaves, with modules that stand for those which are not installed."""
-    kept = {name: sys.modules.get(name) for name in modules}
-    sys.modules.update(modules)
-    try:
-        names = {}
+    names = {}
+    with patch.dict(sys.modules, modules):
         exec(compile(text, "snippet", "exec"), names)
-        return names
-    finally:
-        for name, module in kept.items():
-            if module is None:
-                del sys.modules[name]
-            else:
-                sys.modules[name] = module
-
-
-class _Params:
-    """What stands for GTSAM's parameters: it keeps what is set."""
-
-    @classmethod
-    def MakeSharedU(cls, gravity):  # noqa: N802
-        return cls()
-
-    def __getattr__(self, name):
-        return lambda value: self.__dict__.__setitem__(name, value)
-
-
-def _gtsam():
-    module = types.ModuleType("gtsam")
-    module.PreintegrationCombinedParams = _Params
-    return module
+    return names
 
 
 # The targets.
 
 AT = {"x": 0, "y": 1, "z": 2}
 LONG = {"gyro": "gyroscope", "accel": "accelerometer"}
+STEM = {"gyro": "gyr", "accel": "acc"}
+TOPIC = {"gyro": "angular_velocity", "accel": "linear_acceleration"}
 
 
-def kalibr(text, sensor, axis, rate):
-    v = read_yaml(text)
-    dt = 1.0 / v["update_rate"]
-    discrete = v[f"{LONG[sensor]}_noise_density"] / math.sqrt(dt)
-    walk = v[f"{LONG[sensor]}_random_walk"] * math.sqrt(dt)
-    return Step(dt, (dt * discrete) ** 2, walk**2)
+def densities(rate, n, w=None):
+    """A step of white noise n and a walk w of continuous time: noise n/√dt for dt, and a walk by w·√dt."""
+    dt = 1.0 / rate
+    return Step(dt, (n / math.sqrt(dt) * dt) ** 2, None if w is None else (w * math.sqrt(dt)) ** 2)
 
 
-def openvins(text, sensor, axis, rate):
-    v = read_yaml(text)["imu0"]
-    dt = 1.0 / v["update_rate"]
-    # Continuous densities: the discrete covariance is sigma^2/dt, that of the bias sigma^2*dt.
-    white, walk = v[f"{LONG[sensor]}_noise_density"], v[f"{LONG[sensor]}_random_walk"]
-    return Step(dt, dt**2 * white**2 / dt, walk**2 * dt)
+def kalibr(text, sensor, axis, rate, root=None):
+    v = read_yaml(text)[root] if root else read_yaml(text)
+    return densities(v["update_rate"], v[f"{LONG[sensor]}_noise_density"], v[f"{LONG[sensor]}_random_walk"])
 
 
 def imu_utils(text, sensor, axis, rate):
-    v = read_yaml(text)[{"gyro": "Gyr", "accel": "Acc"}[sensor]][f"{axis}-axis"]
-    stem, dt = {"gyro": "gyr", "accel": "acc"}[sensor], 1.0 / rate
-    return Step(dt, v[f"{stem}_n"] ** 2 * dt, v[f"{stem}_w"] ** 2 * dt)
+    v = read_yaml(text)[STEM[sensor].title()][f"{axis}-axis"]
+    return densities(rate, v[f"{STEM[sensor]}_n"], v[f"{STEM[sensor]}_w"])
 
 
 def vins(text, sensor, axis, rate):
     v, dt = read_yaml(text), 1.0 / rate
-    n, w = (v[{"gyro": "gyr", "accel": "acc"}[sensor] + end] for end in ("_n", "_w"))
+    n, w = v[f"{STEM[sensor]}_n"], v[f"{STEM[sensor]}_w"]
     # Midpoint: noise of both samples of a step, each with dt/2; V*diag(n^2)*V^T.
     V = np.array([[dt / 2.0, dt / 2.0, 0.0], [0.0, 0.0, dt]])
     Q = V @ np.diag([n**2, n**2, w**2]) @ V.T
@@ -149,71 +116,52 @@ def vins(text, sensor, axis, rate):
 
 def orb_slam3(text, sensor, axis, rate):
     v = read_yaml(text)
-    f = v["IMU.Frequency"]
     noise, walk = {"gyro": ("NoiseGyro", "GyroWalk"), "accel": ("NoiseAcc", "AccWalk")}[sensor]
-    sf = math.sqrt(f)
-    ng, ngw = v[f"IMU.{noise}"] * sf, v[f"IMU.{walk}"] / sf
-    return Step(1.0 / f, ng**2 / f**2, ngw**2)
+    return densities(v["IMU.Frequency"], v[f"IMU.{noise}"], v[f"IMU.{walk}"])
 
 
 def basalt(text, sensor, axis, rate):
     v = json.loads(text)["value0"]
-    r = v["imu_update_rate"]
-    white = v[f"{sensor}_noise_std"][AT[axis]] * math.sqrt(r)
-    return Step(1.0 / r, (white / r) ** 2, (v[f"{sensor}_bias_std"][AT[axis]] / math.sqrt(r)) ** 2)
+    white, walk = (v[f"{sensor}_{name}_std"][AT[axis]] for name in ("noise", "bias"))
+    return densities(v["imu_update_rate"], white, walk)
 
 
-def okvis(root):
-    def read(text, sensor, axis, rate):
-        v, letter, dt = read_yaml(text)[root], {"gyro": "g", "accel": "a"}[sensor], 1.0 / rate
-        return Step(dt, v[f"sigma_{letter}_c"] ** 2 * dt, v[f"sigma_{letter}w_c"] ** 2 * dt)
-
-    return read
+def okvis(text, sensor, axis, rate, root):
+    v = read_yaml(text)[root]
+    return densities(rate, v[f"sigma_{sensor[0]}_c"], v[f"sigma_{sensor[0]}w_c"])
 
 
 def gtsam(text, sensor, axis, rate):
-    kept = vars(read_python(text, gtsam=_gtsam())["params"])
-    white, walk = {
-        "gyro": ("setGyroscopeCovariance", "setBiasOmegaCovariance"),
-        "accel": ("setAccelerometerCovariance", "setBiasAccCovariance"),
-    }[sensor]
-    dt, k = 1.0 / rate, AT[axis]
-    return Step(dt, dt**2 * kept[white][k, k] / dt, dt * kept[walk][k, k])
+    params, dt, k = read_python(text, gtsam=MagicMock())["params"], 1.0 / rate, AT[axis]
+    white, bias = {"gyro": ("Gyroscope", "BiasOmega"), "accel": ("Accelerometer", "BiasAcc")}[sensor]
+    kept = [getattr(params, f"set{name}Covariance").call_args.args[0][k, k] for name in (white, bias)]
+    return Step(dt, dt**2 * kept[0] / dt, dt * kept[1])
 
 
-def lio_sam(root):
-    def read(text, sensor, axis, rate):
-        v, stem, dt = read_yaml(text)[root], {"gyro": "Gyr", "accel": "Acc"}[sensor], 1.0 / rate
-        white, between = v[f"imu{stem}Noise"] ** 2, math.sqrt(dt) * v[f"imu{stem}BiasN"]
-        return Step(dt, dt**2 * white / dt, between**2)
-
-    return read
+def lio_sam(text, sensor, axis, rate, root):
+    v, stem = read_yaml(text)[root], STEM[sensor].title()
+    return densities(rate, v[f"imu{stem}Noise"], v[f"imu{stem}BiasN"])
 
 
-def fast_lio(root):
-    def read(text, sensor, axis, rate):
-        v, stem, dt = read_yaml(text)[root], {"gyro": "gyr", "accel": "acc"}[sensor], 1.0 / rate
-        return Step(dt, dt * v[f"{stem}_cov"] * dt, dt * v[f"b_{stem}_cov"] * dt)
-
-    return read
+def fast_lio(text, sensor, axis, rate, root):
+    v, dt = read_yaml(text)[root], 1.0 / rate
+    return Step(dt, dt * v[f"{STEM[sensor]}_cov"] * dt, dt * v[f"b_{STEM[sensor]}_cov"] * dt)
 
 
 def glim(text, sensor, axis, rate):
-    v, dt = json.loads(text)["sensors"], 1.0 / rate
-    return Step(dt, v[{"gyro": "imu_gyro_noise", "accel": "imu_acc_noise"}[sensor]] ** 2 / dt * dt**2, None)
+    name = {"gyro": "imu_gyro_noise", "accel": "imu_acc_noise"}[sensor]
+    return densities(rate, json.loads(text)["sensors"][name])
 
 
-def gins(root):
-    def read(text, sensor, axis, rate):
-        v, dt = read_yaml(text)[root], 1.0 / rate
-        white, bias = {"gyro": ("arw", "gbstd"), "accel": ("vrw", "abstd")}[sensor]
-        pick = lambda x: x[AT[axis]] if isinstance(x, list) else x  # noqa: E731
-        n = pick(v[white]) * (DEG if sensor == "gyro" else 1.0) / 60.0
-        std = pick(v[bias]) * (DEG / 3600.0 if sensor == "gyro" else 1e-5)
-        T = v["corrtime"] * 3600.0
-        return Step(dt, n**2 * dt, 2.0 * std**2 / T * dt, math.exp(-dt / T))
-
-    return read
+def gins(text, sensor, axis, rate, root):
+    v, dt = read_yaml(text)[root], 1.0 / rate
+    pick = lambda x: x[AT[axis]] if isinstance(x, list) else x  # noqa: E731
+    if sensor == "gyro":
+        n, std = pick(v["arw"]) * DEG / 60.0, pick(v["gbstd"]) * DEG / 3600.0
+    else:
+        n, std = pick(v["vrw"]) / 60.0, pick(v["abstd"]) * 1e-5
+    T = v["corrtime"] * 3600.0
+    return Step(dt, n**2 * dt, 2.0 * std**2 / T * dt, math.exp(-dt / T))
 
 
 def hybvio(text, sensor, axis, rate):
@@ -225,15 +173,13 @@ def hybvio(text, sensor, axis, rate):
 
 
 def robot_localization(text, sensor, axis, rate):
-    name = {"gyro": "angular_velocity", "accel": "linear_acceleration"}[sensor]
-    matrix = np.array(read_yaml(text)[f"{name}_covariance"]).reshape(3, 3)
+    matrix = np.array(read_yaml(text)[f"{TOPIC[sensor]}_covariance"]).reshape(3, 3)
     assert np.count_nonzero(matrix) == 3
     return Step(1.0 / rate, matrix[AT[axis], AT[axis]] / rate**2, None)
 
 
 def sdf(text, sensor, axis, rate):
-    name = {"gyro": "angular_velocity", "accel": "linear_acceleration"}[sensor]
-    noise = ET.fromstring(text).find(f"{name}/{axis}/noise")
+    noise = ET.fromstring(text).find(f"{TOPIC[sensor]}/{axis}/noise")
     assert noise.get("type") == "gaussian"
     v, dt = {child.tag: float(child.text) for child in noise}, 1.0 / rate
     white = (v["stddev"] * dt) ** 2
@@ -244,9 +190,8 @@ def sdf(text, sensor, axis, rate):
 
 
 def _rotors(density, walk, tau, dt):
-    sigma_d = density / math.sqrt(dt)
     sigma_b_d = math.sqrt(-(walk**2) * tau / 2.0 * math.expm1(-2.0 * dt / tau))
-    return Step(dt, (sigma_d * dt) ** 2, sigma_b_d**2, math.exp(-dt / tau))
+    return Step(dt, (density / math.sqrt(dt) * dt) ** 2, sigma_b_d**2, math.exp(-dt / tau))
 
 
 def rotors(text, sensor, axis, rate):
@@ -260,38 +205,29 @@ def pegasus(text, sensor, axis, rate):
 
 
 def airsim(text, sensor, axis, rate):
-    v, dt = json.loads(text)["Sensors"]["Imu"], 1.0 / rate
+    v = json.loads(text)["Sensors"]["Imu"]
     if sensor == "gyro":
-        white = v["AngularRandomWalk"] / math.sqrt(3600.0) * DEG
-        stability, tau = v["GyroBiasStability"] / 3600.0 * DEG, v["GyroBiasStabilityTau"]
+        white, bias = v["AngularRandomWalk"] / math.sqrt(3600.0) * DEG, v["GyroBiasStability"] / 3600.0 * DEG
     else:
-        white = v["VelocityRandomWalk"] * G / 1000.0
-        stability, tau = v["AccelBiasStability"] * 1e-6 * G, v["AccelBiasStabilityTau"]
-    return Step(dt, (white / math.sqrt(dt) * dt) ** 2, (stability / math.sqrt(tau) * math.sqrt(dt)) ** 2)
+        white, bias = v["VelocityRandomWalk"] * G / 1000.0, v["AccelBiasStability"] * 1e-6 * G
+    return densities(rate, white, bias / math.sqrt(v[f"{sensor.title()}BiasStabilityTau"]))
 
 
 def isaac_lab(text, sensor, axis, rate):
-    noise = types.ModuleType("isaaclab.utils.noise")
-    noise.GaussianNoiseCfg = lambda mean, std: std
-    names = read_python(
-        text,
-        **{"isaaclab": types.ModuleType("isaaclab"), "isaaclab.utils": types.ModuleType("isaaclab.utils")},
-        **{"isaaclab.utils.noise": noise},
-    )
-    return Step(1.0 / rate, (names[f"{sensor}_noise"] / rate) ** 2, None)
+    module = MagicMock(GaussianNoiseCfg=lambda mean, std: std)
+    modules = dict.fromkeys(("isaaclab", "isaaclab.utils", "isaaclab.utils.noise"), module)
+    return Step(1.0 / rate, (read_python(text, **modules)[f"{sensor}_noise"] / rate) ** 2, None)
 
 
 def matlab(text, sensor, axis, rate):
     v = read_assignments(text, r"(?P<name>\w+\.\w+) = (?P<value>\[.*\]);")
-    white = v[f"{sensor}.NoiseDensity"][AT[axis]] * math.sqrt(rate)
-    walk = v[f"{sensor}.RandomWalk"][AT[axis]] / math.sqrt(rate)
-    return Step(1.0 / rate, (white / rate) ** 2, walk**2)
+    return densities(rate, v[f"{sensor}.NoiseDensity"][AT[axis]], v[f"{sensor}.RandomWalk"][AT[axis]])
 
 
 def px4(text, sensor, axis, rate):
     v, dt = read_assignments(text, r"param set (?P<name>\w+) (?P<value>\S+)"), 0.010
-    stem = {"gyro": "GYR", "accel": "ACC"}[sensor]
-    return Step(dt, (dt * v[f"EKF2_{stem}_NOISE"]) ** 2, (dt * v[f"EKF2_{stem}_B_NOISE"]) ** 2)
+    white, walk = (v[f"EKF2_{STEM[sensor].upper()}_{name}"] for name in ("NOISE", "B_NOISE"))
+    return Step(dt, (dt * white) ** 2, (dt * walk) ** 2)
 
 
 def ardupilot(text, sensor, axis, rate):
@@ -302,37 +238,19 @@ def ardupilot(text, sensor, axis, rate):
     return Step(dt, (dt * v[f"EK3_{white}_P_NSE"]) ** 2, delta / dt**2)
 
 
-STEPS = {
-    "kalibr": kalibr,
-    "allan_variance_ros": kalibr,
-    "imu_utils": imu_utils,
-    "vins-mono": vins,
-    "vins-fusion": vins,
-    "orb_slam3": orb_slam3,
-    "openvins": openvins,
-    "basalt": basalt,
-    "okvis": okvis("imu_params"),
-    "okvis2": okvis("imu_parameters"),
-    "gtsam": gtsam,
-    "lio-sam": lio_sam("lio_sam"),
-    "lvi-sam": lio_sam("lvi_sam"),
-    "fast-lio2": fast_lio("mapping"),
-    "fast-livo2": fast_lio("imu"),
-    "glim": glim,
-    "hybvio": hybvio,
-    "kf-gins": gins("imunoise"),
-    "ob-gins": gins("imumodel"),
-    "robot_localization": robot_localization,
-    "gz-sim": sdf,
-    "gazebo-classic": sdf,
-    "rotors": rotors,
-    "airsim": airsim,
-    "isaac-lab": isaac_lab,
-    "pegasus": pegasus,
-    "matlab": matlab,
-    "px4": px4,
-    "ardupilot": ardupilot,
-}
+# In the order of the command's list.
+STEPS = dict.fromkeys(("kalibr", "allan_variance_ros"), kalibr)
+STEPS |= {"imu_utils": imu_utils, "vins-mono": vins, "vins-fusion": vins, "orb_slam3": orb_slam3}
+STEPS |= {"openvins": partial(kalibr, root="imu0"), "basalt": basalt}
+STEPS |= {"okvis": partial(okvis, root="imu_params"), "okvis2": partial(okvis, root="imu_parameters")}
+STEPS |= {"gtsam": gtsam}
+STEPS |= {"lio-sam": partial(lio_sam, root="lio_sam"), "lvi-sam": partial(lio_sam, root="lvi_sam")}
+STEPS |= {"fast-lio2": partial(fast_lio, root="mapping"), "fast-livo2": partial(fast_lio, root="imu")}
+STEPS |= {"glim": glim, "hybvio": hybvio}
+STEPS |= {"kf-gins": partial(gins, root="imunoise"), "ob-gins": partial(gins, root="imumodel")}
+STEPS |= {"robot_localization": robot_localization, "gz-sim": sdf, "gazebo-classic": sdf, "rotors": rotors}
+STEPS |= {"airsim": airsim, "isaac-lab": isaac_lab, "pegasus": pegasus, "matlab": matlab}
+STEPS |= {"px4": px4, "ardupilot": ardupilot}
 
 #: Targets that hold a value for each axis; those with one correlation time for all, and with any.
 EACH = ("imu_utils", "basalt", "gtsam", "kf-gins", "robot_localization", "gz-sim", "gazebo-classic", "matlab")
@@ -341,21 +259,11 @@ WITH_TIME = ("kf-gins", "ob-gins", "gz-sim", "rotors", "pegasus")
 
 
 def error_of(target: str, text: str, values: dict, rate: float) -> float:
-    """Largest error of a target's covariance over 1 s against the model's.
-
-    Args:
-        target: its name.
-        text: its file.
-        values: (N, q, T) of the model by sensor and axis, e.g. values["gyro"]["x"].
-        rate: of the IMU [Hz].
-    """
+    """Largest error of a target's covariance over 1 s; `values` are (N, q, T) by sensor and axis."""
     errors = []
     for sensor, of in values.items():
-        largest_N = max(N for N, _, _ in of.values())
-        largest_q, its_T = max((q, T) for _, q, T in of.values())
-        for axis, (N, q, T) in of.items():
+        worst = max(N for N, _, _ in of.values()), *max((q, T) for _, q, T in of.values())
+        for axis, own in of.items():
             step = STEPS[target](text, sensor, axis, rate)
-            if target not in EACH:
-                N, q, T = largest_N, largest_q, its_T
-            errors.append(relative_error(step, N, q, T))
+            errors.append(relative_error(step, *(own if target in EACH else worst)))
     return max(errors)

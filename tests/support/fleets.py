@@ -49,13 +49,9 @@ class Fleet:
 
     def store(self, name: str, axes: Sequence[dict], path: Path | None = None, **more: Any) -> None:
         """Leave the fit of a file as an earlier run would have."""
-        path = path or self.file(name)
-        status = path.stat()
-        key = self.key | {
-            "path": str(path.resolve()),
-            "size": status.st_size,
-            "modified_ns": status.st_mtime_ns,
-        }
+        path = (path or self.file(name)).resolve()
+        size, modified = path.stat().st_size, path.stat().st_mtime_ns
+        key = self.key | {"path": str(path), "size": size, "modified_ns": modified}
         fit = {"axes": list(axes), "name": name, "warnings": [], "stretch_s": None} | more
         folder = self.out / "recordings"
         folder.mkdir(parents=True, exist_ok=True)
@@ -64,8 +60,8 @@ class Fleet:
     def judged(self, *parts: tuple, group: Sequence | None = None) -> aj.FleetResult:
         """Result for (sensor, label, values [units, axes], errors, limits if any) of unit_0, unit_1, …"""
         shutil.rmtree(self.out, ignore_errors=True)
-        units = len(parts[0][2])
-        for u in range(units):
+        files = []
+        for u in range(len(parts[0][2])):
             axes: dict[str, list] = {}
             for sensor, label, values, errors, *limits in parts:
                 errors = np.broadcast_to(errors, np.shape(values))
@@ -74,8 +70,9 @@ class Fleet:
                     found = coefficient(label, float(value), float(errors[u, k]), limit)
                     axes.setdefault(f"{sensor}_{'xyz'[k]}", []).append(found)
             self.store(f"unit_{u}", [axis(name, found) for name, found in axes.items()])
+            files.append(self.file(f"unit_{u}"))
         named = None if group is None else {f"unit_{u}": str(name) for u, name in enumerate(group)}
-        return self.run([self.file(f"unit_{u}") for u in range(units)], group=named)
+        return self.run(files, group=named)
 
     def run(self, files: Sequence[Path], **options: Any) -> aj.FleetResult:
         """What a fleet finds with these files."""

@@ -1,6 +1,10 @@
 """Every noise term and every response with unequal parameters, for tests of what all of them must hold."""
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
 
 import allanjax as aj
 
@@ -66,11 +70,18 @@ OTHER_VALUES = {
 }
 
 
-def rounds(names: Iterable[str]) -> Iterator[dict[str, str]]:
-    """Whose values a program of one slot a formula takes, by slot, in as many runs as reach all names."""
-    left = list(names)
+def finite(model: aj.Model) -> dict[str, float]:
+    """Values that a fit may change."""
+    return {name: float(x) for name, x in model.values.items() if math.isfinite(x)}
+
+
+def by_slots(program: Callable[[dict[str, Any]], Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Results by name of a program of one slot a formula, in as many runs as reach the data of all names."""
+    found, left = {}, list(given)
     slots = {name: name for name in left if name not in OTHER_VALUES}
     while left:
         of_slot = slots | {OTHER_VALUES.get(name, name): name for name in reversed(left)}
-        yield of_slot
-        left = [name for name in left if name not in of_slot.values()]
+        results = jax.device_get(program({slot: given[name] for slot, name in of_slot.items()}))
+        found |= {name: results[slot] for slot, name in of_slot.items()}
+        left = [name for name in left if name not in found]
+    return found

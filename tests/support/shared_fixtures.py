@@ -1,8 +1,7 @@
-"""Small recordings and their fits, made once; an empty folder for commands; figures that are closed."""
+"""Bounded memory; an empty folder for commands; figures that are neither rendered nor left open."""
 
 import contextlib
 import ctypes
-import dataclasses
 import functools
 import gc
 import os
@@ -12,12 +11,9 @@ from typing import Any
 
 import jax
 import jaxtyping
-import numpy as np
 import pytest
 
-import allanjax as aj
 from allanjax.base.cache import release_programs
-from allanjax.noise.notation import parse_model
 
 # Least and most memory [bytes] at which a process forgets its compiled programs: to trace them again takes
 # seconds each, so that of a large machine half is used.
@@ -62,47 +58,6 @@ def _memory() -> int:
     except OSError:
         return 0
     return pages * 4096
-
-
-@pytest.fixture(scope="session")
-def small_recording() -> aj.Recording:
-    """Three gyros in deg/s and an accelerometer in g, 200 s at 100 Hz."""
-    gyro = parse_model("N=0.2 deg/√h + B=20 deg/h", "gyro")
-    accel = parse_model("N=0.05 m/s/√h + K=200 m/s/h/√h", "accel")
-    models = {"gyro_x": gyro, "gyro_y": gyro, "gyro_z": gyro, "accel_z": accel}
-    return aj.simulate_recording(
-        models, 20_000, 100.0, 1, bias={"accel_z": 9.8}, accel_unit="g", name="small"
-    )
-
-
-@pytest.fixture(scope="session")
-def small_fit(small_recording: aj.Recording) -> aj.Fit:
-    """Its fit with the five basic terms."""
-    return aj.fit(small_recording)
-
-
-@pytest.fixture(scope="session")
-def half_failed_fit(small_fit: aj.Fit) -> aj.Fit:
-    """The same, had the second axis not converged."""
-    first, second, *others = small_fit.results
-    failed = dataclasses.replace(second, converged=False, reason="the start was hopeless")
-    return dataclasses.replace(small_fit, results=(first, failed, *others))
-
-
-@pytest.fixture(scope="session")
-def small_posterior(small_fit: aj.Fit) -> aj.Posterior:
-    """The posterior of one of its axes, from a short run of the sampler."""
-    return aj.sample(small_fit, ["gyro_x"], max_steps=400, min_length=5.0, absent_draws=64)
-
-
-@pytest.fixture(scope="session")
-def small_critique() -> aj.Critique:
-    """What is found in an axis of white noise and a line when only lines are looked for."""
-    noise = np.random.default_rng(4).normal(size=2048)
-    line = 0.7 * np.sin(2.0 * np.pi * 7.3 * np.arange(2048) / 100.0)
-    recording = aj.Recording.from_array(noise + line, 100.0, gyro_unit="deg/s", name="bench")
-    causes = [cause for cause in aj.critic.CAUSES if cause.name == "sinusoid"]
-    return aj.critique(recording, aj.fit(recording, aj.AngleRandomWalk()), causes=causes)
 
 
 @pytest.fixture

@@ -7,11 +7,8 @@ import numpy as np
 import allanjax as aj
 
 G = 9.8118
-EARTH_RATE_DEG_H = 15.041067
 #: The six positions: which axis points up or down, and the upward direction.
-SIX = {
-    f"{a} {way}": s * np.eye(3)[i] for i, a in enumerate("xyz") for way, s in (("up", 1.0), ("down", -1.0))
-}
+SIX = {f"{a} {way}": s * np.eye(3)[i] for i, a in enumerate("xyz") for way, s in (("up", 1), ("down", -1))}
 _DIAGONALS = np.array([[1, 1, 0], [1, 0, 1], [0, 1, 1], [1, -1, 0], [1, 0, -1], [0, 1, -1]]) / np.sqrt(2.0)
 #: The six, and twelve between them.
 EIGHTEEN = np.concatenate([np.stack(list(SIX.values())), _DIAGONALS, -_DIAGONALS])
@@ -34,15 +31,13 @@ BIAS = np.array([0.012, -0.021, 0.033])
 ERRORS = Errors(SN, BIAS, np.zeros(3))
 
 
-def at_rest(
-    means, n: int, rate: float, unit: str = "m/s²", name: str = "", axes: str = "xyz"
-) -> aj.Recording:
+def at_rest(means, n, rate, unit="m/s²", name="", axes="xyz") -> aj.Recording:
     """A recording that has exactly these means of its axes, and a scatter that nothing depends on."""
     scatter = np.tile([1.0, -1.0], n)[:n, None] * np.arange(1.0, n + 1.0)[:, None] % 7.0
     values = np.asarray(means, float) + 1e-6 * np.abs(means).max() * (scatter - scatter.mean())
     sensor = "accel" if unit.startswith("m") else "gyro"
-    units = {f"{sensor}_unit": unit}
-    return aj.Recording.from_array(values, rate, names=[f"{sensor}_{a}" for a in axes], name=name, **units)
+    options = {"names": [f"{sensor}_{a}" for a in axes], "name": name, f"{sensor}_unit": unit}
+    return aj.Recording.from_array(values, rate, **options)
 
 
 def dense(kernel, start, length, step: float, contrast: bool) -> np.ndarray:
@@ -50,12 +45,10 @@ def dense(kernel, start, length, step: float, contrast: bool) -> np.ndarray:
 
     With `contrast` of the deviations from the mean over all of the time.
     """
-    start, length = np.asarray(start, float), np.asarray(length, float)
+    start, length = np.asarray(start, float)[:, None], np.asarray(length, float)[:, None]
     time = np.arange(step / 2.0, (start + length).max(), step)
-    rows = np.stack([(time >= a) & (time < a + d) for a, d in zip(start, length, strict=True)]).astype(float)
-    rows /= rows.sum(axis=1, keepdims=True)
-    if contrast:
-        rows -= 1.0 / len(time)
+    rows = ((time >= start) & (time < start + length)).astype(float)
+    rows = rows / rows.sum(axis=1, keepdims=True) - contrast / len(time)
     return rows @ kernel(time[:, None], time[None, :]) @ rows.T
 
 
@@ -80,5 +73,4 @@ def least_squares(X: np.ndarray, y: np.ndarray, C: np.ndarray) -> Dense:
 
 def jacobian(function, at: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Derivatives of a vector by central differences."""
-    columns = [(function(at + s) - function(at - s)) / (2.0 * s.sum()) for s in np.diag(step)]
-    return np.stack(columns, axis=-1)
+    return np.stack([(function(at + s) - function(at - s)) / (2.0 * s.sum()) for s in np.diag(step)], axis=-1)
