@@ -125,6 +125,7 @@ def test_a_resonance_inside_a_filter_is_told_from_one_after_it(inside):
     assert result["resonance_frequency"].value == pytest.approx(20.0, rel=0.006)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("seed", [0, 1])
 def test_nothing_is_found_in_plain_noise(seed):
     """White noise, a random walk and a Markov process."""

@@ -1,7 +1,7 @@
 """Estimates, standard deviations and χ² of every objective, against dense matrices and scipy's optimum.
 
 The records are drawn by the root of a dense covariance. Of terms that are none of the joint model's own
-components each compiles programs of 15 s: all but the power law are in the studies.
+components each compiles programs of 15 s: they are for the studies.
 """
 
 import dataclasses
@@ -44,7 +44,12 @@ def fitted(model, x, objective, **options):
     return result, model.with_values(**found), list(found)
 
 
-@pytest.mark.parametrize("name", SPECTRA)
+def dear(names, *rare):
+    """All names; those whose programs compile for 15 s are for the studies."""
+    return [pytest.param(name, marks=[pytest.mark.study] * (name in rare)) for name in names]
+
+
+@pytest.mark.parametrize("name", dear(SPECTRA, "N + A"))
 def test_whittles_estimate_is_the_maximum_and_its_error_the_inverse_information(name):
     """Independent χ² levels about the diagonal of the dense covariance of the cosine coefficients.
 
@@ -95,7 +100,7 @@ ALLAN = {
 }
 
 
-@pytest.mark.parametrize("name", ALLAN)
+@pytest.mark.parametrize("name", dear(ALLAN, "N + markov"))
 def test_allan_variances_are_fitted_by_generalized_least_squares(name):
     """D'C⁻¹(V − μ) = 0 with all of it by quadratic forms: a further step is 5 % of a standard deviation.
 

@@ -1,6 +1,7 @@
 """What fits take and refuse, and what must not matter to them: units, biases, neighbours, starts."""
 
 import dataclasses
+import re
 
 import bench
 import golden_records as golden
@@ -34,33 +35,37 @@ def short(n):
 
 
 REFUSED = {
-    "objective": (lambda: aj.fit(SOME, "N", "spectrum"), aj.AllanjaxError, "whittle"),
-    "objective as model": (lambda: aj.fit(SOME, "whittle"), aj.AllanjaxError, "objective="),
-    "regressors of Allan": (
+    "fit: objective": (lambda: aj.fit(SOME, "N", "spectrum"), aj.AllanjaxError, "whittle"),
+    "fit: objective as model": (lambda: aj.fit(SOME, "whittle"), aj.AllanjaxError, "objective="),
+    "fit: regressors of Allan": (
         lambda: aj.fit(WITH_CHANNELS, "N", regressors=["temperature"]),
         aj.AllanjaxError,
         "whittle",
     ),
-    "no such channel": (
+    "fit: no such channel": (
         lambda: aj.fit(WITH_CHANNELS, "N", "whittle", regressors=["p"]),
         aj.AllanjaxError,
         "'p'",
     ),
-    "constant channel": (
+    "fit: constant channel": (
         lambda: aj.fit(WITH_CHANNELS, "N", "whittle", regressors=["constant"]),
         aj.AllanjaxError,
         "constant",
     ),
-    "no noise": (
+    "fit: no noise": (
         lambda: aj.fit(SOME, aj.Model((aj.DriftRamp(),)), "whittle"),
         aj.FitError,
         "AngleRandomWalk",
     ),
-    "too short": (lambda: aj.fit(short(20), FIVE), aj.FitError, "10 parameters"),
-    "response of Allan": (lambda: aj.fit(SOME, "low_pass1 * N"), aj.FitError, "whittle"),
-    "bandwidth": (lambda: aj.fit(SOME, aj.Butterworth(51.0) * WHITE, "whittle"), aj.AllanjaxError, "half"),
-    "step of Allan": (lambda: aj.fit(SOME, WHITE + aj.BiasStep(time=3.0)), aj.FitError, "whittle"),
-    "step without time": (lambda: aj.fit(SOME, WHITE + aj.BiasStep(), "whittle"), aj.FitError, "time"),
+    "fit: too short": (lambda: aj.fit(short(20), FIVE), aj.FitError, "10 parameters"),
+    "fit: response of Allan": (lambda: aj.fit(SOME, "low_pass1 * N"), aj.FitError, "whittle"),
+    "fit: bandwidth": (
+        lambda: aj.fit(SOME, aj.Butterworth(51.0) * WHITE, "whittle"),
+        aj.AllanjaxError,
+        "half",
+    ),
+    "fit: step of Allan": (lambda: aj.fit(SOME, WHITE + aj.BiasStep(time=3.0)), aj.FitError, "whittle"),
+    "fit: step without time": (lambda: aj.fit(SOME, WHITE + aj.BiasStep(), "whittle"), aj.FitError, "time"),
     "exact: no model": (lambda: aj.fit(SOME, None, "exact"), aj.FitError, "select_terms"),
     "exact: ramp": (lambda: aj.fit(SOME, "N + R", "exact"), aj.FitError, "drift_ramp"),
     "exact: power law": (lambda: aj.fit(SOME, "N + power_law", "exact"), aj.FitError, "hold"),
@@ -81,8 +86,8 @@ REFUSED = {
         aj.FitError,
         "whittle",
     ),
-    "axis": (lambda: aj.fit(SOME, "N", as_is=True)["gyro_x"], aj.FitError, "gyro_0"),
-    "coefficient": (lambda: aj.fit(SOME, "N", as_is=True)["gyro_0"]["markov"], aj.FitError, "markov"),
+    "fit: axis": (lambda: aj.fit(SOME, "N", as_is=True)["gyro_x"], aj.FitError, "gyro_0"),
+    "fit: coefficient": (lambda: aj.fit(SOME, "N", as_is=True)["gyro_0"]["markov"], aj.FitError, "markov"),
     "many: line": (lambda: aj.fit_many(CURVE, WHITE + aj.Sinusoid()), aj.FitError, "sinusoid"),
     "many: resonance": (lambda: aj.fit_many(CURVE, WHITE + aj.Resonance()), aj.FitError, "resonance"),
     "many: step": (lambda: aj.fit_many(CURVE, WHITE + aj.BiasStep(time=3.0)), aj.FitError, "bias_step"),
@@ -155,11 +160,20 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_done_is_refused(what):
-    call, error, word = REFUSED[what]
-    with pytest.raises(error, match=word):
+def refusal(call, error):
+    """What it says, or nothing where nothing is refused."""
+    try:
         call()
+    except error as raised:
+        return str(raised)
+    return ""
+
+
+@pytest.mark.parametrize("function", sorted({what.partition(":")[0] for what in REFUSED}))
+def test_what_cannot_be_done_is_refused(function):
+    for what, (call, error, word) in REFUSED.items():
+        if what.partition(":")[0] == function:
+            assert re.search(word, refusal(call, error)), what
 
 
 def test_an_axis_that_did_not_converge_is_no_result():
@@ -229,16 +243,16 @@ def test_starts_are_used_and_held_shapes_stay():
     rng = np.random.default_rng(4)
     x = golden.white(rng, 16_384, 1e-2) + golden.gauss_markov(rng, 16_384, 0.05, 0.3)
     asked = WHITE + aj.Markov(0.02, 0.5).hold("correlation_time")
-    for objective in ("allan", "whittle"):
-        result = aj.fit(recording(x, RATE), asked, objective, as_is=True, vibrating=True)["gyro_0"]
-        held = result["markov_correlation_time"]
-        assert (held.value, held.std, held.held, held.interval) == (0.5, 0.0, True, (0.5, 0.5))
-        assert result["markov_amplitude"].std >= 0.0
-        free = aj.fit(recording(x, RATE), "N + markov", objective, as_is=True, vibrating=True)["gyro_0"]
-        c = free["markov_correlation_time"]
-        assert abs(c.value - 0.3) < 4.0 * c.std
-        # A held time is one parameter less.
-        assert result.dof == free.dof + 1
+    result, free = (
+        aj.fit(recording(x, RATE), model, "whittle", as_is=True, vibrating=True)["gyro_0"]
+        for model in (asked, "N + markov")
+    )
+    held, c = result["markov_correlation_time"], free["markov_correlation_time"]
+    assert (held.value, held.std, held.held, held.interval) == (0.5, 0.0, True, (0.5, 0.5))
+    assert result["markov_amplitude"].std >= 0.0
+    assert abs(c.value - 0.3) < 4.0 * c.std
+    # A held time is one parameter less.
+    assert result.dof == free.dof + 1
 
 
 class PowerLaw(aj.NoiseTerm):

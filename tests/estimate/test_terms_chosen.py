@@ -143,18 +143,18 @@ def by_hand(**odds):
     return aj.AxisSelection(aj.Axis("gyro_x", "gyro", "rad/s"), sets, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("odds", "chosen"),
-    [
-        ({"N_K": 1.0, "N": 0.21}, "N"),
-        ({"N_K": 1.0, "N": 0.19}, "N_K"),
-        # Of equally many parameters, the more probable.
-        ({"N_B_K": 1.0, "N_K": 0.4, "N_B": 0.5}, "N_B"),
-        ({"N_K": 1.0, "N_B_K": 0.9}, "N_K"),
-    ],
-)
-def test_chosen_is_the_simplest_that_is_not_five_times_less_probable(odds, chosen):
-    assert by_hand(**odds).chosen.terms == tuple(NAMES[t] for t in chosen.split("_"))
+CHOSEN = [
+    ({"N_K": 1.0, "N": 0.21}, "N"),
+    ({"N_K": 1.0, "N": 0.19}, "N_K"),
+    # Of equally many parameters, the more probable.
+    ({"N_B_K": 1.0, "N_K": 0.4, "N_B": 0.5}, "N_B"),
+    ({"N_K": 1.0, "N_B_K": 0.9}, "N_K"),
+]
+
+
+def test_chosen_is_the_simplest_that_is_not_five_times_less_probable():
+    for odds, chosen in CHOSEN:
+        assert by_hand(**odds).chosen.terms == tuple(NAMES[t] for t in chosen.split("_"))
 
 
 def test_indistinguishable_are_those_with_odds_shorter_than_twenty():
@@ -166,39 +166,39 @@ def test_indistinguishable_are_those_with_odds_shorter_than_twenty():
     )
 
 
-@pytest.mark.parametrize(
-    ("odds", "told"),
-    [
-        ({"N_K": 1.0, "N_B": 0.5}, ["rate random walk from bias instability (67 % against 33 %)"]),
-        ({"N": 1.0, "N_K": 0.5}, ["whether there is rate random walk (67 % against 33 % with it)"]),
-        ({"N_K": 1.0, "N": 0.15}, ["whether there is rate random walk (87 % against 13 % without it)"]),
-        # Improbable, and no ambiguity worth a word.
-        ({"N": 1.0, "N_K": 0.06}, []),
-        ({"N": 1.0, "N_K": 0.01}, []),
-    ],
-)
-def test_ambiguities_name_what_is_swapped_or_doubtful_with_its_odds(odds, told):
-    assert list(by_hand(**odds).ambiguities()) == told
+AMBIGUOUS = [
+    ({"N_K": 1.0, "N_B": 0.5}, ["rate random walk from bias instability (67 % against 33 %)"]),
+    ({"N": 1.0, "N_K": 0.5}, ["whether there is rate random walk (67 % against 33 % with it)"]),
+    ({"N_K": 1.0, "N": 0.15}, ["whether there is rate random walk (87 % against 13 % without it)"]),
+    # Improbable, and no ambiguity worth a word.
+    ({"N": 1.0, "N_K": 0.06}, []),
+    ({"N": 1.0, "N_K": 0.01}, []),
+]
 
 
-@pytest.mark.parametrize(
-    ("odds", "doubtful"),
-    [
-        # Of 1.9 the sets with flicker have 1.1, so 58 %, those with a walk 47 %.
-        ({"N_B": 1.0, "N_K": 0.8, "N_B_K": 0.1}, {"B": "K"}),
-        # A ramp is in a probable set that does as well without it, and stands in for nothing.
-        ({"N_B": 1.0, "N_K": 0.8, "N_K_R": 0.3}, {"B": "K"}),
-        # Where the alternative is nothing at all, nothing stands in its place.
-        ({"N_K": 1.0, "N": 0.19}, {"K": ""}),
-        ({"N_K": 1.0, "N": 0.01, "N_B_K": 0.1}, {}),
-        # From 95 % on a term is certain.
-        ({"N_K": 1.0, "N": 0.052}, {}),
-        ({"N_K": 1.0, "N": 0.054}, {"K": ""}),
-    ],
-)
-def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share(odds, doubtful):
-    expected = {NAMES[t]: tuple(NAMES[r] for r in rivals) for t, rivals in doubtful.items()}
-    assert by_hand(**odds).doubtful() == expected
+def test_ambiguities_name_what_is_swapped_or_doubtful_with_its_odds():
+    for odds, told in AMBIGUOUS:
+        assert list(by_hand(**odds).ambiguities()) == told
+
+
+DOUBTFUL = [
+    # Of 1.9 the sets with flicker have 1.1, so 58 %, those with a walk 47 %.
+    ({"N_B": 1.0, "N_K": 0.8, "N_B_K": 0.1}, {"B": "K"}),
+    # A ramp is in a probable set that does as well without it, and stands in for nothing.
+    ({"N_B": 1.0, "N_K": 0.8, "N_K_R": 0.3}, {"B": "K"}),
+    # Where the alternative is nothing at all, nothing stands in its place.
+    ({"N_K": 1.0, "N": 0.19}, {"K": ""}),
+    ({"N_K": 1.0, "N": 0.01, "N_B_K": 0.1}, {}),
+    # From 95 % on a term is certain.
+    ({"N_K": 1.0, "N": 0.052}, {}),
+    ({"N_K": 1.0, "N": 0.054}, {"K": ""}),
+]
+
+
+def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share():
+    for odds, doubtful in DOUBTFUL:
+        expected = {NAMES[t]: tuple(NAMES[r] for r in rivals) for t, rivals in doubtful.items()}
+        assert by_hand(**odds).doubtful() == expected
 
 
 # --- Rankings of records ------------------------------------------------------------------------------------

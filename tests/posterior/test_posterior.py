@@ -187,7 +187,7 @@ def short():
     return of
 
 
-def test_the_likelihood_is_the_dense_one(records, posteriors, short):
+def test_the_likelihood_is_the_dense_one(records, posteriors):
     """Of the samples' differences, to what bins of a sixth of an octave cost; of levels to rounding."""
     model = WHITE + WALK
     for kind in ("clear", "weak"):
@@ -196,7 +196,11 @@ def test_the_likelihood_is_the_dense_one(records, posteriors, short):
         same_density(axis, lambda v, whole=whole: -whole.value(model.with_values(**v)), 0.1)
         levels = Spectrum(x, RATE, fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges)
         same_density(axis, lambda v, levels=levels: -levels.value(model.with_values(**v)), 1e-3)
-    # Filters and resonances: of the density at two nodes of a bin.
+
+
+@pytest.mark.study
+def test_the_likelihood_of_filters_and_resonances_is_the_dense_one(short):
+    """Of the density at two nodes of a bin. Their programs compile for 20 s."""
     model = aj.LowPass1(1.5) * WHITE + aj.Resonance(0.3, 2.5, 5.0)
     x = drawn(model, N, RATE, 6)[:, 0]
     fit = fit_of(x, model)
@@ -376,10 +380,11 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "word"), REFUSED)
-def test_what_cannot_be_done_is_refused(records, arguments, word):
-    with pytest.raises(aj.AllanjaxError, match=word):
-        aj.sample(fit_of(records["clear"], "N + K"), **({"axes": "gyro_0", "progress": False} | arguments))
+def test_what_cannot_be_done_is_refused(records):
+    fit = fit_of(records["clear"], "N + K")
+    for arguments, word in REFUSED:
+        with pytest.raises(aj.AllanjaxError, match=word):
+            aj.sample(fit, **({"axes": "gyro_0", "progress": False} | arguments))
 
 
 def test_held_parameters_and_shapes_of_what_is_absent(records):

@@ -6,6 +6,7 @@ known up to a constant: right for filters that sum to zero. Lines and ramps have
 whose phase or sign is random. Terms that are read at the instants of the samples have that of these.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import mpmath as mp
@@ -124,14 +125,33 @@ def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
 # --- Terms --------------------------------------------------------------------------------------------------
 
 
+# What was worked out: by term of unit amplitude and rate. Amplitudes are what maximizers mostly move.
+_KNOWN: dict[tuple, np.ndarray] = {}
+
+
 def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance of samples of a term that are 0 … n − 1 apart."""
     if (read := AT_INSTANTS.get(type(term).__name__)) is not None:
         return read(term, np.arange(n) / rate)
+    if (G_of := PHASE.get(type(term).__name__)) is None:
+        return _second_differences(_of_its_own, term, n, rate)
+    size = next((p.name for p in term.parameters() if p.is_amplitude), None)
+    if size is None or not getattr(term, size):
+        return _second_differences(G_of, term, n, rate)
+    unit = dataclasses.replace(term, **{size: 1.0})
+    key = (type(term), rate, *(getattr(unit, p.name) for p in unit.parameters()))
+    if len(_KNOWN.get(key, ())) < n:
+        _KNOWN[key] = _second_differences(G_of, unit, n, rate)
+    # With more digits, lest equal eigenvalues of white noise depend on how a square is rounded.
+    return (np.longdouble(getattr(term, size)) ** 2 * _KNOWN[key][:n]).astype(float)
+
+
+def _second_differences(G_of: Callable, term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
+    """Of G at multiples of the interval, over its square."""
     with mp.workdps(DIGITS):
         h = 1 / mp.mpf(rate)
-        G_of = PHASE.get(type(term).__name__, _of_its_own)(term)
-        G = [G_of(k * h) for k in range(n + 1)]
+        G_of_lag = G_of(term)
+        G = [G_of_lag(k * h) for k in range(n + 1)]
         G = [G[1], *G]
         return np.array([float(-(G[k] - 2 * G[k + 1] + G[k + 2]) / h**2) for k in range(n)])
 
