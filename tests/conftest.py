@@ -49,6 +49,9 @@ if _FIRST:
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
     os.environ["MPLBACKEND"] = "agg"
+    # Workers whose linear algebra has threads of its own wait for each other most of the time.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     os.environ.setdefault("XLA_FLAGS", _faster())
 
 pytest_plugins = ["shared_fixtures"]
