@@ -19,7 +19,7 @@ sys.path.append(str(ROOT))
 
 #: Most programs that a run of the default tests may compile: each costs its process about a second. It is as
 #: many as the package needs while every length and every kind of fit has programs of its own; 80 is the aim.
-PROGRAMS = 400
+PROGRAMS = 420
 #: Processor seconds from which on a test is named at the end of a run.
 LONG = 10.0
 
