@@ -25,7 +25,6 @@ POSTERIORS = {"small": ("gyro_x",), "walk": ("gyro_y",), "markov_fast": ("gyro_x
 CRITIQUES = (*EFFECTS, *CLEAN)
 RANKED = ("small", "quantized", "markov_fast")
 TARGETS = ("kalibr", "vins-mono", "gtsam")
-Numbers = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
