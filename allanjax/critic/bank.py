@@ -18,6 +18,7 @@ from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
+from allanjax.base.seeds import seed_of
 from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
@@ -26,8 +27,6 @@ from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 _DRAWS = 400
 # Largest growth of the logarithm of the number of independent filters per unit of the output: a judgement.
 _GROWTH = 0.6
-# Steps between zero and the largest of some coefficients, to which they are rounded where they are a seed.
-_DIGITS = 1e6
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 8
 #: Smallest share of a shape's squared norm that is left after projection; less is rounding.
@@ -158,16 +157,10 @@ class Bank:
         matched = self.matched(view, noise)
         # Seven digits are plenty for draws, and half the work. Each record has draws of its own: with the
         # same for all, their p-values would all be wrong alike.
-        rng = np.random.default_rng(_seed(view.coefficients[:_FOLD_BLOCK]))
+        rng = np.random.default_rng(seed_of(view.coefficients[:SLOW]))
         draws = rng.standard_normal((len(matched.whitened), _DRAWS), np.float32)
         outputs = matched.rows().astype(np.float32) @ draws
         return extrapolated(np.max(abs(outputs) / matched.lengths[:, None], axis=0), abs(snr))
-
-
-def _seed(c: Float[np.ndarray, " k"]) -> list[int]:
-    """Seed by coefficients that are rounded: records that differ in their last bits have the same."""
-    largest = max(float(np.max(abs(c))), 1e-300)
-    return [int(x) for x in np.rint(_DIGITS * (1.0 + c / largest))]
 
 
 def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:

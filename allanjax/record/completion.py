@@ -14,13 +14,13 @@ Lett. 380, L5 (1991).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from zlib import crc32
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.fft import dct, idct, rfft
 
 from allanjax.base.errors import RecordingError
+from allanjax.base.seeds import seed_of
 from allanjax.base.wording import duration, plain
 
 # Largest share of an axis's samples that is completed.
@@ -33,8 +33,6 @@ _FEWEST, _SHARE = 4, 0.01
 # Conjugate gradients: most steps, the part of d'C⁻¹d that does not matter beside that of one draw, and
 # samples that are solved for at once.
 _STEPS, _EXACT, _BLOCK = 100, 1e-3, 256
-# Levels in the range of a record to which its samples are rounded for the seed of its draws.
-_LEVELS = 1e3 * np.sqrt(3.0)
 
 
 def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
@@ -71,7 +69,7 @@ def completed(
                 "take the longest stretch without gaps by gaps='segments' (--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])
-        rng = np.random.default_rng(_seed(x))
+        rng = np.random.default_rng(seed_of(x))
         v, changed = _spectrum(x), np.inf
         for _ in range(_TURNS):
             draw = in_time(np.sqrt(v) * rng.standard_normal(n - 1)) + x.mean()
@@ -86,15 +84,6 @@ def completed(
                 break
         full[:, k] = x
     return full
-
-
-def _seed(x: Float[np.ndarray, " n"]) -> int:
-    """Seed of a record's draws: other samples, other draws, but the same whatever their unit and last bits.
-
-    Samples are rounded to a share of their range that no output's steps are halves of.
-    """
-    levels = np.rint((x - x.min()) / np.ptp(x) * _LEVELS)
-    return crc32(levels.astype("<i4").tobytes())
 
 
 def bridged(x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
