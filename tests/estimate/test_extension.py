@@ -14,7 +14,6 @@ import allanjax as aj
 
 RATE, N = 100.0, 16_384
 KINDS = ("one_pole", "resonance", "filtered")
-DEGREE = np.pi / 180.0 / 60.0
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -28,9 +27,8 @@ def test_an_axis_that_the_plain_terms_do_not_follow_is_corrected(name):
         assert abs(c.value - truth["angle_random_walk"]) < 4.0 * c.std
         assert not plain.measured or plain["N"].std > 1.2 * c.std
         assert plain.own_template is None
-        assert (plain.mean, plain.widening) == (pytest.approx(result.mean, nan_ok=True), 1.0) or np.isnan(
-            plain.mean
-        )
+        assert plain.widening == 1.0
+        assert plain.mean == pytest.approx(result.mean)
         # The model is what was measured, up to a thousandth and four standard errors.
         k = fit.axes.index(result.axis.name)
         time = fit.curve.cluster_time
@@ -39,13 +37,8 @@ def test_an_axis_that_the_plain_terms_do_not_follow_is_corrected(name):
         often = fit.curve.edf[:, k] > 50.0
         assert (abs(ratio - 1.0) < 4.0 * error + 0.01)[often].all()
         # Filter, resonances and lines are told apart from the terms of the sensor.
-        own = result.own_template
-        assert (
-            set(result.further)
-            == {label for label in result.coefficients if label.split("_")[0] in ("resonance", "sinusoid")}
-            and {"resonance"}
-        ) or len(result.further) > 0
-        assert (own.response is not None) == (name != "resonance")
+        assert set(result.further) == {c.term for c in result.coefficients.values()} - set(plain.coefficients)
+        assert (result.own_template.response is not None) == (name != "resonance")
     assert not any(r.own_template for r in bench.fit("small").results)
 
 
@@ -63,11 +56,7 @@ def test_what_was_corrected_for_is_told_with_its_numbers(name):
             if response == "low_pass1":
                 assert abs(c.value - truth["low_pass1_bandwidth"]) < 4.0 * c.std
         if name != "one_pole":
-            place = next(
-                c
-                for label, c in result.coefficients.items()
-                if re.fullmatch(r"resonance\w*_frequency", label)
-            )
+            place = next(c for k, c in result.coefficients.items() if re.match(r"resonance\w*_freq", k))
             assert f"{place.value:.3g}" in text
             assert abs(place.value - truth["resonance_frequency"]) < 4.0 * place.std
         # From the plain N to that of the whole model.
@@ -99,13 +88,8 @@ def test_regressors_leave_the_terms_plain():
     """A fit with regressors has no extension, which would be without them."""
     record = bench.recording("one_pole")
     slow = np.sin(np.arange(record.n) / 5000.0) + np.arange(record.n) / record.n
-    found = aj.fit(
-        dataclasses.replace(record, auxiliary={"temperature": slow}),
-        None,
-        "whittle",
-        regressors=["temperature"],
-        as_is=True,
-    )
+    whole = dataclasses.replace(record, auxiliary={"temperature": slow})
+    found = aj.fit(whole, None, "whittle", regressors=["temperature"], as_is=True)
     assert all(result.own_template is None and result.regression for result in found.results)
 
 
@@ -160,9 +144,7 @@ def test_a_mean_over_many_samples_is_found():
     fine, width, rng = 20, 560, np.random.default_rng(5)
     total = np.cumsum(rng.standard_normal((N + 28) * fine))
     x = (total[width:] - total[:-width])[::fine][:N] / width
-    (result,) = aj.fit(
-        recording(x, RATE), "moving_average * N", "whittle", as_is=True, vibrating=True
-    ).results
+    (result,) = aj.fit(recording(x, RATE), "moving_average * N", "whittle", as_is=True).results
     assert abs(0.4429465 * RATE / result["moving_average_bandwidth"].value - 28.0) < 0.05
     assert result.misfit is None
 

@@ -7,6 +7,7 @@ whose phase or sign is random. Terms that are read at the instants of the sample
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 
 import mpmath as mp
@@ -27,30 +28,6 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
 def covariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance [rate²] of n samples, up to a constant; of a stationary model it is the true one."""
     return toeplitz(autocovariance(model, n, rate))
-
-
-def loglikelihood(
-    x: np.ndarray,
-    model: aj.Model | aj.NoiseTerm,
-    rate: float,
-    mean: bool = True,
-    missing: np.ndarray | None = None,
-) -> float:
-    """Gaussian log-density [nats] of samples less those that are missing.
-
-    With `mean` that of the differences of successive ones, on which an unknown mean has no influence;
-    else that of the samples themselves about zero, which the model must have a true covariance for.
-    """
-    x = np.asarray(x, float)
-    there = np.ones(len(x), bool) if missing is None else ~np.asarray(missing, bool)
-    C = covariance(model, len(x), rate)[np.ix_(there, there)]
-    z = x[there]
-    if mean:
-        D = np.diff(np.eye(len(z)), axis=0)
-        C, z = D @ C @ D.T, np.diff(z)
-    L = np.linalg.cholesky(C)
-    u = np.linalg.solve(L, z)
-    return float(-0.5 * (u @ u + len(z) * np.log(2.0 * np.pi)) - np.sum(np.log(np.diag(L))))
 
 
 def autocovariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
@@ -125,32 +102,24 @@ def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
 # --- Terms --------------------------------------------------------------------------------------------------
 
 
-# What was worked out: by term of unit amplitude and rate. Amplitudes are what maximizers mostly move.
-_KNOWN: dict[tuple, np.ndarray] = {}
-
-
 def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance of samples of a term that are 0 … n − 1 apart."""
-    if (read := AT_INSTANTS.get(type(term).__name__)) is not None:
-        return read(term, np.arange(n) / rate)
-    if (G_of := PHASE.get(type(term).__name__)) is None:
-        return _second_differences(_of_its_own, term, n, rate)
-    size = next((p.name for p in term.parameters() if p.is_amplitude), None)
-    if size is None or not getattr(term, size):
-        return _second_differences(G_of, term, n, rate)
-    unit = dataclasses.replace(term, **{size: 1.0})
-    key = (type(term), rate, *(getattr(unit, p.name) for p in unit.parameters()))
-    if len(_KNOWN.get(key, ())) < n:
-        _KNOWN[key] = _second_differences(G_of, unit, n, rate)
-    # With more digits, lest equal eigenvalues of white noise depend on how a square is rounded.
-    return (np.longdouble(getattr(term, size)) ** 2 * _KNOWN[key][:n]).astype(float)
+    kind = type(term).__name__
+    if kind in AT_INSTANTS:
+        return AT_INSTANTS[kind](term, np.arange(n) / rate)
+    name = next((p.name for p in term.parameters() if p.is_amplitude and kind in PHASE), None)
+    if name is None or not (size := getattr(term, name)):
+        return _second_differences(term, n, rate)
+    # Amplitudes are what maximizers mostly move.
+    return size**2 * _second_differences(dataclasses.replace(term, **{name: 1.0}), n, rate)
 
 
-def _second_differences(G_of: Callable, term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
+@functools.lru_cache(maxsize=256)
+def _second_differences(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Of G at multiples of the interval, over its square."""
     with mp.workdps(DIGITS):
         h = 1 / mp.mpf(rate)
-        G_of_lag = G_of(term)
+        G_of_lag = PHASE.get(type(term).__name__, _of_its_own)(term)
         G = [G_of_lag(k * h) for k in range(n + 1)]
         G = [G[1], *G]
         return np.array([float(-(G[k] - 2 * G[k + 1] + G[k + 2]) / h**2) for k in range(n)])
