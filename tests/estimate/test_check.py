@@ -6,9 +6,9 @@ import bench
 import numpy as np
 import pandas as pd
 import pytest
-from commands import run
 from dense_fits import recording
 from places import DATA
+from scipy.signal import lfilter
 from white_and_walk import bound
 
 import allanjax as aj
@@ -81,7 +81,7 @@ WRONG = {
     "irregular": (lambda d: {TIME: t + RNG(1).uniform(-0.45, 0.45, N) / RATE}, "jitter", "stop", "0.00366 s"),
     "gap": (lambda d: {TIME: t + 2.0 * (t >= 81.92)}, "gaps", "stop", "2.01 s"),
     "knocked": (lambda d: {k: d[k] + KNOCK for k in ACCEL}, "disturbances", "look", "coefficients are of"),
-    "warm": (lambda d: {X: d[X] + 0.2 / np.ptp(d[WARM]) * d[WARM]}, "temperature", "look", "gyro_x follows"),
+    "warm": (lambda d: {X: d[X] + 0.2 * (d[WARM] - 25.0) / np.ptp(d[WARM])}, "temperature", "look", "gyro_x f"),
     "holes": (lambda d: {WARM: d[WARM].where(abs(t - 1.5) > 0.5)}, "temperature", "look", "are missing"),
     "short": (lambda d: d[:2048], "length", "look", "too short for B and K"),
 }  # fmt: skip
@@ -104,11 +104,9 @@ def test_one_thing_wrong_is_told_in_its_line(what):
 def test_without_time_stamps_rate_and_gaps_cannot_be_seen():
     found = aj.check(clean(2048).drop(columns=TIME), rate=RATE)
     assert {found[name].verdict for name in ("rate", "jitter", "gaps")} == {"look"}
-    clock = {"time": np.arange(2048) / RATE}
-    line = aj.check(recording(clean(2048)[GYRO[0]].to_numpy(), 50.0, **clock))["rate"]
+    line = aj.check(recording(clean(2048)[X], 50.0, time=t[:2048]))["rate"]
     assert line.verdict == "stop"
-    assert "100 Hz" in line.reason
-    assert "50 Hz" in line.reason
+    assert ("100 Hz" in line.reason, "50 Hz" in line.reason) == (True, True)
 
 
 def test_the_rate_is_compared_with_the_bandwidth():
@@ -119,11 +117,9 @@ def test_the_rate_is_compared_with_the_bandwidth():
     told, _, rest = line.reason.partition(" Hz (gyro_x), the rate is ")
     assert float(told) == pytest.approx(fit.model.response.half_power, rel=5e-3)
     assert float(rest.partition(" times")[0]) == pytest.approx(RATE / float(told), rel=0.02)
-    rng = np.random.default_rng(3)
-    x, w = np.zeros(N), np.exp(-2.0 * np.pi * 40.0 / RATE)
-    for k, z in enumerate(rng.standard_normal(N)):
-        x[k] = w * x[k - 1] + (1.0 - w) * z
-    assert aj.check(recording(1e-4 * x, RATE))["bandwidth"].verdict == "look"
+    w, z = np.exp(-0.8 * np.pi), np.random.default_rng(3).standard_normal(N)
+    x = 1e-4 * lfilter([1.0 - w], [1.0, -w], z)
+    assert aj.check(recording(x, RATE))["bandwidth"].verdict == "look"
 
 
 def test_real_sensors_are_not_stopped():
@@ -171,16 +167,3 @@ def test_lengths_are_those_of_the_cramer_rao_bound():
                 assert needed == pytest.approx(target, rel=0.02)
     # Of walks that are seen, but known to a third only.
     assert seen >= 2
-
-
-@pytest.mark.usefixtures("elsewhere")
-def test_the_command_exits_with_1_if_a_file_is_bad_and_the_others_go_on():
-    table = clean(2048)
-    table.to_csv("short.csv", index=False)
-    table.assign(**{TIME: table[TIME] + 2.0 * (table[TIME] > 10.0)}).to_csv("gap.csv", index=False)
-    result = run("check", "gap.csv", "short.csv", "missing.csv", "--json")
-    assert result.exit_code == 1
-    document = json.loads(result.stdout)
-    told = [(c["file"], c["verdict"]) for c in document["checks"]]
-    assert told == [("gap.csv", "stop"), ("short.csv", "look")]
-    assert [e["file"] for e in document["errors"]] == ["missing.csv"]

@@ -38,7 +38,7 @@ def test_white_noise_has_the_intervals_of_its_chi_square_law(n):
 def test_amplitudes_have_the_limits_of_the_likelihoods_profile():
     """Scores at hypotheses and the ratio of likelihoods agree where an amplitude is known to a tenth."""
     model = WHITE + aj.RateRandomWalk(1.0)
-    x = drawn(model, N, RATE, 2)[:, 0]
+    x = drawn(model, N, RATE, 3)[:, 0]
     result, found, labels = fitted(model, x, "whittle", RATE)
     dense = Spectrum(x, RATE, result.spectrum.bins.edges)
     for label in labels:

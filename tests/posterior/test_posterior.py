@@ -102,14 +102,14 @@ def test_marginals_are_those_of_quadrature(records, posteriors, kind):
     assert low <= factor < high
 
 
-@pytest.mark.parametrize(
-    "term", [aj.RateRandomWalk(1.0), aj.BiasInstability(1.0), aj.Quantization(1.0)], ids=str
-)
+TERMS = [aj.RateRandomWalk(1.0), aj.BiasInstability(1.0), aj.Quantization(1.0)]
+
+
+@pytest.mark.parametrize("term", TERMS, ids=str)
 def test_limits_of_terms_not_sampled_are_those_of_quadrature(records, posteriors, term):
     """256 draws of N: below 1 % each in several repetitions. Flicker's levels above 64 are approximate."""
-    axis = posteriors["absent"]
+    axis, label = posteriors["absent"], term.name()
     assert axis.labels == ("angle_random_walk",)
-    label = term.name()
     c, grid = axis[label], Grid(records["absent"], axis, term, label)
     for value, u in ((c.upper_limit, 0.95), (c.median, 0.5), (c.interval_68[1], 0.68)):
         assert grid.probability("K", value * 1.04) > u > grid.probability("K", value / 1.04), u
@@ -146,48 +146,43 @@ def same_density(axis, dense, tolerance, count=12):
     """The log-posterior along the chain less the priors is a log-likelihood but for a constant [nats]."""
     steps = np.linspace(0, axis.chain[..., 0].size - 1, count).astype(int)
     points = axis.chain.reshape(-1, len(axis.labels))[steps]
-    found = axis.log_probability.ravel()[steps]
-    for i, label in enumerate(axis.labels):
-        found = found - np.asarray(axis.priors[label].log_density(points[:, i]))
+    prior = sum(np.asarray(axis.priors[k].log_density(points[:, i])) for i, k in enumerate(axis.labels))
     exact = np.array([dense(dict(zip(axis.labels, p, strict=True))) for p in points.tolist()])
     assert np.ptp(exact) > 1.0
-    difference = found - exact
+    difference = axis.log_probability.ravel()[steps] - prior - exact
     np.testing.assert_allclose(difference, difference.mean(), atol=tolerance)
 
 
-@pytest.fixture(scope="module")
-def short():
-    """What makes a short chain, for its density alone."""
+def short(fit, axis="gyro_0"):
+    """A short chain, for its density alone."""
+    with pytest.warns(aj.PosteriorWarning):
+        return aj.sample(fit, axis, max_steps=40, seed=2, progress=False)[axis]
 
-    def of(fit, axis="gyro_0", **options):
-        with pytest.warns(aj.PosteriorWarning):
-            return aj.sample(fit, axis, max_steps=40, seed=2, progress=False, **options)[axis]
 
-    return of
+def law(dense, model, widening=1.0):
+    """Log-likelihood as a function of values."""
+    return lambda values: -dense.value(model.with_values(**values)) / widening**2
 
 
 def test_the_likelihood_is_the_dense_one(records, posteriors):
     """Of the samples' differences, to what bins of a sixth of an octave cost; of levels to rounding."""
-    model = WHITE + WALK
     for kind in ("clear", "weak"):
         x, axis = records[kind], posteriors[kind]
-        whole = Gaussian(x, RATE)
-        same_density(axis, lambda v, whole=whole: -whole.value(model.with_values(**v)), 0.1)
-        levels = Spectrum(x, RATE, fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges)
-        same_density(axis, lambda v, levels=levels: -levels.value(model.with_values(**v)), 1e-3)
+        same_density(axis, law(Gaussian(x, RATE), WHITE + WALK), 0.1)
+        edges = fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges
+        same_density(axis, law(Spectrum(x, RATE, edges), WHITE + WALK), 1e-3)
 
 
 @pytest.mark.study
-def test_the_likelihood_of_filters_and_resonances_is_the_dense_one(short):
+def test_the_likelihood_of_filters_and_resonances_is_the_dense_one():
     """Of the density at two nodes of a bin. Their programs compile for 20 s."""
     model = aj.LowPass1(1.5) * WHITE + aj.Resonance(0.3, 2.5, 5.0)
     x = drawn(model, N, RATE, 6)[:, 0]
     fit = fit_of(x, model)
-    levels = Spectrum(x, RATE, fit["gyro_0"].spectrum.bins.edges)
-    same_density(short(fit), lambda v: -levels.value(model.with_values(**v)), 0.05)
+    same_density(short(fit), law(Spectrum(x, RATE, fit["gyro_0"].spectrum.bins.edges), model), 0.05)
 
 
-def test_regressors_and_ramps_of_either_sign_are_integrated_out(short):
+def test_regressors_and_ramps_of_either_sign_are_integrated_out():
     """The regressor over a flat prior; the ramp is a mixture of both signs."""
     z = np.cumsum(np.random.default_rng(7).normal(size=N)) / 10.0
     x = drawn(WHITE, N, RATE, 5)[:, 0] - 0.02 * T + 0.1 * z
@@ -202,13 +197,12 @@ def test_regressors_and_ramps_of_either_sign_are_integrated_out(short):
     same_density(short(fit), exact, 0.02)
 
 
-def test_a_line_is_averaged_over_its_phase(short):
+def test_a_line_is_averaged_over_its_phase():
     """White noise: the average of exp over phases is a Bessel function of the line's own amplitude.
 
     Beyond 64 coefficients from the line its best fit is taken out whatever the point: some tenths of a nat.
     """
-    f, A = 2.345, 0.25
-    x = drawn(WHITE, N, RATE, 6)[:, 0] + A * np.cos(2.0 * np.pi * f * T + 1.0)
+    x = drawn(WHITE, N, RATE, 6)[:, 0] + 0.25 * np.cos(2.0 * np.pi * 2.345 * T + 1.0)
     z = x - x.mean()
 
     def exact(v):
@@ -223,7 +217,7 @@ def test_a_line_is_averaged_over_its_phase(short):
     same_density(short(fit_of(x, "N + sinusoid")), exact, 0.7, 20)
 
 
-def test_allan_variances_have_correlated_chi_square_laws(short):
+def test_allan_variances_have_correlated_chi_square_laws():
     """Of every second one: normal scores of cube roots, with the correlations of quadratic forms."""
     n, model = 128, WHITE + WALK
     x = drawn(model, n, RATE, 7)[:, 0]
@@ -243,7 +237,7 @@ def test_allan_variances_have_correlated_chi_square_laws(short):
     same_density(short(fit), exact, 0.15)
 
 
-def test_a_record_with_missing_samples_has_a_wider_posterior(short):
+def test_a_record_with_missing_samples_has_a_wider_posterior():
     """By the factor of its fit, √(1/(1 − f) + f): of one axis a fifth is missing, of the other nothing."""
     x = drawn(WHITE + WALK, N, RATE, 9, 2)
     x[np.random.default_rng(17).random(N) < 0.2, 0] = np.nan
@@ -252,11 +246,9 @@ def test_a_record_with_missing_samples_has_a_wider_posterior(short):
     share = np.mean(np.isnan(x[:, 0]))
     factor = np.sqrt(1.0 / (1.0 - share) + share)
     assert [r.widening for r in fit.results] == pytest.approx([factor, 1.0])
-    model = WHITE + WALK
     for k, by in enumerate((factor, 1.0)):
         dense = Spectrum(whole.values[:, k], RATE, fit.results[k].spectrum.bins.edges)
-        exact = lambda v, d=dense, by=by: -d.value(model.with_values(**v)) / by**2  # noqa: E731
-        same_density(short(fit, f"gyro_{k}"), exact, 1e-3)
+        same_density(short(fit, f"gyro_{k}"), law(dense, WHITE + WALK, by), 1e-3)
 
 
 @pytest.mark.parametrize("objective", ["whittle", "allan"])
@@ -282,10 +274,8 @@ def test_a_users_prior_is_obeyed(records):
     """A band of what the data allow: the median by quadrature."""
     x, prior = records["weak"], aj.LogUniform(0.01, 0.05)
     axis = aj.sample(fit_of(x, "N + K"), priors={"rate_random_walk": prior}, seed=1, progress=False)["gyro_0"]
-    walk = axis.chain[:, :, 1]
     assert axis.priors["rate_random_walk"] == prior
-    assert prior.lower <= walk.min()
-    assert walk.max() <= prior.upper
+    assert prior.lower <= axis.chain[:, :, 1].min() <= axis.chain[:, :, 1].max() <= prior.upper
     grid, c = Grid(x, axis), axis["rate_random_walk"]
     assert grid.probability("K", 1.04 * c.median) > 0.5 > grid.probability("K", c.median / 1.04)
     # Zero is excluded beforehand.
@@ -319,16 +309,15 @@ def test_a_chain_that_is_too_short_warns_what_to_do(records):
 @pytest.mark.filterwarnings("ignore::allanjax.PosteriorWarning")
 def test_seeds_and_axes_have_their_own_streams(records, capsys):
     fit = fit_of(np.column_stack([records["clear"]] * 2), "N + K")
-    given = {"both": (None, 5), "one": ("gyro_1", 5), "other": (["gyro_1"], 6)}
-    chains = {
-        key: aj.sample(fit, axes, seed=seed, max_steps=20, progress=False)
-        for key, (axes, seed) in given.items()
-    }
+    both, one, other = (
+        aj.sample(fit, axes, seed=seed, max_steps=20, progress=False)
+        for axes, seed in ((None, 5), ("gyro_1", 5), (["gyro_1"], 6))
+    )
     assert capsys.readouterr() == ("", "")
-    np.testing.assert_array_equal(chains["both"]["gyro_1"].draws, chains["one"]["gyro_1"].draws)
-    assert not np.array_equal(chains["both"]["gyro_0"].draws, chains["both"]["gyro_1"].draws)
-    assert not np.array_equal(chains["one"]["gyro_1"].draws, chains["other"]["gyro_1"].draws)
-    assert chains["one"]["gyro_1"].chain.shape[1] == 32
+    np.testing.assert_array_equal(both["gyro_1"].draws, one["gyro_1"].draws)
+    assert not np.array_equal(both["gyro_0"].draws, both["gyro_1"].draws)
+    assert not np.array_equal(one["gyro_1"].draws, other["gyro_1"].draws)
+    assert one["gyro_1"].chain.shape[1] == 32
     assert aj.sample(fit, "gyro_0", max_steps=20, walkers=8, progress=True)["gyro_0"].chain.shape[1] == 8
     out, err = capsys.readouterr()
     assert out == ""

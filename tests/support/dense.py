@@ -8,7 +8,7 @@ whose phase or sign is random. Terms that are read at the instants of the sample
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import mpmath as mp
 import numpy as np
@@ -51,37 +51,6 @@ def allan_variance(C: np.ndarray, m: int) -> float:
     """Allan variance of clusters of m samples under the covariance of 2m or more."""
     w = np.repeat([-1.0, 1.0], m) / m
     return float(w @ C[: 2 * m, : 2 * m] @ w / 2.0)
-
-
-def _differences(R: np.ndarray, mi: int, mj: int) -> np.ndarray:
-    """Covariance of differences of adjacent averages over mi samples, and over mj that begin s later.
-
-    s is −(n − 1) … n − 1, of which the ends are wrong where a difference would lie outside.
-    """
-    both = np.concatenate([R[:0:-1], R])
-    wi, wj = (np.repeat([-1.0, 1.0], m) / m for m in (mi, mj))
-    # Σ_ab w_a w_b R(s + b − a).
-    lags = np.convolve(wi, wj[::-1])
-    return signal.fftconvolve(both, lags)[2 * mj - 1 :][: len(both)]
-
-
-def allan_covariance(
-    R: np.ndarray, sizes: Sequence[int], strides: Sequence[int], repeated: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Covariance of Allan variances of n samples: over all pairs of differences the mean of C²/2.
-
-    Less the same for what is in every record, whose autocovariance is `repeated`.
-    """
-    n, V = len(R), np.empty((len(sizes), len(sizes)))
-    first = np.arange(n)
-    starts = [(first % s == 0) & (first <= n - 2 * m) for m, s in zip(sizes, strides, strict=True)]
-    for i, mi in enumerate(sizes):
-        for j, mj in enumerate(sizes[: i + 1]):
-            pairs = signal.correlate(starts[j].astype(float), starts[i].astype(float), "full", "direct")
-            C, fixed = (_differences(x, mi, mj) for x in (R, repeated + 0.0 * R))
-            used = pairs > 0
-            V[i, j] = V[j, i] = pairs[used] @ (C**2 - fixed**2)[used] / pairs.sum() / 2.0
-    return V
 
 
 def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -214,30 +183,23 @@ AT_INSTANTS: dict[str, Callable] = {
 
 def pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
     """Autocorrelation of a filter's pulse at lags 0 … q − 1; together with those below zero it sums to 1."""
-    found = _pulse_autocorrelation(response, rate)
-    last = np.flatnonzero(abs(found) > _GONE * found[0])[-1]
-    found = found[: last + 1]
-    return found / (2.0 * found.sum() - found[0])
-
-
-def _pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
-    """The same but for a factor, over longer than it lasts."""
     kind, f = type(response).__name__, response.bandwidth / rate
     if kind == "MovingAverage":
         # sinc²(x) = 1/2 at x = 0.44295, so that the mean is over 0.44295/f samples.
         half = float(mp.findroot(lambda x: mp.sincpi(x) ** 2 - 0.5, 0.443))
-        return np.maximum(half / f - np.arange(70), 0.0)
-    if kind == "LowPass1":
-        return np.exp(-2.0 * np.pi * f * np.arange(_lasting(f)))
-    if kind == "LowPass2":
+        found = np.maximum(half / f - np.arange(70), 0.0)
+    elif kind == "LowPass1":
+        found = np.exp(-2.0 * np.pi * f * np.arange(_lasting(f)))
+    elif kind == "LowPass2":
         Q = response.quality_factor
-        return oscillator(np.arange(_lasting(f / (2.0 * Q))), f, Q)
-    one = np.append(1.0, np.zeros(_lasting(f / 4.0)))
-    if kind in ("Butterworth", "Biquad"):
-        pulse = signal.lfilter(*design(response, rate), one)
+        found = oscillator(np.arange(_lasting(f / (2.0 * Q))), f, Q)
     else:
-        pulse = np.asarray(response.filtered(one, rate))
-    return signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
+        one = np.append(1.0, np.zeros(_lasting(f / 4.0)))
+        designed = kind in ("Butterworth", "Biquad")
+        pulse = signal.lfilter(*design(response, rate), one) if designed else response.filtered(one, rate)
+        found = signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
+    found = found[: np.flatnonzero(abs(found) > _GONE * found[0])[-1] + 1]
+    return found / (2.0 * found.sum() - found[0])
 
 
 def _lasting(cycles: float) -> int:

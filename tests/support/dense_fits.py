@@ -53,13 +53,10 @@ class Objective:
     Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
     """
 
-    def value(self, model: aj.Model) -> float:
-        """Minus the log-likelihood [nats], but for a constant."""
-        raise NotImplementedError
-
-    def information(self, model: aj.Model, labels: list[str]) -> np.ndarray:
-        """Fisher's information about the parameters."""
-        raise NotImplementedError
+    #: Minus the log-likelihood [nats], but for a constant.
+    value: Callable[[aj.Model], float]
+    #: Fisher's information about the parameters of a model with these labels.
+    information: Callable[[aj.Model, list[str]], np.ndarray]
 
     def maximum(self, model: aj.Model, labels: list[str]) -> aj.Model:
         """The most likely model, found from this one by a general minimizer."""
@@ -86,8 +83,7 @@ class Objective:
 def mover(model: aj.Model, labels: list[str]) -> Callable[[np.ndarray], aj.Model]:
     """What makes a model from the logarithms of its parameters; `start` are those of the model itself."""
     lower = {p.label: p.parameter.lower for p in model.parameters}
-    bounds = np.array([lower[label] for label in labels])
-    values = np.array([model.values[label] for label in labels], float)
+    bounds, values = (np.array([of[label] for label in labels], float) for of in (lower, model.values))
 
     def move(u: np.ndarray) -> aj.Model:
         moved = bounds + np.exp(np.clip(u, -40.0, 40.0))
@@ -109,11 +105,9 @@ class Spectrum(Objective):
 
     def __init__(self, x: np.ndarray, rate: float, edges: np.ndarray) -> None:
         self.n, self.rate, self.edges = len(x), rate, np.asarray(edges)
-        rows = dct(np.eye(self.n), norm="ortho", axis=0)
-        self.c = (rows @ x)[1:]
-        size = 2 * self.n
-        power = np.abs(np.fft.rfft(rows, size, axis=1)) ** 2
-        lags = np.fft.irfft(power, size, axis=1)[1:, : self.n]
+        rows = dct(np.eye(self.n), norm="ortho", axis=0)[1:]
+        self.c = rows @ x
+        lags = np.fft.irfft(np.abs(np.fft.rfft(rows, 2 * self.n)) ** 2)[:, : self.n]
         #: Expected squares are these weights times the covariance at each lag.
         self.weights = lags * np.where(np.arange(self.n) == 0, 1.0, 2.0)
         self.count = np.diff(self.edges)
@@ -183,21 +177,19 @@ class Variances:
         self.found = factor * np.array([np.mean((A @ x) ** 2) for A in forms])
 
     @classmethod
-    def of_allan(cls, x: np.ndarray, rate: float, sizes: np.ndarray) -> "Variances":
-        """Overlapping Allan variances."""
-        n, forms = len(x), []
-        for m in np.asarray(sizes).tolist():
-            rows = np.zeros((n - 2 * m + 1, n))
-            for i in range(len(rows)):
-                rows[i, i : i + m], rows[i, i + m : i + 2 * m] = -1.0 / m, 1.0 / m
-            forms.append(rows)
+    def of_allan(cls, x: np.ndarray, rate: float, sizes: np.ndarray, strides: Any = 1) -> "Variances":
+        """Overlapping Allan variances, of clusters that begin at every so manieth sample."""
+        forms, n = [], len(x)
+        for m, stride in np.broadcast(sizes, strides):
+            at = np.arange(n) - np.arange(0, n - 2 * m + 1, stride)[:, None]
+            forms.append((1.0 * ((at >= m) & (at < 2 * m)) - ((at >= 0) & (at < m))) / m)
         return cls(x, rate, forms, 0.5)
 
     def moments(self, model: aj.Model) -> tuple[np.ndarray, np.ndarray]:
         """Expectations and covariance of the variances."""
         C = covariance(model, self.n, self.rate)
-        both = [[2.0 * np.mean((A @ C @ B.T) ** 2) for B in self.forms] for A in self.forms]
-        return self.mean(model), self.factor**2 * np.array(both)
+        both = np.array([[2.0 * np.mean((A @ C @ B.T) ** 2) for B in self.forms] for A in self.forms])
+        return self.mean(model), self.factor**2 * both
 
     def mean(self, model: aj.Model) -> np.ndarray:
         """Expectations of the variances."""
