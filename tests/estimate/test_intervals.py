@@ -61,13 +61,12 @@ def test_a_term_that_is_absent_has_the_limit_of_its_score():
     x = drawn(WHITE, n, RATE, 6, 8)
     gammas = np.random.default_rng(1).chisquare(1.0, (40_000, n - 1))
     for k, result in enumerate(aj.fit(recording(x, RATE), "N + K", "whittle", as_is=True).results):
-        c = result["K"]
-        if c.value > 0.0:
+        if (c := result["K"]).value > 0.0:
             continue
         told += 1
         assert (c.std, c.interval[0], c.interval_68[0], c.detected) == (0.0, 0.0, 0.0, False)
         dense = Spectrum(x[:, k], RATE, np.arange(1, n + 1))
-        white, walk = (dense.means(aj.Model((t,))) for t in (aj.AngleRandomWalk(1.0), aj.RateRandomWalk(1.0)))
+        white, walk = (dense.means(t) for t in (aj.AngleRandomWalk(1.0), aj.RateRandomWalk(1.0)))
 
         def score(v, dense=dense, white=white, walk=walk):
             """How improbably small the data's estimate of the walk is, the white noise adjusted to v."""
@@ -160,8 +159,7 @@ def test_a_line_that_was_searched_for_competes_with_all_that_noise_has():
 @pytest.mark.parametrize(("time", "beyond"), [(2.0, False), (20_000.0, True)])
 def test_a_correlation_time_beyond_the_record_is_above_a_limit(time, beyond):
     """What is seen of a process that lasts a hundred records is a random walk, of any longer time as well."""
-    n, rate = 16_384, 100.0
-    rng = np.random.default_rng(30)
+    n, rate, rng = 16_384, 100.0, np.random.default_rng(30)
     kept = np.exp(-1.0 / (rate * time))
     x = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.standard_normal(2 * n))[n:]
     x = np.sqrt(max(time, 1.0)) * x + rng.standard_normal(n)

@@ -137,22 +137,6 @@ def test_scale_bias_and_neighbours_do_not_matter(objective):
     same(one, aj.fit(degrees, "N + K", objective, rate=RATE, as_is=True))
 
 
-def test_starts_are_used_and_held_shapes_stay():
-    rng = np.random.default_rng(4)
-    x = golden.white(rng, 16_384, 1e-2) + golden.gauss_markov(rng, 16_384, 0.05, 0.3)
-    asked = WHITE + aj.Markov(0.02, 0.5).hold("correlation_time")
-    fits = [
-        aj.fit(recording(x, RATE), m, "whittle", as_is=True, vibrating=True) for m in (asked, "N + markov")
-    ]
-    result, free = (fit["gyro_0"] for fit in fits)
-    held, c = result["markov_correlation_time"], free["markov_correlation_time"]
-    assert (held.value, held.std, held.held, held.interval) == (0.5, 0.0, True, (0.5, 0.5))
-    assert result["markov_amplitude"].std >= 0.0
-    assert abs(c.value - 0.3) < 4.0 * c.std
-    # A held time is one parameter less.
-    assert result.dof == free.dof + 1
-
-
 class PowerLaw(aj.NoiseTerm):
     """A slope between random walk and flicker: S(f) ∝ f^(−1/2)."""
 

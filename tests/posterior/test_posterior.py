@@ -116,12 +116,13 @@ def test_limits_of_terms_not_sampled_are_those_of_quadrature(records, posteriors
     assert c.std == pytest.approx(grid.std("K"), rel=0.05)
     assert c.bayes_factor == pytest.approx(grid.bayes_factor, rel=0.05)
     assert (c.sampled, c.detected, c.interval, c.interval_68[0]) == (False, False, (0.0, c.upper_limit), 0.0)
+    # It is not in the curves.
+    assert [m.term_labels for m in axis.models(2)] == 2 * [("angle_random_walk",)]
+    np.testing.assert_allclose(axis.deviation_curves(np.array([4.0]), 1), axis.draws[:1] / 2.0, rtol=1e-9)
 
 
 def test_default_priors_are_those_documented(records, posteriors):
-    """Uniform up to the amplitude whose power is one standard deviation, by the dense information at the fit;
-    then logarithmic, over four decades at least.
-    """
+    """Uniform to a power of one standard deviation, by dense information; then four logarithmic decades."""
     for kind in ("clear", "weak"):
         axis, fit = posteriors[kind], fit_of(records[kind], "N + K")["gyro_0"]
         dense = Spectrum(records[kind], RATE, fit.spectrum.bins.edges)

@@ -5,7 +5,7 @@ import dataclasses
 import bench
 import numpy as np
 import pytest
-from dense_fits import drawn, recording
+from dense_fits import drawn
 
 import allanjax as aj
 
@@ -88,17 +88,6 @@ def test_models_curves_and_correlations_are_of_the_draws(posterior):
     correlation = axis.correlation
     assert list(correlation.columns) == list(correlation.index) == list(axis.labels)
     np.testing.assert_allclose(correlation, np.corrcoef(axis.draws.T))
-
-
-def test_terms_that_were_not_sampled_are_not_in_the_curves():
-    x = drawn(aj.Model((aj.AngleRandomWalk(WHITE),)), N, RATE, 20)
-    fit = aj.fit(recording(x, RATE), as_is=True)
-    with pytest.warns(aj.PosteriorWarning):
-        axis = aj.sample(fit, max_steps=40, seed=1, progress=False)["gyro_0"]
-    assert [m.term_labels for m in axis.models(2)] == 2 * [("angle_random_walk",)]
-    time = np.array([1.0, 10.0])
-    np.testing.assert_allclose(axis.deviation_curves(time, 1)[0], axis.draws[0, 0] / np.sqrt(time), rtol=1e-9)
-    assert "rate_random_walk" in axis.coefficients
 
 
 def test_the_table_has_quantiles_of_the_draws(posterior):

@@ -39,12 +39,12 @@ def drawn(model: aj.Model, n: int, rate: float, seed: int, axes: int = 1) -> np.
 def fitted(
     model: aj.Model, x: np.ndarray, objective: str, rate: float, **options: Any
 ) -> tuple[aj.AxisFit, aj.Model, list[str]]:
-    """Fit of one axis that is complete, the model with the values that were found, and their labels."""
+    """Fit of one axis that is complete, the model with the values found, and the labels of those not held."""
     result = aj.fit(recording(x, rate), model, objective, as_is=True, **options).results[0]
     assert result.converged, result.reason
     assert result.discrepancy == 0.0
     found = {label: c.value for label, c in result.coefficients.items()}
-    return result, model.with_values(**found), list(found)
+    return result, model.with_values(**found), [k for k, c in result.coefficients.items() if not c.held]
 
 
 class Objective:
