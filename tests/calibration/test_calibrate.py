@@ -284,20 +284,20 @@ def test_a_misplaced_position_is_named():
     assert found["accel_y"]["misalignment_x"].std == pytest.approx(3e-3 / np.sqrt(2.0), rel=0.01)
 
 
-SAID = {"Y Down": [0, -1, 0], "-z": [0, 0, -1], "x+": [1, 0, 0], "down": [0, 0, -1]}
-SAID |= {"imu_x-down_2": [-1, 0, 0], "2024-05-01_yup": [0, 1, 0]}
-# With x up and y east, z = x × y is up × east, north.
-HEADINGS = {"y north": [0, 1, 0], "y south": [0, -1, 0], "y east": [0, 0, 1], "y west": [0, 0, -1]}
+#: What is up, and north: with x up and y east, z = x × y is up × east, north.
+SAID = {
+    "Y Down": ([0, -1, 0], None), "-z": ([0, 0, -1], None), "x+": ([1, 0, 0], None),
+    "down": ([0, 0, -1], None), "imu_x-down_2": ([-1, 0, 0], None), "2024-05-01_yup": ([0, 1, 0], None),
+    "x up, y north": ([1, 0, 0], [0, 1, 0]), "x up, y south": ([1, 0, 0], [0, -1, 0]),
+    "x up, y east": ([1, 0, 0], [0, 0, 1]), "x up, y west": ([1, 0, 0], [0, 0, -1]),
+}  # fmt: skip
 
 
 def test_orientations_by_name_direction_and_matrix(six, calibration):
     """The matrix turns the frame into east, north and up: x points 30 degrees north of east."""
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
-    matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    given = {name: (up, None) for name, up in SAID.items()}
-    given |= {f"x up, {name}": ([1, 0, 0], north) for name, north in HEADINGS.items()}
-    orientations = [*given, [0.6, 0.0, -0.8], matrix]
-    given |= {"direction": ([0.6, 0.0, -0.8], None), "matrix": ([0, 0, 1], [s, c, 0])}
+    orientations = [*SAID, [0.6, 0.0, -0.8], np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])]
+    given = SAID | {"direction": ([0.6, 0.0, -0.8], None), "matrix": ([0, 0, 1], [s, c, 0])}
     records = [at_rest(G * np.array(up, float), 32, 1.0, name="imu") for up, _ in given.values()]
     found = calibrated(records, orientations).to_dict()
     for position, (up, north) in zip(found["positions"], given.values(), strict=True):

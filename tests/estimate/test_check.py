@@ -59,12 +59,6 @@ def test_nothing_stops_a_clean_recording():
 RNG, (X, Y), A = np.random.default_rng, GYRO[:2], ACCEL[0]
 t = np.arange(N) / RATE
 KNOCK = (abs(t - 40.5) <= 0.5) * RNG(1).normal(size=N)
-
-
-def in_radians(label):
-    return label.replace("deg/s", "rad/s")
-
-
 # What spoils a table, the line that says so, its verdict, and numbers or names in its reason. Every second
 # sample repeats the one before; rounding is to 1.25 times the noise; jitter of a tenth of the interval makes
 # differences of stamps vary by 14 %; a gyro follows the temperature by twice the noise over its range.
@@ -75,7 +69,7 @@ WRONG = {
     "coarse": (lambda d: {X: np.round(d[X])}, "resolution", "stop", "1 deg/s"),
     "rounded": (lambda d: {A: np.round(d[A] / 0.025) * 0.025}, "resolution", "look", "0.025 m/s² (accel_x)"),
     "in g": (lambda d: {k: d[k] / 9.80665 for k in ACCEL}, "accel unit", "stop", "g"),
-    "in deg/s": (lambda d: d.rename(columns=in_radians), "gyro unit", "stop", "--gyro-unit deg/s"),
+    "rad/s": (lambda d: d.rename(columns=lambda k: k.replace("deg/", "rad/")), "gyro unit", "stop", "deg/s"),
     "moving": (lambda d: {X: d[X] + 20.0 * np.sin(1.9 * t)}, "at rest", "stop", "static"),
     "jittering": (lambda d: {TIME: t + RNG(1).normal(0.0, 1e-3, N)}, "jitter", "look", "14 %"),
     "irregular": (lambda d: {TIME: t + RNG(1).uniform(-0.45, 0.45, N) / RATE}, "jitter", "stop", "0.00366 s"),

@@ -197,8 +197,7 @@ def test_a_model_that_no_set_of_terms_follows_has_weaker_odds():
     x = drawn(WHITE + WALK, SHORT, RATE, 21)[:, 0]
     line = 0.8 * np.sin(2.0 * np.pi * 1.0 * np.arange(SHORT) / RATE)
     good, bad = (aj.select_terms(recording(z, RATE), "N + K + R")["gyro_0"] for z in (x, x + line))
-    assert good.discrepancy == 0.0
-    assert bad.discrepancy > 0.1
+    assert good.discrepancy == 0.0 < 0.1 < bad.discrepancy
     spread = [s.ranking[0].log_evidence - s.ranking[-1].log_evidence for s in (good, bad)]
     assert spread[1] < 0.5 * spread[0]
 
@@ -250,10 +249,9 @@ def test_a_slow_term_that_may_be_another_is_not_called_detected():
 
 def test_an_average_over_sets_of_white_noise_is_the_white_noise():
     """One coefficient and its drift N/√T, with the errors of the best possible estimate, N/√(2n)."""
-    truth = bench.truth("white")
+    truth, averaged = bench.truth("white"), bench.selection("white")["gyro_x"].averaged
     N, n = truth.truth["gyro_x"]["angle_random_walk"], len(truth.values)
-    averaged = bench.selection("white")["gyro_x"].averaged
-    c, walk = averaged.coefficients["angle_random_walk"], averaged.coefficients["rate_random_walk"]
+    c, walk = (averaged.coefficients[NAMES[symbol]] for symbol in "NK")
     assert abs(c.value - N) < 4.0 * N / np.sqrt(2.0 * n)
     # Other terms may take a part of it.
     assert 0.95 < c.std / (N / np.sqrt(2.0 * n)) < 2.0
