@@ -204,8 +204,7 @@ def test_gyros_with_headings_tell_misalignments():
     north = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 1, 0]])
     latitude, errors = np.radians(-33.0), 30.0 * SN
     f = EARTH_RATE_DEG_H * (np.sin(latitude) * up + np.cos(latitude) * north)
-    rng = np.random.default_rng(8)
-    means = 5.0 + f @ (np.eye(3) + errors).T + 1e-3 * rng.standard_normal(f.shape)
+    means = 5.0 + f @ (np.eye(3) + errors).T + 1e-3 * np.random.default_rng(8).standard_normal(f.shape)
     records = {name: at_rest(m, 32, 0.4, "deg/h") for name, m in zip(told.split("; "), means, strict=True)}
     found = aj.calibrate(records, latitude=-33.0, model="N=0.01 deg/√h", as_is=True)
     X = np.column_stack([np.ones(6), f * DEG_H])

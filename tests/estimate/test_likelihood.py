@@ -29,7 +29,7 @@ SPECTRA = {
     "N + A": (aj.AngleRandomWalk(0.05) + aj.PowerLaw(0.1, 1.6), 5),
     "N + resonance": (WHITE + aj.Resonance(0.4, 2.0, 6.0), 5),
     "one pole": (aj.LowPass1(1.5) * (WHITE + aj.RateRandomWalk(0.2)), 5),
-    "held pole": (aj.LowPass1(1.5).hold("bandwidth") * (WHITE + aj.RateRandomWalk(0.2)), 5),
+    "held pole": (aj.LowPass1(1.5).hold("bandwidth") * (WHITE + aj.RateRandomWalk(0.2)), 3),
     "two poles": (aj.LowPass2(1.5, 0.8) * WHITE + AFTER, 3),
     "Butterworth": (aj.Butterworth(2.0, order=3) * WHITE + AFTER, 5),
     "biquad": (aj.Biquad(1.5, 0.8) * WHITE + AFTER, 3),

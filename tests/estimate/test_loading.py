@@ -6,6 +6,7 @@ import math
 import re
 
 import bench
+import golden_records as golden
 import numpy as np
 import pytest
 from altered_fits import without_result
@@ -16,8 +17,7 @@ import allanjax as aj
 
 
 def reloaded(fit, folder, **options):
-    path = folder / "fit.json"
-    aj.write_json(fit, path)
+    aj.write_json(fit, path := folder / "fit.json")
     schema("fit").validate(json.loads(path.read_text(encoding="utf-8")))
     return aj.load(path, **options)
 
@@ -118,19 +118,28 @@ def test_what_follows_from_it_is_the_same(tmp_path):
 
 
 class Half(aj.NoiseTerm):
+    """A slope between random walk and flicker: S(f) ∝ f^(−1/2)."""
+
     coefficient: float | None = aj.parameter("H", time_exponent=0.25)
 
     def phase_covariance(self, lag):
         return -(self.coefficient**2) * lag**1.5 / 2
 
 
-def test_a_term_of_ones_own_is_asked_for(tmp_path):
-    fit = aj.fit(white(axes=1), aj.AngleRandomWalk() + Half())
+def test_a_term_of_ones_own_is_fitted_and_asked_for(tmp_path):
+    """Drawn as a sum of Gauss–Markov processes: of a power law of exponent ½."""
+    rng, density = np.random.default_rng(11), 1e-5
+    x = golden.white(rng, 16_384, 1e-3) + golden.power_law(rng, 16_384, density, 0.5)
+    fit = aj.fit(recording(x, 100.0), aj.AngleRandomWalk() + Half(), as_is=True, vibrating=True)
+    # G = −A²(2π)^½ t^1.5/(2Γ(2.5)cos(π/4)).
+    c, truth = fit["gyro_0"]["half"], np.sqrt(density * np.sqrt(2.0 * np.pi) / (1.32934 * np.sqrt(0.5)))
+    assert c.detected
+    assert abs(c.value - truth) < 4.0 * c.std
     with pytest.raises(aj.AllanjaxError, match=r"half.*terms="):
         reloaded(fit, tmp_path)
     again = reloaded(fit, tmp_path, terms=[Half])
     assert aj.to_dict(again) == aj.to_dict(fit)
-    assert again["gyro_0"]["half"] == fit["gyro_0"]["half"]
+    assert again["gyro_0"]["half"] == c
 
 
 def test_files_of_several_fits(tmp_path):

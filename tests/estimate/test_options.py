@@ -3,8 +3,6 @@
 import dataclasses
 
 import bench
-import golden_records as golden
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,8 +17,7 @@ SOME = records(1e-3, 3e-3, 2, seed=5)
 WITH_CHANNELS = dataclasses.replace(
     SOME, auxiliary={"temperature": np.arange(2048.0), "constant": np.full(2048, 3.0)}
 )
-CURVE = aj.allan_deviation(SOME)
-HADAMARD = aj.allan_deviation(SOME, kind="hadamard")
+CURVE, HADAMARD = (aj.allan_deviation(SOME, kind=kind) for kind in ("allan", "hadamard"))
 
 
 def short(n):
@@ -135,26 +132,6 @@ def test_scale_bias_and_neighbours_do_not_matter(objective):
         same(dataclasses.replace(one, results=(result,)), fit(SOME.values[:, [k]], SOME.axes[k : k + 1]))
     degrees = pd.DataFrame(np.degrees(SOME.values), columns=["gyro_0 [deg/s]", "gyro_1 [deg/s]"])
     same(one, aj.fit(degrees, "N + K", objective, rate=RATE, as_is=True))
-
-
-class PowerLaw(aj.NoiseTerm):
-    """A slope between random walk and flicker: S(f) ∝ f^(−1/2)."""
-
-    coefficient: float | None = aj.parameter("H", time_exponent=0.25)
-
-    def phase_covariance(self, lag):
-        return -(self.coefficient**2) * jnp.where(lag > 0.0, lag, 1.0) ** 1.5 * (lag > 0.0)
-
-
-def test_a_users_own_term_is_fitted():
-    """S(f) ∝ f^(−1/2), drawn as a sum of Gauss–Markov processes: of a power law of exponent ½."""
-    rng, density = np.random.default_rng(11), 1e-5
-    x = golden.white(rng, 16_384, 1e-3) + golden.power_law(rng, 16_384, density, 0.5)
-    c = aj.fit(recording(x, RATE), WHITE + PowerLaw(), as_is=True, vibrating=True)["gyro_0"]["power_law"]
-    # G = −A²(2π)^½ t^1.5/(2Γ(2.5)cos(π/4)).
-    truth = np.sqrt(density * np.sqrt(2.0 * np.pi) / (2.0 * 1.32934 * np.sqrt(0.5)))
-    assert c.detected
-    assert abs(c.value - truth) < 4.0 * c.std
 
 
 def test_many_recordings_are_stacked_and_one_without_result_spoils_no_other():

@@ -179,8 +179,7 @@ def test_the_true_set_is_chosen_and_probabilities_follow_the_evidence():
         np.testing.assert_allclose(p, np.exp(evidence - logsumexp(evidence)), rtol=1e-9)
         assert all(s.parameters == len(s.terms) + ("markov" in s.terms) for s in axis.ranking)
     table = selection.to_dataframe()
-    assert len(table) == 62 * len(selection)
-    assert (table[table["rank"] == 1]["log_evidence"] == 0.0).all()
+    assert (len(table), set(table["log_evidence"][table["rank"] == 1])) == (62 * len(selection), {0.0})
 
 
 def test_units_and_a_bias_do_not_matter(ranked):
@@ -217,7 +216,6 @@ def test_a_fit_without_a_model_uses_the_chosen_sets():
     fit = bench.fit("small")
     assert fit.chosen
     for result, axis in zip(fit.results, fit.selection.results, strict=True):
-        assert axis.axis == result.axis
         assert set(result.model.term_labels) <= set(axis.chosen.terms)
         for c in (c for c in result.coefficients.values() if c.term not in axis.chosen.terms):
             assert not c.detected
