@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import bench
 import numpy as np
 import pytest
 from dense_fits import drawn
@@ -17,15 +16,11 @@ DEGREE = np.pi / 180.0
 @pytest.fixture(scope="module")
 def posterior():
     """Of N and K, both clear, of two gyros and an accelerometer in deg/s and g; one is not sampled."""
-
-    def make():
-        x = drawn(aj.AngleRandomWalk(WHITE) + aj.RateRandomWalk(WALK), N, RATE, 3, 3)
-        axes = [("gyro_x", "gyro", "deg/s"), ("gyro_y", "gyro", "deg/s"), ("accel_z", "accel", "g")]
-        whole = aj.Recording(x, RATE, tuple(aj.Axis(*axis) for axis in axes))
-        fit = aj.fit(whole, "N + K", "whittle", as_is=True, vibrating=True)
-        return aj.sample(fit, ["gyro_x", "accel_z"], seed=1, progress=False)
-
-    return bench.once("posterior of two sensors", make)
+    x = drawn(aj.AngleRandomWalk(WHITE) + aj.RateRandomWalk(WALK), N, RATE, 3, 3)
+    axes = [("gyro_x", "gyro", "deg/s"), ("gyro_y", "gyro", "deg/s"), ("accel_z", "accel", "g")]
+    whole = aj.Recording(x, RATE, tuple(aj.Axis(*axis) for axis in axes))
+    fit = aj.fit(whole, "N + K", "whittle", as_is=True, vibrating=True)
+    return aj.sample(fit, ["gyro_x", "accel_z"], seed=1, progress=False)
 
 
 def test_drift_follows_from_the_draws(posterior):
