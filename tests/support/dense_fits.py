@@ -1,6 +1,6 @@
 """Fits of short records, written out: dense covariances, scipy's optimum, Fisher's information.
 
-Nothing of the package is used but the values of a model's parameters (see `dense`).
+But for `fitted`, nothing of the package is used but the values of a model's parameters (see `dense`).
 """
 
 from collections.abc import Callable
