@@ -1,5 +1,7 @@
 """Posteriors against quadrature of dense likelihoods: density, marginals, limits, Bayes factors, priors."""
 
+import functools
+
 import numpy as np
 import pytest
 from dense_fits import Gaussian, Spectrum, Variances, drawn, recording
@@ -27,10 +29,12 @@ def records():
 
 @pytest.fixture(scope="module")
 def posteriors(records):
-    """Of N + K, both sampled."""
-    three = {kind: x for kind, x in records.items() if kind != "absent"}
-    both = aj.sample(fit_of(np.column_stack([*three.values()]), "N + K"), seed=3, progress=False)
-    return dict(zip(three, both.results, strict=True))
+    """Of N + K, both sampled, each when it is asked for."""
+
+    def of(kind):
+        return aj.sample(fit_of(records[kind], "N + K"), seed=3, progress=False)["gyro_0"]
+
+    return functools.cache(of)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +78,7 @@ class Grid:
 @pytest.mark.parametrize("kind", ["clear", "edge", "weak"])
 def test_marginals_are_those_of_quadrature(records, posteriors, kind):
     """Within 4.5 Monte-Carlo standard errors: of a probability u it is √(u(1 − u)/ESS)."""
-    axis, grid = posteriors[kind], Grid(records[kind], posteriors[kind])
+    axis, grid = posteriors(kind), Grid(records[kind], posteriors(kind))
     assert axis.converged
     assert axis.labels == LABELS
     for i, (label, name) in enumerate(zip(LABELS, "NK", strict=True)):
@@ -124,7 +128,7 @@ def test_limits_of_terms_not_sampled_are_those_of_quadrature(records, absent, te
 def test_default_priors_are_those_documented(records, posteriors):
     """Uniform to a power of one standard deviation, by dense information; then four logarithmic decades."""
     for kind in ("clear", "weak"):
-        axis, fit = posteriors[kind], fit_of(records[kind], "N + K")["gyro_0"]
+        axis, fit = posteriors(kind), fit_of(records[kind], "N + K")["gyro_0"]
         dense = Spectrum(records[kind], RATE, fit.spectrum.bins.edges)
         mean = dense.means(fit.model)
         for label, unit in zip(LABELS, (aj.AngleRandomWalk(1.0), aj.RateRandomWalk(1.0)), strict=True):
@@ -168,7 +172,7 @@ def law(dense, model, widening=1.0):
 def test_the_likelihood_is_the_dense_one(records, posteriors):
     """Of the samples' differences, to what bins of a sixth of an octave cost; of levels to rounding."""
     for kind in ("clear", "weak"):
-        x, axis = records[kind], posteriors[kind]
+        x, axis = records[kind], posteriors(kind)
         same_density(axis, law(Gaussian(x, RATE), WHITE + WALK), 0.1)
         edges = fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges
         same_density(axis, law(Spectrum(x, RATE, edges), WHITE + WALK), 1e-3)
@@ -284,7 +288,7 @@ def test_a_users_prior_is_obeyed(records):
 
 def test_a_chain_tells_how_it_ran(posteriors, absent):
     emcee = pytest.importorskip("emcee")
-    for axis in (*posteriors.values(), absent):
+    for axis in (*map(posteriors, ("clear", "edge", "weak")), absent):
         # Five autocorrelation times of burn-in, and fifty of chain.
         assert axis.steps - len(axis.chain) == np.ceil(5.0 * max(axis.tau.max(), 1.0))
         assert (len(axis.chain) > 50.0 * axis.tau).all()
