@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from dense_fits import Variances
 from numpy.testing import assert_allclose, assert_array_equal
 
 import allanjax as aj
@@ -36,8 +37,7 @@ def by_definition(x: np.ndarray, start: int = 0) -> tuple[list[int], list[int], 
 
 def check(found: aj.AllanDeviation, x: np.ndarray, start: int = 0) -> None:
     sizes, counts, variances = by_definition(x, start)
-    assert found.cluster_size.tolist() == sizes
-    assert found.count.tolist() == counts
+    assert (found.cluster_size.tolist(), found.count.tolist()) == (sizes, counts)
     assert_array_equal(found.cluster_time, np.array(sizes) / RATE)
     assert_array_equal(found.strides, np.maximum(1, found.cluster_size // 8))
     # Rounding of means, and of walks that reach some hundreds.
@@ -99,29 +99,9 @@ def test_degrees_of_freedom_are_those_of_every_so_manieth_start():
 
     The sum over lags is by quadrature, to 10⁻⁶.
     """
-    n = 1000
-    found = aj.allan_deviation(noise(n), RATE, estimator="pyramid")
-    for m in (1, 2, 16, 64, 128, 256):
-        starts = np.arange(0, n - 2 * m + 1, max(m // 8, 1))
-        at = np.arange(n) - starts[:, None]
-        rows = 1.0 * ((at >= m) & (at < 2 * m)) - ((at >= 0) & (at < m))
+    x = noise(1000)
+    found = aj.allan_deviation(x, RATE, estimator="pyramid")
+    forms = Variances.of_allan(x[:, 0], RATE, found.cluster_size, found.strides).forms
+    for rows, edf in zip(forms, found.edf, strict=True):
         C = rows @ rows.T
-        expected = np.trace(C) ** 2 / np.sum(C**2)
-        assert_allclose(found.edf[found.cluster_size == m], expected, rtol=1e-6)
-
-
-def test_samples_may_lie_in_memory_as_they_like(tmp_path):
-    x = noise(135_001).astype(np.float32)
-    np.save(tmp_path / "x.npy", x)
-    plain = x.astype(float)
-    expected = aj.allan_deviation(plain, RATE, estimator="pyramid").deviation
-    for same in (
-        x,
-        np.load(tmp_path / "x.npy", mmap_mode="r"),
-        np.asfortranarray(plain),
-        plain[:, ::-1].copy()[:, ::-1],
-        plain.astype(">f8"),
-        np.repeat(plain, 2, axis=0)[::2],
-    ):
-        found = aj.allan_deviation(same, RATE, estimator="pyramid").deviation
-        assert_array_equal(found, expected)
+        assert_allclose(edf, np.trace(C) ** 2 / np.sum(C**2), rtol=1e-6)

@@ -8,21 +8,20 @@ import allanjax as aj
 
 # Three models and one padded length: one program.
 RATE, N = 10.0, 240
-QUIET = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-4)
-NOISY = aj.AngleRandomWalk(4e-3) + aj.RateRandomWalk(1e-4)
-DRIFTING = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-2)
-MODELS = {"quiet": QUIET, "noisy": NOISY, "drifting": DRIFTING}
+QUIETLY, LOUDLY, DRIFTINGLY = (1e-3, 1e-4), (4e-3, 1e-4), (1e-3, 1e-2)
+MODELS = {
+    name: aj.AngleRandomWalk(n) + aj.RateRandomWalk(k)
+    for name, (n, k) in {"quiet": QUIETLY, "noisy": LOUDLY, "drifting": DRIFTINGLY}.items()
+}
+QUIET, NOISY, _ = MODELS.values()
 
 
-def recording(*parts: tuple[float, float], seed: int = 1) -> aj.Recording:
+def recording(*parts: tuple[float, float]) -> aj.Recording:
     """Record of parts of equal length, each of an N and a K; the walk goes on through all."""
-    rng, each = np.random.default_rng(seed), N // len(parts)
+    rng, each = np.random.default_rng(1), N // len(parts)
     white = np.concatenate([n * np.sqrt(RATE) * rng.standard_normal(each) for n, _ in parts])
     steps = np.concatenate([k / np.sqrt(RATE) * rng.standard_normal(each) for _, k in parts])
     return aj.Recording.from_array(0.01 + white + np.cumsum(steps), RATE, gyro_unit="rad/s", names=["gyro_x"])
-
-
-QUIETLY, LOUDLY, DRIFTINGLY = (1e-3, 1e-4), (4e-3, 1e-4), (1e-3, 1e-2)
 
 
 def test_weights_are_bayes_rule():

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import dense
 import numpy as np
 import pytest
+from dense_fits import Gaussian
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
@@ -23,11 +24,11 @@ TERMS = {
     "wandering resonance": aj.WanderingResonance(1e-3, 7.0, 20.0, 0.1), "telegraph": aj.Telegraph(1e-3, 0.3),
     "line": aj.Sinusoid(1e-3, 3.3) + WHITE, "ramp": aj.DriftRamp(1e-2) + WHITE, "sum": SUM,
 }  # fmt: skip
-RESPONSES = [
-    *(aj.LowPass1(5.0), aj.LowPass2(5.0, 3.0), aj.Butterworth(5.0, 4), aj.Biquad(5.0, 2.0)),
-    *(aj.MovingAverage.of(5 / RATE), aj.MovingAverage(3.33)),
-]
-MODELS = {**TERMS, **{repr(r): r * SUM + aj.AngleRandomWalk(1e-4) for r in RESPONSES}}
+RESPONSES = (
+    aj.LowPass1(5.0), aj.LowPass2(5.0, 3.0), aj.Butterworth(5.0, 4), aj.Biquad(5.0, 2.0),
+    aj.MovingAverage.of(5 / RATE), aj.MovingAverage(3.33),
+)  # fmt: skip
+MODELS = TERMS | {repr(r): r * SUM + aj.AngleRandomWalk(1e-4) for r in RESPONSES}
 
 
 def samples(model, n: int = N, seed: int = 1, constant: float = 3.0) -> np.ndarray:
@@ -37,8 +38,8 @@ def samples(model, n: int = N, seed: int = 1, constant: float = 3.0) -> np.ndarr
     return constant + np.append(0.0, np.cumsum(steps))
 
 
-def recording(z: np.ndarray, rate: float = RATE) -> aj.Recording:
-    return aj.Recording.from_array(z, rate, gyro_unit="rad/s", names=["gyro_x"])
+def recording(z: np.ndarray) -> aj.Recording:
+    return aj.Recording.from_array(z, RATE, gyro_unit="rad/s", names=["gyro_x"])
 
 
 def filtered(z, model, **options) -> aj.FilteredAxis:
@@ -50,7 +51,7 @@ def test_likelihood_is_that_of_the_dense_covariance(name):
     """Of the differences, whose covariance is by G(t): rounding leaves it ten digits at worst (LowPass2)."""
     model = MODELS[name]
     z = samples(model)
-    assert filtered(z, model).log_likelihood == pytest.approx(dense.loglikelihood(z, model, RATE), rel=1e-8)
+    assert filtered(z, model).log_likelihood == pytest.approx(-Gaussian(z, RATE).value(model), rel=1e-8)
 
 
 def test_likelihood_of_flicker_is_that_of_its_sum_of_processes_and_near_its_own():
@@ -62,7 +63,7 @@ def test_likelihood_of_flicker_is_that_of_its_sum_of_processes_and_near_its_own(
     law = stats.multivariate_normal(np.zeros(N - 1), own)
     assert found == pytest.approx(law.logpdf(np.diff(z)), rel=1e-8)
     # A variance that is 3 % off in some directions: 70·0.03²/4 nats of bias, and its scatter.
-    assert found == pytest.approx(dense.loglikelihood(z, model, RATE), abs=0.3)
+    assert found == pytest.approx(-Gaussian(z, RATE).value(model), abs=0.3)
 
 
 def test_the_constant_is_that_of_generalized_least_squares():
@@ -71,11 +72,9 @@ def test_the_constant_is_that_of_generalized_least_squares():
     C, one = dense.of_states(SUM.state_space(RATE), N)[0], np.ones(N)
     information = one @ np.linalg.solve(C, one)
     unknown, known, none = (filtered(z, SUM, constant_std=s) for s in (None, std, 0.0))
-    mean = one @ np.linalg.solve(C, z)
-    assert unknown.constant == pytest.approx(mean / information, rel=1e-7)
-    assert unknown.constant_std == pytest.approx(information**-0.5, rel=1e-7)
-    assert known.constant == pytest.approx(mean / (information + std**-2), rel=1e-7)
-    assert known.constant_std == pytest.approx((information + std**-2) ** -0.5, rel=1e-7)
+    for found, all_of_it in ((unknown, information), (known, information + std**-2)):
+        assert found.constant == pytest.approx(one @ np.linalg.solve(C, z) / all_of_it, rel=1e-7)
+        assert found.constant_std == pytest.approx(all_of_it**-0.5, rel=1e-7)
     assert (none.constant, none.constant_std) == (pytest.approx(0.0, abs=1e-15), 0.0)
     for found, covariance in ((known, C + std**2), (none, C)):
         law = stats.multivariate_normal(np.zeros(N), covariance)
@@ -89,8 +88,7 @@ def test_the_constant_is_that_of_generalized_least_squares():
 def test_bias_and_states_are_the_conditional_means(name, smooth):
     """By dense conditioning, the constant with a variance large enough to be unknown to seven digits."""
     model = MODELS[name]
-    z, lost = samples(model), np.zeros(N, bool)
-    lost[[7, 20, 21, 22, N - 1]] = True
+    z, lost = samples(model), np.isin(np.arange(N), [7, 20, 21, 22, N - 1])
     found = filtered(z, model, smooth=smooth, missing=lost)
     assert (found.slow, found.smoothed) == (("rate_random_walk", "markov"), smooth)
     space = model.state_space(RATE)
@@ -111,8 +109,8 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
         assert found.bias[k] == pytest.approx(mean[-1] + 3.0, abs=5e-3 * (std + abs(mean))[-1])
         assert_allclose(found.state_stds[k], std[:-1], rtol=5e-3, atol=1e-3 * std.max())
         assert found.bias_std[k] == pytest.approx(std[-1], rel=5e-3, abs=1e-9)
-    half = stats.norm.ppf(0.975) * found.bias_std * np.array([[-1.0], [1.0]])
-    assert_allclose(found.bias_interval - found.bias, half, rtol=1e-7)
+    ends = stats.norm.interval(0.95, found.bias, found.bias_std)
+    assert_allclose(found.bias_interval - found.bias, ends - found.bias, rtol=1e-7)
 
 
 def by_numbers(z: np.ndarray, N: float, K: float):
@@ -157,12 +155,10 @@ def test_gains_that_are_kept_or_interpolated_give_the_results_of_every_gain(K):
 @pytest.mark.parametrize(("n", "gap"), [(N, slice(10, 25)), (250, slice(50, 190)), (250, slice(160, 249))])
 def test_missing_samples_of_a_recording_are_not_seen(n, gap):
     """Gaps shorter and longer than a block of samples, and one almost to the end."""
-    z, lost = samples(SUM, n), np.zeros(n, bool)
-    lost[gap] = True
+    z, lost = samples(SUM, n), np.isin(np.arange(n), np.arange(n)[gap])
     spoilt = dataclasses.replace(recording(np.where(lost, 99.0, z)), missing=lost[:, None])
     found = aj.kalman_filter(spoilt, SUM).results[0]
-    expected = dense.loglikelihood(z, SUM, RATE, missing=lost)
-    assert found.log_likelihood == pytest.approx(expected, rel=1e-8)
+    assert found.log_likelihood == pytest.approx(-Gaussian(z, RATE, lost).value(SUM), rel=1e-8)
     assert_array_equal(found.missing, lost)
     assert np.isnan(found.innovation[lost]).all()
     assert found.to_dict()["missing"] == lost.sum()
@@ -173,21 +169,15 @@ def test_missing_samples_of_a_recording_are_not_seen(n, gap):
 
 
 def test_drift_is_what_lasts_ten_samples_and_does_not_oscillate():
-    z, resonance = samples(WHITE), aj.Resonance(1e-3, 7.0, 20.0)
-    for term, slow in (
-        (aj.Markov(1e-3, 11.0 / RATE), ("markov",)),
-        (aj.Markov(1e-3, 9.0 / RATE), ()),
-        (resonance, ()),
-    ):
-        assert filtered(z, WHITE + term).slow == slow
+    long, short = (aj.Markov(1e-3, time / RATE) for time in (11.0, 9.0))
+    slow = [filtered(samples(WHITE), WHITE + term).slow for term in (long, short, TERMS["resonance"])]
+    assert slow == [("markov",), (), ()]
 
 
 def test_tests_of_innovations_are_those_of_their_definitions():
     """Ljung and Box with 40 lags, of pairs that are there; NIS two-sided, of noise larger and smaller."""
-    z, lost = samples(WHITE, 250), np.zeros(250, bool)
-    for scale, gap in ((1.0, slice(0, 0)), (0.8, slice(90, 100)), (1.2, slice(3, 4))):
-        lost[:] = False
-        lost[gap] = True
+    z, k = samples(WHITE, 250), np.arange(250)
+    for scale, lost in ((1.0, k < 0), (0.8, (k >= 90) & (k < 100)), (1.2, k == 3)):
         found = filtered(scale * z, WHITE, missing=lost)
         u = (found.innovation / found.innovation_std)[1:]
         assert_array_equal(found.standardized[1:], u)
@@ -210,23 +200,22 @@ def test_each_axis_has_its_model():
     loud = aj.AngleRandomWalk(2e-3)
     models = {"gyro_x": "N=1e-3 rad/√s", "gyro_y": SimpleNamespace(model=aj.Model((loud,)))}
     found = aj.kalman_filter(both, models)
-    assert found["gyro_x"].model == aj.Model((WHITE,))
-    assert found["gyro_y"].model == aj.Model((loud,))
-    each = [dense.loglikelihood(z, m, RATE) for z, m in zip(values.T, (WHITE, loud), strict=True)]
-    assert found.log_likelihood == pytest.approx(sum(each), rel=1e-9)
+    assert [axis.model for axis in found.results] == [aj.Model((WHITE,)), aj.Model((loud,))]
+    each = [Gaussian(z, RATE).value(m) for z, m in zip(values.T, (WHITE, loud), strict=True)]
+    assert found.log_likelihood == pytest.approx(-sum(each), rel=1e-9)
     with pytest.raises(aj.AllanjaxError, match="gyro_y"):
         aj.kalman_filter(both, {"gyro_x": WHITE})
 
 
-REFUSED = [
-    (aj.AngleRandomWalk(), {}, "angle_random_walk"), (aj.DriftRamp(1e-3), {}, "noise term"),
-    (WHITE, {"constant_std": -1.0}, "constant_std"), (WHITE, {"constant_std": np.inf}, "constant_std"),
-    (WHITE, {"missing": np.zeros(3, bool)}, "missing"), (WHITE, {"missing": np.ones(N, bool)}, "missing"),
-]  # fmt: skip
-
-
 def test_what_cannot_be_filtered_is_said():
-    for model, options, word in REFUSED:
+    for model, options, word in (
+        (aj.AngleRandomWalk(), {}, "angle_random_walk"),
+        (aj.DriftRamp(1e-3), {}, "noise term"),
+        (WHITE, {"constant_std": -1.0}, "constant_std"),
+        (WHITE, {"constant_std": np.inf}, "constant_std"),
+        (WHITE, {"missing": np.zeros(3, bool)}, "missing"),
+        (WHITE, {"missing": np.ones(N, bool)}, "missing"),
+    ):
         with pytest.raises(aj.AllanjaxError, match=word):
             filtered(samples(WHITE), model, **options)
 
@@ -236,11 +225,10 @@ def test_tables_have_the_numbers():
     result = aj.kalman_filter(recording(z), SUM, missing=lost)
     found, frame = result["gyro_x"], result.to_dataframe()
     assert_allclose(frame["time"], np.arange(N) / RATE)
-    assert_array_equal(frame["bias_lower_95"], found.bias_interval[0])
-    assert_array_equal(frame["bias_upper_95"], found.bias_interval[1])
+    assert_array_equal(frame[["bias_lower_95", "bias_upper_95"]].T, found.bias_interval)
     end = found.names.index("markov_end")
-    assert_array_equal(frame["markov_end"], found.states[:, end])
-    assert_array_equal(frame["markov_end_std"], found.state_stds[:, end])
+    shown = frame[["markov_end", "markov_end_std"]].T
+    assert_array_equal(shown, [found.states[:, end], found.state_stds[:, end]])
     assert_array_equal(np.isnan(frame["sample"]), lost)
     own = aj.Recording.from_array(z, RATE, accel_unit="m/s²", names=["accel_x"])
     assert aj.kalman_filter(own, SUM)["accel_x"].units == ("m/s²", "m/s²", "m/s", "m/s", "m/s²", "m/s²")

@@ -7,13 +7,9 @@ import allanjax as aj
 
 def without_result(fit: aj.Fit, name: str, reason: str = "the start was hopeless") -> aj.Fit:
     """The fit, had this axis not converged."""
-    return dataclasses.replace(
-        fit,
-        results=tuple(
-            dataclasses.replace(r, converged=False, reason=reason) if r.axis.name == name else r
-            for r in fit.results
-        ),
-    )
+    failed = {"converged": False, "reason": reason}
+    results = [dataclasses.replace(r, **failed) if r.axis.name == name else r for r in fit.results]
+    return dataclasses.replace(fit, results=tuple(results))
 
 
 def with_terms(fit: aj.Fit, models: dict[str, aj.Model]) -> aj.Fit:

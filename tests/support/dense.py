@@ -7,7 +7,8 @@ whose phase or sign is random. Terms that are read at the instants of the sample
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable
 
 import mpmath as mp
 import numpy as np
@@ -27,30 +28,6 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
 def covariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance [rate²] of n samples, up to a constant; of a stationary model it is the true one."""
     return toeplitz(autocovariance(model, n, rate))
-
-
-def loglikelihood(
-    x: np.ndarray,
-    model: aj.Model | aj.NoiseTerm,
-    rate: float,
-    mean: bool = True,
-    missing: np.ndarray | None = None,
-) -> float:
-    """Gaussian log-density [nats] of samples less those that are missing.
-
-    With `mean` that of the differences of successive ones, on which an unknown mean has no influence;
-    else that of the samples themselves about zero, which the model must have a true covariance for.
-    """
-    x = np.asarray(x, float)
-    there = np.ones(len(x), bool) if missing is None else ~np.asarray(missing, bool)
-    C = covariance(model, len(x), rate)[np.ix_(there, there)]
-    z = x[there]
-    if mean:
-        D = np.diff(np.eye(len(z)), axis=0)
-        C, z = D @ C @ D.T, np.diff(z)
-    L = np.linalg.cholesky(C)
-    u = np.linalg.solve(L, z)
-    return float(-0.5 * (u @ u + len(z) * np.log(2.0 * np.pi)) - np.sum(np.log(np.diag(L))))
 
 
 def autocovariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
@@ -76,37 +53,6 @@ def allan_variance(C: np.ndarray, m: int) -> float:
     return float(w @ C[: 2 * m, : 2 * m] @ w / 2.0)
 
 
-def _differences(R: np.ndarray, mi: int, mj: int) -> np.ndarray:
-    """Covariance of differences of adjacent averages over mi samples, and over mj that begin s later.
-
-    s is −(n − 1) … n − 1, of which the ends are wrong where a difference would lie outside.
-    """
-    both = np.concatenate([R[:0:-1], R])
-    wi, wj = (np.repeat([-1.0, 1.0], m) / m for m in (mi, mj))
-    # Σ_ab w_a w_b R(s + b − a).
-    lags = np.convolve(wi, wj[::-1])
-    return signal.fftconvolve(both, lags)[2 * mj - 1 :][: len(both)]
-
-
-def allan_covariance(
-    R: np.ndarray, sizes: Sequence[int], strides: Sequence[int], repeated: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Covariance of Allan variances of n samples: over all pairs of differences the mean of C²/2.
-
-    Less the same for what is in every record, whose autocovariance is `repeated`.
-    """
-    n, V = len(R), np.empty((len(sizes), len(sizes)))
-    first = np.arange(n)
-    starts = [(first % s == 0) & (first <= n - 2 * m) for m, s in zip(sizes, strides, strict=True)]
-    for i, mi in enumerate(sizes):
-        for j, mj in enumerate(sizes[: i + 1]):
-            pairs = signal.correlate(starts[j].astype(float), starts[i].astype(float), "full", "direct")
-            C, fixed = (_differences(x, mi, mj) for x in (R, repeated + 0.0 * R))
-            used = pairs > 0
-            V[i, j] = V[j, i] = pairs[used] @ (C**2 - fixed**2)[used] / pairs.sum() / 2.0
-    return V
-
-
 def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of n samples, [n, n], and of all their states, [n·states, n·states], by the recursion."""
     size, P = space.size, space.P0
@@ -125,32 +71,24 @@ def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
 # --- Terms --------------------------------------------------------------------------------------------------
 
 
-# What was worked out: by term of unit amplitude and rate. Amplitudes are what maximizers mostly move.
-_KNOWN: dict[tuple, np.ndarray] = {}
-
-
 def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance of samples of a term that are 0 … n − 1 apart."""
-    if (read := AT_INSTANTS.get(type(term).__name__)) is not None:
-        return read(term, np.arange(n) / rate)
-    if (G_of := PHASE.get(type(term).__name__)) is None:
-        return _second_differences(_of_its_own, term, n, rate)
-    size = next((p.name for p in term.parameters() if p.is_amplitude), None)
-    if size is None or not getattr(term, size):
-        return _second_differences(G_of, term, n, rate)
-    unit = dataclasses.replace(term, **{size: 1.0})
-    key = (type(term), rate, *(getattr(unit, p.name) for p in unit.parameters()))
-    if len(_KNOWN.get(key, ())) < n:
-        _KNOWN[key] = _second_differences(G_of, unit, n, rate)
-    # With more digits, lest equal eigenvalues of white noise depend on how a square is rounded.
-    return (np.longdouble(getattr(term, size)) ** 2 * _KNOWN[key][:n]).astype(float)
+    kind = type(term).__name__
+    if kind in AT_INSTANTS:
+        return AT_INSTANTS[kind](term, np.arange(n) / rate)
+    name = next((p.name for p in term.parameters() if p.is_amplitude and kind in PHASE), None)
+    if name is None or not (size := getattr(term, name)):
+        return _second_differences(term, n, rate)
+    # Amplitudes are what maximizers mostly move.
+    return size**2 * _second_differences(dataclasses.replace(term, **{name: 1.0}), n, rate)
 
 
-def _second_differences(G_of: Callable, term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
+@functools.lru_cache(maxsize=256)
+def _second_differences(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Of G at multiples of the interval, over its square."""
     with mp.workdps(DIGITS):
         h = 1 / mp.mpf(rate)
-        G_of_lag = G_of(term)
+        G_of_lag = PHASE.get(type(term).__name__, _of_its_own)(term)
         G = [G_of_lag(k * h) for k in range(n + 1)]
         G = [G[1], *G]
         return np.array([float(-(G[k] - 2 * G[k + 1] + G[k + 2]) / h**2) for k in range(n)])
@@ -245,30 +183,23 @@ AT_INSTANTS: dict[str, Callable] = {
 
 def pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
     """Autocorrelation of a filter's pulse at lags 0 … q − 1; together with those below zero it sums to 1."""
-    found = _pulse_autocorrelation(response, rate)
-    last = np.flatnonzero(abs(found) > _GONE * found[0])[-1]
-    found = found[: last + 1]
-    return found / (2.0 * found.sum() - found[0])
-
-
-def _pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
-    """The same but for a factor, over longer than it lasts."""
     kind, f = type(response).__name__, response.bandwidth / rate
     if kind == "MovingAverage":
         # sinc²(x) = 1/2 at x = 0.44295, so that the mean is over 0.44295/f samples.
         half = float(mp.findroot(lambda x: mp.sincpi(x) ** 2 - 0.5, 0.443))
-        return np.maximum(half / f - np.arange(70), 0.0)
-    if kind == "LowPass1":
-        return np.exp(-2.0 * np.pi * f * np.arange(_lasting(f)))
-    if kind == "LowPass2":
+        found = np.maximum(half / f - np.arange(70), 0.0)
+    elif kind == "LowPass1":
+        found = np.exp(-2.0 * np.pi * f * np.arange(_lasting(f)))
+    elif kind == "LowPass2":
         Q = response.quality_factor
-        return oscillator(np.arange(_lasting(f / (2.0 * Q))), f, Q)
-    one = np.append(1.0, np.zeros(_lasting(f / 4.0)))
-    if kind in ("Butterworth", "Biquad"):
-        pulse = signal.lfilter(*design(response, rate), one)
+        found = oscillator(np.arange(_lasting(f / (2.0 * Q))), f, Q)
     else:
-        pulse = np.asarray(response.filtered(one, rate))
-    return signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
+        one = np.append(1.0, np.zeros(_lasting(f / 4.0)))
+        designed = kind in ("Butterworth", "Biquad")
+        pulse = signal.lfilter(*design(response, rate), one) if designed else response.filtered(one, rate)
+        found = signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
+    found = found[: np.flatnonzero(abs(found) > _GONE * found[0])[-1] + 1]
+    return found / (2.0 * found.sum() - found[0])
 
 
 def _lasting(cycles: float) -> int:

@@ -1,9 +1,10 @@
 """Fits of short records, written out: dense covariances, scipy's optimum, Fisher's information.
 
-Nothing of the package is used but the values of a model's parameters (see `dense`).
+But for `fitted`, nothing of the package is used but the values of a model's parameters (see `dense`).
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from dense import autocovariance, covariance
@@ -25,11 +26,25 @@ def recording(columns: np.ndarray, rate: float, unit: str = "rad/s", **auxiliary
 
 
 def drawn(model: aj.Model, n: int, rate: float, seed: int, axes: int = 1) -> np.ndarray:
-    """Records of a model by the root of the dense covariance of their deviations from the mean [n, axes]."""
+    """Records of a model [n, axes], by the root of the dense covariance of their deviations from the mean.
+
+    The root is symmetric: it does not depend on which eigenvectors stand for equal eigenvalues.
+    """
     centre = np.eye(n) - 1.0 / n
     power, vectors = np.linalg.eigh(centre @ covariance(model, n, rate) @ centre)
-    root = vectors * np.sqrt(np.maximum(power, 0.0))
+    root = (vectors * np.sqrt(np.maximum(power, 0.0))) @ vectors.T
     return root @ np.random.default_rng(seed).standard_normal((n, axes))
+
+
+def fitted(
+    model: aj.Model, x: np.ndarray, objective: str, rate: float, **options: Any
+) -> tuple[aj.AxisFit, aj.Model, list[str]]:
+    """Fit of one axis that is complete, the model with the values found, and the labels of those not held."""
+    result = aj.fit(recording(x, rate), model, objective, as_is=True, **options).results[0]
+    assert result.converged, result.reason
+    assert result.discrepancy == 0.0
+    found = {label: c.value for label, c in result.coefficients.items()}
+    return result, model.with_values(**found), [k for k, c in result.coefficients.items() if not c.held]
 
 
 class Objective:
@@ -38,22 +53,17 @@ class Objective:
     Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
     """
 
-    def value(self, model: aj.Model) -> float:
-        """Minus the log-likelihood [nats], up to a constant."""
-        raise NotImplementedError
-
-    def information(self, model: aj.Model, labels: list[str]) -> np.ndarray:
-        """Fisher's information about the parameters."""
-        raise NotImplementedError
+    #: Minus the log-likelihood [nats], but for a constant.
+    value: Callable[[aj.Model], float]
+    #: Fisher's information about the parameters of a model with these labels.
+    information: Callable[[aj.Model, list[str]], np.ndarray]
 
     def maximum(self, model: aj.Model, labels: list[str]) -> aj.Model:
         """The most likely model, found from this one by a general minimizer."""
         move = mover(model, labels)
-        start = move.start
-        cost = lambda u: self.value(move(u))  # noqa: E731
-        options = {"xatol": 1e-4, "fatol": 1e-6, "maxfev": 2000, "maxiter": 2000}
-        simplex = start + 0.3 * np.vstack([np.zeros(len(start)), np.eye(len(start))])
-        found = minimize(cost, start, method="Nelder-Mead", options=options | {"initial_simplex": simplex})
+        simplex = move.start + 0.3 * np.eye(len(labels) + 1, len(labels), -1)
+        options = {"xatol": 1e-4, "fatol": 1e-6, "maxfev": 2000, "maxiter": 2000, "initial_simplex": simplex}
+        found = minimize(lambda u: self.value(move(u)), move.start, method="Nelder-Mead", options=options)
         assert found.success
         return move(found.x)
 
@@ -63,12 +73,17 @@ class Objective:
         distance = np.exp(mover(model, labels).start)
         return dict(zip(labels, errors * distance, strict=True))
 
+    def ratio(self, model: aj.Model, label: str, end: float) -> float:
+        """Root of twice the fall of the likelihood from this model to where a parameter is at this end."""
+        others = [p.label for p in model.parameters if p.free and p.label != label and p.start]
+        at = self.maximum(model.with_values(**{label: end}), others)
+        return float(np.sqrt(2.0 * max(self.value(at) - self.value(model), 0.0)))
+
 
 def mover(model: aj.Model, labels: list[str]) -> Callable[[np.ndarray], aj.Model]:
     """What makes a model from the logarithms of its parameters; `start` are those of the model itself."""
     lower = {p.label: p.parameter.lower for p in model.parameters}
-    bounds = np.array([lower[label] for label in labels])
-    values = np.array([model.values[label] for label in labels], float)
+    bounds, values = (np.array([of[label] for label in labels], float) for of in (lower, model.values))
 
     def move(u: np.ndarray) -> aj.Model:
         moved = bounds + np.exp(np.clip(u, -40.0, 40.0))
@@ -90,11 +105,9 @@ class Spectrum(Objective):
 
     def __init__(self, x: np.ndarray, rate: float, edges: np.ndarray) -> None:
         self.n, self.rate, self.edges = len(x), rate, np.asarray(edges)
-        rows = dct(np.eye(self.n), norm="ortho", axis=0)
-        self.c = (rows @ x)[1:]
-        size = 2 * self.n
-        power = np.abs(np.fft.rfft(rows, size, axis=1)) ** 2
-        lags = np.fft.irfft(power, size, axis=1)[1:, : self.n]
+        rows = dct(np.eye(self.n), norm="ortho", axis=0)[1:]
+        self.c = rows @ x
+        lags = np.fft.irfft(np.abs(np.fft.rfft(rows, 2 * self.n)) ** 2)[:, : self.n]
         #: Expected squares are these weights times the covariance at each lag.
         self.weights = lags * np.where(np.arange(self.n) == 0, 1.0, 2.0)
         self.count = np.diff(self.edges)
@@ -128,12 +141,14 @@ class Spectrum(Objective):
 
 
 class Gaussian(Objective):
-    """The Gaussian law of the samples' differences, on which an unknown mean has no influence."""
+    """The Gaussian law of the samples' differences, on which an unknown mean has no influence.
+
+    Its value has no constant left out.
+    """
 
     def __init__(self, x: np.ndarray, rate: float, missing: np.ndarray | None = None) -> None:
         self.n, self.rate = len(x), rate
-        there = np.ones(self.n, bool) if missing is None else ~missing
-        self.D = np.diff(np.eye(self.n)[there], axis=0)
+        self.D = np.diff(np.eye(self.n)[slice(None) if missing is None else ~missing], axis=0)
         self.z = self.D @ x
 
     def covariance(self, model: aj.Model) -> np.ndarray:
@@ -143,18 +158,12 @@ class Gaussian(Objective):
     def value(self, model: aj.Model) -> float:
         L = np.linalg.cholesky(self.covariance(model))
         u = np.linalg.solve(L, self.z)
-        return float(0.5 * u @ u + np.sum(np.log(np.diag(L))))
+        return float(0.5 * (u @ u + len(u) * np.log(2.0 * np.pi)) + np.sum(np.log(np.diag(L))))
 
     def information(self, model: aj.Model, labels: list[str]) -> np.ndarray:
         inverse = np.linalg.inv(self.covariance(model))
         parts = [inverse @ D for D in slopes(self.covariance, model, labels)]
         return np.array([[0.5 * np.sum(a * b.T) for b in parts] for a in parts])
-
-    def ratio(self, model: aj.Model, label: str, end: float, best: float) -> float:
-        """Root of twice the fall of the likelihood where a parameter is at this end, others most likely."""
-        others = [p.label for p in model.parameters if p.free and p.label != label and p.start]
-        at = self.maximum(model.with_values(**{label: end}), others)
-        return float(np.sqrt(2.0 * max(self.value(at) - best, 0.0)))
 
 
 class Variances:
@@ -168,21 +177,19 @@ class Variances:
         self.found = factor * np.array([np.mean((A @ x) ** 2) for A in forms])
 
     @classmethod
-    def of_allan(cls, x: np.ndarray, rate: float, sizes: np.ndarray) -> "Variances":
-        """Overlapping Allan variances."""
-        n, forms = len(x), []
-        for m in np.asarray(sizes).tolist():
-            rows = np.zeros((n - 2 * m + 1, n))
-            for i in range(len(rows)):
-                rows[i, i : i + m], rows[i, i + m : i + 2 * m] = -1.0 / m, 1.0 / m
-            forms.append(rows)
+    def of_allan(cls, x: np.ndarray, rate: float, sizes: np.ndarray, strides: Any = 1) -> "Variances":
+        """Overlapping Allan variances, of clusters that begin at every so manieth sample."""
+        forms, n = [], len(x)
+        for m, stride in np.broadcast(sizes, strides):
+            at = np.arange(n) - np.arange(0, n - 2 * m + 1, stride)[:, None]
+            forms.append((1.0 * ((at >= m) & (at < 2 * m)) - ((at >= 0) & (at < m))) / m)
         return cls(x, rate, forms, 0.5)
 
     def moments(self, model: aj.Model) -> tuple[np.ndarray, np.ndarray]:
         """Expectations and covariance of the variances."""
         C = covariance(model, self.n, self.rate)
-        both = [[2.0 * np.mean((A @ C @ B.T) ** 2) for B in self.forms] for A in self.forms]
-        return self.mean(model), self.factor**2 * np.array(both)
+        both = np.array([[2.0 * np.mean((A @ C @ B.T) ** 2) for B in self.forms] for A in self.forms])
+        return self.mean(model), self.factor**2 * both
 
     def mean(self, model: aj.Model) -> np.ndarray:
         """Expectations of the variances."""
@@ -195,10 +202,7 @@ class Variances:
         Variances are raised by 10⁻⁴, as the package does, lest their covariance be singular.
         """
         mean, C = self.moments(model)
-        C = C + 1e-4 * np.diag(np.diag(C))
-        D = slopes(self.mean, model, labels)
-        weighed = np.linalg.solve(C, np.column_stack([D.T, self.found - mean]))
-        F = D @ weighed[:, :-1]
-        inverse = np.linalg.inv(F)
-        chi2 = float((self.found - mean) @ weighed[:, -1])
-        return inverse @ (D @ weighed[:, -1]), np.sqrt(np.diag(inverse)), chi2
+        P = np.linalg.inv(C + 1e-4 * np.diag(np.diag(C)))
+        D, left = slopes(self.mean, model, labels), self.found - mean
+        inverse = np.linalg.inv(D @ P @ D.T)
+        return inverse @ D @ P @ left, np.sqrt(np.diag(inverse)), float(left @ P @ left)

@@ -36,8 +36,8 @@ def at_rest(means, n, rate, unit="m/s²", name="", axes="xyz") -> aj.Recording:
     scatter = np.tile([1.0, -1.0], n)[:n, None] * np.arange(1.0, n + 1.0)[:, None] % 7.0
     values = np.asarray(means, float) + 1e-6 * np.abs(means).max() * (scatter - scatter.mean())
     sensor = "accel" if unit.startswith("m") else "gyro"
-    options = {"names": [f"{sensor}_{a}" for a in axes], "name": name, f"{sensor}_unit": unit}
-    return aj.Recording.from_array(values, rate, **options)
+    names = [f"{sensor}_{a}" for a in axes]
+    return aj.Recording.from_array(values, rate, names=names, name=name, **{f"{sensor}_unit": unit})
 
 
 def dense(kernel, start, length, step: float, contrast: bool) -> np.ndarray:
@@ -66,9 +66,8 @@ def least_squares(X: np.ndarray, y: np.ndarray, C: np.ndarray) -> Dense:
     """y = X·β + e with e of covariance C: β by the normal equations with the inverse of C."""
     P = np.linalg.inv(C)
     covariance = np.linalg.inv(X.T @ P @ X)
-    values = covariance @ X.T @ P @ y
-    left = y - X @ values
-    return Dense(values, covariance, left, C - X @ covariance @ X.T, float(left @ P @ left))
+    left = y - X @ covariance @ X.T @ P @ y
+    return Dense(covariance @ X.T @ P @ y, covariance, left, C - X @ covariance @ X.T, float(left @ P @ left))
 
 
 def jacobian(function, at: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Records of white noise and a random walk from NumPy alone, many at once as the axes of one recording."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy.linalg import toeplitz
 
 import allanjax as aj
 
@@ -24,18 +25,20 @@ def records(N_coefficient: float, K: float, count: int, seed: int, n: int = N) -
     return aj.Recording(values, RATE, axes)
 
 
-def information(N_coefficient: float, K: float, n: int = N) -> np.ndarray:
-    """Fisher's of the powers N² and K², ½ tr(C⁻¹C_i C⁻¹C_j), of the differences of successive samples."""
-    white, of_walk = np.zeros(n - 1), np.zeros(n - 1)
-    white[:2] = 2.0 * RATE, -RATE
-    of_walk[:2] = 2.0 / 3.0 / RATE, 1.0 / 6.0 / RATE
-    parts = [toeplitz(white), toeplitz(of_walk)]
-    C = N_coefficient**2 * parts[0] + K**2 * parts[1]
-    scaled = [np.linalg.solve(C, part) for part in parts]
-    return np.array([[0.5 * np.sum(a * b.T) for b in scaled] for a in scaled])
+def variances(N_coefficient: float, K: float, n: int, rate: float = RATE) -> np.ndarray:
+    """What white noise and a walk give to the variances of the sines of n − 1 differences, [2, n − 1].
+
+    Their covariance is tridiagonal, hence diagonal in sines: 2·N²·rate and −N²·rate beside it of white noise,
+    K²h·2/3 and K²h/6 of the means of a walk.
+    """
+    cosine = np.cos(np.pi * np.arange(1, n) / n)
+    white, slow = 2.0 * rate * (1.0 - cosine), (2.0 + cosine) / (3.0 * rate)
+    return np.stack([N_coefficient**2 * white, K**2 * slow])
 
 
-def bound(N_coefficient: float, K: float, n: int = N) -> np.ndarray:
-    """Cramér and Rao's standard deviations of N and K."""
-    powers = np.sqrt(np.diag(np.linalg.inv(information(N_coefficient, K, n))))
-    return powers / (2.0 * np.array([N_coefficient, K]))
+def bound(N_coefficient: float, K: float, lengths: Sequence[int] = (N,), rate: float = RATE) -> np.ndarray:
+    """Cramér and Rao's standard deviations of N and K by records of these lengths."""
+    parts = np.concatenate([variances(N_coefficient, K, n, rate) for n in lengths], axis=1)
+    share = parts / parts.sum(axis=0)
+    # Fisher's information about ln N and ln K: half the squares of the slopes of ln variance.
+    return np.sqrt(np.diag(np.linalg.inv(2.0 * share @ share.T))) * [N_coefficient, K]
