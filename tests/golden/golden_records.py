@@ -375,8 +375,10 @@ def steps(_, x, truth):
 @hides(24, "gyro_x", "gyro_z")
 def telegraph(rng, x, truth):
     amplitude, dwell = 0.9 * level(truth, "gyro_z"), 9.0
-    x["gyro_z"] += amplitude * (np.searchsorted(np.cumsum(rng.exponential(dwell, 200)), TIME) % 2)
-    return (Effect("telegraph", ("gyro_z",), {"amplitude": amplitude, "dwell_time": dwell}),)
+    switches = np.cumsum(rng.exponential(dwell, 200))
+    x["gyro_z"] += amplitude * (np.searchsorted(switches, TIME) % 2)
+    told = {"amplitude": amplitude, "dwell_time": dwell, "switches": switches[switches < TIME[-1]]}
+    return (Effect("telegraph", ("gyro_z",), told),)
 
 
 @hides(25, "accel_y", "gyro_x")
@@ -402,8 +404,10 @@ def temperature(_, x, truth):
 @hides(27, "gyro_y", "accel_x")
 def outliers(rng, x, truth):
     places = np.sort(rng.choice(MIDDLE, 12, replace=False))
-    x["gyro_y"][places] += rng.choice([-1.0, 1.0], 12) * rng.uniform(12.0, 30.0, 12) * level(truth, "gyro_y")
-    return (Effect("outliers", ("gyro_y",), {"count": 12, "times": tuple(places / RATE)}),)
+    sizes = rng.choice([-1.0, 1.0], 12) * rng.uniform(12.0, 30.0, 12) * level(truth, "gyro_y")
+    x["gyro_y"][places] += sizes
+    told = {"count": 12, "times": places / RATE, "scale": np.sqrt(np.mean(sizes**2))}
+    return (Effect("outliers", ("gyro_y",), told),)
 
 
 @hides(28, *GYROS, *ACCELS)
@@ -432,8 +436,9 @@ def rounded(_, x, truth):
     centre, std = np.mean(x["gyro_y"]), np.std(x["gyro_y"])
     low, high = centre - 1.4 * std, centre + 1.1 * std
     x["gyro_y"] = np.clip(x["gyro_y"], low, high)
-    limits = Effect("saturation", ("gyro_y",), {"upper_level": high, "lower_level": low})
-    return (Effect("rounding", ("gyro_x",), {"step": step}), limits)
+    limits = {"upper_level": high, "lower_level": low}
+    limits["fraction"] = np.mean((x["gyro_y"] == low) | (x["gyro_y"] == high))
+    return (Effect("rounding", ("gyro_x",), {"step": step}), Effect("saturation", ("gyro_y",), limits))
 
 
 @hides(31, *GYROS)
@@ -454,7 +459,7 @@ def two_effects(_, x, truth):
     amplitude, height = 0.3 * level(truth, "accel_z"), 0.5 * level(truth, "gyro_x")
     x["gyro_x"] += height * (np.arange(MIDDLE) >= 9_000)
     x["accel_z"] += line(amplitude, 11.7, 2.0)
-    wave = Effect("sinusoid", ("accel_z",), {"frequency": 11.7, "amplitude": amplitude})
+    wave = Effect("sinusoid", ("accel_z",), {"frequency": 11.7, "amplitude": amplitude, "phase": 2.0})
     return (Effect("bias_step", ("gyro_x",), {"time": 90.0, "amplitude": height}), wave)
 
 
