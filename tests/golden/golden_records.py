@@ -326,7 +326,7 @@ def hides(seed, *names, among=EFFECTS, **more):
     It changes the axes x by name, of which it gets the truth, and returns the effects.
     """
 
-    def make(hide):
+    def make(hide, seed=seed):
         rng, x, truth = np.random.default_rng(seed), {}, {}
         for k, name in enumerate(names):
             c = crossing((1.0 + 0.3 * k) * (GYRO if name.startswith("gyro") else ACCEL), K=20.0)

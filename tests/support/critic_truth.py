@@ -193,9 +193,9 @@ WAVES |= {f.__name__: f for f in (outliers, variance_change, repeated_samples)}
 # --- Records that are no golden ones ------------------------------------------------------------------------
 
 
-def more():
-    """A power law, lost samples that the one before stands for, a warm-up, and louder noise."""
-    rng, held = np.random.default_rng(41), np.zeros(N, bool)
+def more(seed=41):
+    """A power law, lost samples that the one before stands for, a warm-up, and louder noise, about a bias."""
+    rng, held = np.random.default_rng(seed), np.zeros(N, bool)
     x = {name: golden.white(rng, N, GYRO) for name in ("gyro_1", "gyro_2", "gyro_3", "gyro_4")}
     law, level = {"exponent": 0.5, "amplitude": 1.5 * GYRO}, GYRO * np.sqrt(RATE)
     warm, loud = (
@@ -212,7 +212,7 @@ def more():
     causes = ("power_law", "repeated_samples", "warm_up", "variance_change")
     effects = tuple(Effect(c, (axis,), p) for c, axis, p in zip(causes, x, told, strict=True))
     truth = {name: {"angle_random_walk": GYRO} for name in x}
-    return Record(np.column_stack(list(x.values())), tuple(x), truth, effects=effects, name="more")
+    return Record(np.column_stack(list(x.values())) + 0.01, tuple(x), truth, effects=effects, name="more")
 
 
 def one_pole():
@@ -248,6 +248,15 @@ MORE = {
     "markov_fast": lambda: lacking(bench.truth("markov_fast"), "angle_random_walk"),
     "white": lambda: lacking(golden.basic(78, N, ("gyro_x", crossing(GYRO, Q=2.0))), "quantization"),
 }
+
+
+def record_of(name, seed=None):
+    """One of these, or a golden one; with a seed another one of its kind."""
+    if seed is not None:
+        return (MORE | golden.EFFECTS)[name](seed=seed)
+    return MORE[name]() if name in MORE else bench.truth(name)
+
+
 #: What the fits of axes know that lack a basic term.
 KNOWN = {"basics": "N", "markov_fast": "N", "white": "Q"}
 
@@ -258,7 +267,7 @@ def critique(name):
         return bench.critique(name)
 
     def make():
-        given = MORE[name]().recording()
+        given = record_of(name).recording()
         return aj.critique(given, aj.fit(given, KNOWN[name]) if name in KNOWN else None)
 
     return bench.once(f"critique of what is hidden in {name}", make)
@@ -282,9 +291,9 @@ class Hidden(NamedTuple):
 
 
 @functools.cache
-def hidden_in(name):
+def hidden_in(name, seed=None):
     """Effects in the axes of a record."""
-    record, found = MORE.get(name, functools.partial(bench.truth, name))(), []
+    record, found = record_of(name, seed), []
     for effect, axis in ((each, axis) for each in record.effects for axis in each.axes):
         own, p = dict(record.truth[axis]), dict(effect.parameters)
         x, v = record.values[:, record.names.index(axis)], levels(own)
