@@ -5,7 +5,7 @@ import functools
 import critic_truth as ct
 import numpy as np
 import pytest
-from bench import critique, once, recording, truth
+from bench import critique, recording
 
 import allanjax as aj
 from allanjax.critic import CAUSES
@@ -29,8 +29,7 @@ def gappy():
     x[:, 0] += 0.25 * np.sin(2.0 * np.pi * 3.2171 * np.arange(N) / RATE)
     x[5_000, 0] += 15.0
     options = {"rate": RATE, "gyro_unit": "deg/s", "names": ["gyro_x", "gyro_z"], "gaps": "fill"}
-    both = np.where(LOST[:, None], np.nan, x), x
-    return once("critique of a gappy record", lambda: [aj.critique(values, **options) for values in both])
+    return [aj.critique(values, **options) for values in (np.where(LOST[:, None], np.nan, x), x)]
 
 
 def test_what_is_found_is_what_there_is_with_a_tenth_less_known_of_it():
@@ -70,8 +69,8 @@ def test_noise_is_as_loud_where_it_was_drawn_and_is_known_less_well():
 
 def test_coefficients_of_what_is_left_are_as_uncertain_as_if_the_record_were_shorter():
     given, found = recording("lossy"), critique("lossy")
-    share = given.missing.mean()
-    wide = np.sqrt(1.0 / (1.0 - share) + share)
+    assert any("drawn" in note for note in found.notes)
+    wide = np.sqrt(1.0 / (1.0 - given.missing.mean()) + given.missing.mean())
     units = {"gyro_unit": "rad/s", "accel_unit": "m/s²"}
     drawn = aj.fit(given.values, rate=given.rate, **units, names=given.names, as_is=True)
     again = found.refit()
@@ -80,17 +79,6 @@ def test_coefficients_of_what_is_left_are_as_uncertain_as_if_the_record_were_sho
         for label, e in again[axis].coefficients.items():
             if e.detected:
                 assert e.std == pytest.approx(wide * drawn[axis].coefficients[label].std, rel=1e-6)
-
-
-def test_a_record_that_lost_bursts_on_all_axes_has_no_finding():
-    found, hidden = critique("lossy"), truth("lossy")
-    assert any("drawn" in note for note in found.notes)
-    # Bursts at the same times on both axes, drawn independently, are nothing that they share.
-    assert all(d.p_value > 1e-4 for axis in found.results for d in axis.before)
-    for axis in found:
-        own = hidden.truth[axis]["angle_random_walk"]
-        near = pytest.approx(own, rel=4.0 * 1.3 * found.fit[axis].widening / np.sqrt(2.0 * N))
-        assert found.models[axis]["angle_random_walk"].coefficient == near
 
 
 BEHIND = [("rounded", "gyro_x", 0.06), ("more", "gyro_2", 0.025), ("rounded", "gyro_y", 0.04)]
