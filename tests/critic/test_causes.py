@@ -18,9 +18,6 @@ def white(seed):
     return np.random.default_rng(seed).standard_normal(N)
 
 
-# --- The rule -----------------------------------------------------------------------------------------------
-
-
 class Claim(Cause):
     """A cause that offers what it is told to, once."""
 
@@ -100,9 +97,6 @@ def test_rivals_are_what_else_was_offered_with_their_odds_against_it():
     assert found.cause == "temperature"
     # Shorter than a thousand to one.
     assert {r.cause: r.odds for r in found.rivals} == {"warm_up": pytest.approx(np.exp(3.0))}
-
-
-# --- Of one's own -------------------------------------------------------------------------------------------
 
 
 def hump(n):

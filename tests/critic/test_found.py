@@ -116,9 +116,6 @@ def test_all_causes_are_looked_for_here():
     assert named | {"spectral_shape", "common_mode", "disturbance"} >= {cause.name for cause in CAUSES}
 
 
-# --- What a finding is worth --------------------------------------------------------------------------------
-
-
 def worth(hidden, axis):
     """Log-likelihood that the truth gains over the terms before it on a record that these were not fitted to.
 

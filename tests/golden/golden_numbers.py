@@ -203,7 +203,6 @@ _PARTS = {
     _uses: ("small",),
 }
 
-# --- Comparison ---------------------------------------------------------------------------------------------
 
 #: By how much numbers of a kind may differ.
 # Estimates: a tenth of σ between maximizers of one likelihood, three tenths where only the target is fixed

@@ -220,8 +220,6 @@ PLAIN = {
     "two_markovs": partial(with_markov, 9, LONG, (4.0, 0.2), (1.0, 20.0)),
 }
 
-# --- Filters, resonances, lines -----------------------------------------------------------------------------
-
 LEAD = 512
 
 
@@ -311,8 +309,6 @@ SHAPED = {
     "line": one_line,
     "power_law": long_memory,
 }
-
-# --- Effects for the critic, and records in trouble ---------------------------------------------------------
 
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
 ACCELS = ("accel_x", "accel_y", "accel_z")

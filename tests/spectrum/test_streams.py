@@ -2,6 +2,7 @@
 
 import itertools
 
+import golden_records
 import numpy as np
 import pytest
 from scipy.fft import dct
@@ -22,13 +23,8 @@ LABELS = ("angle_random_walk", "rate_random_walk", "drift_ramp")
 def x() -> np.ndarray:
     """Means over sample intervals; the ramps are eight standard deviations of the walks' slopes or more."""
     rng = np.random.default_rng(7)
-    axes = []
-    for white, walk, ramp in TRUTH.values():
-        steps, bridge = rng.normal(size=(2, N)) / np.sqrt(RATE)
-        brownian = np.cumsum(steps) - steps / 2.0 + bridge / np.sqrt(12.0)
-        line = ramp * np.arange(N) / RATE
-        axes.append(9.8 + white * np.sqrt(RATE) * rng.normal(size=N) + walk * brownian + line)
-    return np.stack(axes, axis=1)
+    terms = [dict(zip("KNR", (K, white, R), strict=True)) for white, K, R in TRUTH.values()]
+    return np.stack([9.8 + golden_records.sensor(rng, N, RATE, **c) for c in terms], axis=1)
 
 
 def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:

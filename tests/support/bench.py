@@ -30,8 +30,7 @@ def once(name: str, make: Callable[[], _T]) -> _T:
 
     Everybody gets the object anew from the pickle, also who made it: no test depends on being the first.
     """
-    stem = hashlib.sha256(name.encode()).hexdigest()[:24]
-    path = Path(os.environ[RUN]) / f"{stem}.pickle"
+    path = Path(os.environ[RUN]) / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.pickle"
     if not path.exists():
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
@@ -91,14 +90,8 @@ def critique(name: str) -> aj.Critique:
 
 
 @functools.cache
-def posterior(
-    name: str, axes: tuple[str, ...] | None = None, model: str | None = None, **options: Any
-) -> aj.Posterior:
+def posterior(name: str, axes: Any = None, model: str | None = None, **options: Any) -> aj.Posterior:
     """A posterior by Whittle's likelihood, with `seed=1` unless `options` give another."""
     label = f"posterior {name} {axes} {model} {sorted(options.items())}"
     options = {"seed": 1, "progress": False} | options
-
-    def make() -> aj.Posterior:
-        return aj.sample(fit(name, model, "whittle"), None if axes is None else list(axes), **options)
-
-    return once(label, make)
+    return once(label, lambda: aj.sample(fit(name, model, "whittle"), axes and list(axes), **options))

@@ -47,9 +47,6 @@ def log_likelihood(c, v):
     return -0.5 * float(np.sum(np.log(v) + c**2 / v))
 
 
-# --- Bounds: least standard deviations, and waveforms whose amplitudes are not known ------------------------
-
-
 def waveform_bound(v, *columns):
     """Standard deviations of the coefficients of some waveforms, by generalized least squares."""
     whitened = coefficients(np.stack(columns)) / np.sqrt(v)
@@ -149,9 +146,6 @@ def repeated_samples(p, v, x):
     return {"fraction": np.sqrt(p["fraction"] * (1.0 - p["fraction"]) / N)}, None
 
 
-# --- Levels of noise with an effect, from all parameters ----------------------------------------------------
-
-
 def resonance(p):
     """An oscillator that is read at the sample instants."""
     lag, w = np.arange(1, 4_000) / RATE, 2.0 * np.pi * p["frequency"]
@@ -190,29 +184,25 @@ WAVES = {f.__name__: f for f in (sinusoid, bias_step, warm_up, telegraph, temper
 WAVES |= {f.__name__: f for f in (outliers, variance_change, repeated_samples)}
 
 
-# --- Records that are no golden ones ------------------------------------------------------------------------
-
-
 def more(seed=41):
-    """A power law, lost samples that the one before stands for, a warm-up, and louder noise, about a bias."""
-    rng, held = np.random.default_rng(seed), np.zeros(N, bool)
-    x = {name: golden.white(rng, N, GYRO) for name in ("gyro_1", "gyro_2", "gyro_3", "gyro_4")}
-    law, level = {"exponent": 0.5, "amplitude": 1.5 * GYRO}, GYRO * np.sqrt(RATE)
-    warm, loud = (
-        {"amplitude": -0.5 * level, "time_constant": 20.0},
-        {"start": 52.0, "end": 99.0, "ratio": 1.2},
-    )
-    x["gyro_1"] += golden.power_law(rng, N, law["amplitude"] ** 2, 0.5)
+    """In white noise about a bias: a power law, repeats of lost samples, a warm-up, louder noise."""
+    rng, held, level = np.random.default_rng(seed), np.zeros(N, bool), GYRO * np.sqrt(RATE)
+    x = {f"gyro_{k}": 0.01 + golden.white(rng, N, GYRO) for k in range(1, 5)}
+    x["gyro_1"] += golden.power_law(rng, N, (1.5 * GYRO) ** 2, 0.5)
     for start in rng.choice(N // 5 - 1, 550, replace=False) * 5 + 3:
         held[start : start + rng.integers(1, 5)] = True
     x["gyro_2"] = x["gyro_2"][np.maximum.accumulate(np.where(held, 0, np.arange(N)))]
-    x["gyro_3"] += warm["amplitude"] * np.exp(-TIME / 20.0)
-    x["gyro_4"][5_200:9_900] *= 1.2
-    told = law, {"fraction": held.mean(), "longest": 4.0}, warm, loud
-    causes = ("power_law", "repeated_samples", "warm_up", "variance_change")
-    effects = tuple(Effect(c, (axis,), p) for c, axis, p in zip(causes, x, told, strict=True))
+    x["gyro_3"] -= 0.5 * level * np.exp(-TIME / 20.0)
+    x["gyro_4"][5_200:9_900] += 0.2 * (x["gyro_4"][5_200:9_900] - 0.01)
+    told = {
+        "power_law": {"exponent": 0.5, "amplitude": 1.5 * GYRO},
+        "repeated_samples": {"fraction": held.mean(), "longest": 4.0},
+        "warm_up": {"amplitude": -0.5 * level, "time_constant": 20.0},
+        "variance_change": {"start": 52.0, "end": 99.0, "ratio": 1.2},
+    }
+    effects = tuple(Effect(c, (axis,), p) for axis, (c, p) in zip(x, told.items(), strict=True))
     truth = {name: {"angle_random_walk": GYRO} for name in x}
-    return Record(np.column_stack(list(x.values())) + 0.01, tuple(x), truth, effects=effects, name="more")
+    return Record(np.column_stack(list(x.values())), tuple(x), truth, effects=effects, name="more")
 
 
 def one_pole():
