@@ -13,7 +13,6 @@ import allanjax as aj
 from allanjax.critic import CAUSES
 
 RATE, N = 50.0, ct.N
-FREQUENCY = 3.2173
 
 
 def only(*names):
@@ -25,7 +24,7 @@ def white_of(record, axis):
     return golden.level(record.truth, axis) / golden.UNITS[axis.split("_")[0]][1]
 
 
-def line(amplitude, frequency=FREQUENCY):
+def line(amplitude, frequency=3.2173):
     return amplitude * np.sin(2.0 * np.pi * frequency * np.arange(N) / RATE + 0.4)
 
 
@@ -41,7 +40,7 @@ def six_axes():
     place = np.arange(N)
     x[:, 0] += line(5.0 * WEAK)
     # Whatever the noise has of this line does not count.
-    both = np.exp(2j * np.pi * FREQUENCY * place / RATE)
+    both = np.exp(2j * np.pi * 3.2173 * place / RATE)
     x[:, 1] += line(WEAK) - 2.0 / N * np.real(np.vdot(both, x[:, 1]) * both)
     x[:, 2] += 11.0 * STEP_STD * (place >= 8_000)
     x[:, 3] -= 13.0 * STEP_STD * (place >= 8_000)

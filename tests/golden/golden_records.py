@@ -460,11 +460,9 @@ def two_effects(_, x, truth):
 
 
 CLEAN = {
-    "clean_1": partial(
-        basic, 33, MIDDLE, *((x, crossing(GYRO * (k + 1), B=1.0)) for k, x in enumerate(GYROS))
-    ),
+    "clean_1": partial(basic, 33, MIDDLE, *((x, crossing(GYRO * k, B=1)) for k, x in enumerate(GYROS, 1))),
     "clean_2": partial(
-        basic, 34, MIDDLE, ("accel_x", crossing(ACCEL, K=12.0)), ("gyro_y", crossing(GYRO, Q=0.05))
+        basic, 34, MIDDLE, ("accel_x", crossing(ACCEL, K=12)), ("gyro_y", crossing(GYRO, Q=0.05))
     ),
 }
 

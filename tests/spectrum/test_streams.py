@@ -4,7 +4,6 @@ import itertools
 
 import golden_records
 import numpy as np
-import pytest
 from scipy.fft import dct
 from scipy.optimize import minimize
 
@@ -14,17 +13,10 @@ RATE = 100.0
 FACTOR, SEGMENT, LOWEST = 8, 2**13, 2**8
 # Three levels, none of them a whole number of blocks or segments.
 N = 2**21 + 2**18 + 12_345
-# White noise, random walk, ramp, of two axes of different sensors.
+# White noise, random walk, ramp, of two axes of different sensors; the ramps are eight standard deviations of
+# the walks' slopes or more.
 TRUTH = {"gyro_x": (0.1, 3e-3, 4e-4), "accel_z": (0.3, 0.015, 2e-3)}
 LABELS = ("angle_random_walk", "rate_random_walk", "drift_ramp")
-
-
-@pytest.fixture(scope="module")
-def x() -> np.ndarray:
-    """Means over sample intervals; the ramps are eight standard deviations of the walks' slopes or more."""
-    rng = np.random.default_rng(7)
-    terms = [dict(zip("KNR", (K, white, R), strict=True)) for white, K, R in TRUTH.values()]
-    return np.stack([9.8 + golden_records.sensor(rng, N, RATE, **c) for c in terms], axis=1)
 
 
 def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
@@ -94,9 +86,11 @@ def pieces_merged(x: np.ndarray, start: int) -> aj.AllanAccumulator:
     return parts[0]
 
 
-def test_fits_are_those_of_the_levels_by_definition(x):
+def test_fits_are_those_of_the_levels_by_definition():
     """Bins of many coefficients cost some hundredths of a standard error; the truth is within four."""
-    start = 77_777
+    start, rng = 77_777, np.random.default_rng(7)
+    terms = [dict(zip("NKR", truth, strict=True)) for truth in TRUTH.values()]
+    x = np.stack([9.8 + golden_records.sensor(rng, N, RATE, **c) for c in terms], axis=1)
     stream = aj.AllanAccumulator(RATE, list(TRUTH), start=start)
     stream.update(x)
     model = aj.AngleRandomWalk() + aj.RateRandomWalk() + aj.DriftRamp()

@@ -60,32 +60,27 @@ def _locked(path: Path) -> Iterator[None]:
 
 @functools.cache
 def truth(name: str) -> golden_records.Record:
-    """The samples of a record and the truth about them."""
     return golden_records.record(name)
 
 
 @functools.cache
 def recording(name: str) -> aj.Recording:
-    """The recording that a user would have read; nothing of the truth is in it."""
     return truth(name).recording()
 
 
 @functools.cache
 def fit(name: str, model: str | None = None, objective: str = "allan", **options: Any) -> aj.Fit:
-    """The fit of a record, `aj.fit(recording, model, objective, **options)`."""
     label = f"fit {name} {model} {objective} {sorted(options.items())}"
     return once(label, lambda: aj.fit(recording(name), model, objective, **options))
 
 
 @functools.cache
 def selection(name: str) -> Any:
-    """The ranking of all sets of terms of a record."""
     return once(f"selection {name}", lambda: aj.select_terms(recording(name)))
 
 
 @functools.cache
 def critique(name: str) -> aj.Critique:
-    """The critique of a record, `aj.critique(recording)`."""
     return once(f"critique {name}", lambda: aj.critique(recording(name)))
 
 

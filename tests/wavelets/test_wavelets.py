@@ -24,13 +24,9 @@ def model_of(quantization=1e-9, white=1e-9, flicker=1e-9, walk=1e-9, markov=1e-9
     return model + aj.RateRandomWalk(walk) + aj.Markov(markov, 3.0)
 
 
-CASES = {
-    "white": model_of(white=1.0),
-    "quantization": model_of(quantization=0.7),
-    "flicker": model_of(flicker=1.3),
-    "walk": model_of(walk=0.4),
-    "mixture": model_of(white=1.0, markov=0.5, walk=0.2),
-}
+ALONE = {"white": 1.0, "quantization": 0.7, "flicker": 1.3, "walk": 0.4}
+CASES = {label: model_of(**{label: size}) for label, size in ALONE.items()}
+CASES["mixture"] = model_of(white=1.0, markov=0.5, walk=0.2)
 
 
 def filters(name: str, levels: int) -> list[np.ndarray]:
