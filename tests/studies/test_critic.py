@@ -12,9 +12,6 @@ from benchmarks.common.hidden_verdict import recording_of
 
 pytestmark = pytest.mark.study
 
-#: Parameters in the recording's unit.
-SIZES = ("amplitude", "coefficient")
-
 
 @pytest.fixture(scope="module")
 def clean():
@@ -52,7 +49,8 @@ def test_errors_are_as_large_as_is_said(name):
         for h in ct.hidden_in(name, seed):
             for finding in (f for f in found[h.axis].findings if f.cause == h.cause):
                 for label in {*h.truth} - {"start", "end"}:
-                    e, scale = finding.parameters[label], UNITS[h.axis[:-2]][1] if label in SIZES else 1.0
+                    e, in_unit = finding.parameters[label], label in ("amplitude", "coefficient")
+                    scale = UNITS[h.axis[:-2]][1] if in_unit else 1.0
                     if e.std > 0.0:
                         z.setdefault((h.cause, label), []).append((e.value - h.truth[label] / scale) / e.std)
     for place, errors in z.items():
