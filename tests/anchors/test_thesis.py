@@ -9,7 +9,7 @@ import pytest
 import allanjax as aj
 
 HOUR = 3600.0
-GYRO, ACCEL = aj.Axis("gyro_x", "gyro", "rad/s"), aj.Axis("accel_x", "accel", "m/s²")
+GYRO = aj.Axis("gyro_x", "gyro", "rad/s")
 
 # Samples, rate, cluster size, and the error [%] printed.
 ERRORS = [
@@ -82,42 +82,3 @@ def test_table_3_3():
             assert estimate.value == pytest.approx(expected, rel=1e-3)
             assert round(100.0 * estimate.std / estimate.value, 2) == pytest.approx(accuracy, abs=0.011)
         assert [e.usual_unit for e in found.values()] == ["(deg/h)²", "s"]
-
-
-# First and last ordinate, ordinates averaged, points that gives.
-TABLE_3_4 = [(1, 32, 1, 32)] + [(2**k + 1, 2 ** (k + 1), 2 ** (k - 4), 16) for k in range(5, 15)]
-
-
-def test_table_3_4():
-    """Of 32,768 ordinates, which 65,538 samples have beside those at zero and at the Nyquist frequency."""
-    assert TABLE_3_4[1] == (33, 64, 2, 16)
-    assert TABLE_3_4[-1] == (16385, 32768, 1024, 16)
-    n, rate = 65_538, 100.0
-    found = aj.power_spectrum(np.random.default_rng(0).normal(size=n), rate)
-    last = np.cumsum(found.count)
-    first = last - found.count + 1
-    np.testing.assert_allclose(found.frequency, (first + last) / 2.0 * rate / n, rtol=1e-12)
-    rows = [(first >= low) & (last <= high) for low, high, *_ in TABLE_3_4]
-    for row, (_, _, averaged, points) in zip(rows, TABLE_3_4, strict=True):
-        assert row.sum() == points
-        assert set(found.count[row]) == {averaged}
-    assert np.sum(rows) == len(found.count)
-
-
-@pytest.mark.parametrize(("rate", "walk"), [(200.0, 0.0015), (100.0, 0.5)], ids=["CIMU", "MotionPak II"])
-def test_table_3_5_and_the_allan_deviation_agree(rate, walk):
-    """White noise of the coefficients [deg/√h] that the thesis finds identical by both methods.
-
-    Four standard errors: n/1.94 degrees of freedom of a density under a Hann window, at least half of them
-    in the band; 1.45 n/m of overlapping Allan variances.
-    """
-    n = 2**14
-    x = walk * DEG / HOUR**0.5 * rate**0.5 * np.random.default_rng(3).normal(size=n)
-    recording = aj.Recording.from_array(x, rate, gyro_unit="rad/s", names=["gyro_x"])
-    found = aj.power_spectrum(recording).random_walk("gyro_x").in_unit("deg/√h")
-    assert found.value == pytest.approx(walk, rel=4.0 * (1.94 / n) ** 0.5)
-    m = 16
-    # Of that cluster size a slope of −1/2 leads to N at one hour.
-    deviation = aj.allan_deviation(recording, estimator="pyramid").deviation[4, 0]
-    at_an_hour = aj.convert(deviation, "rad/s", "deg/h", "gyro") * (m / rate / HOUR) ** 0.5
-    assert at_an_hour == pytest.approx(walk, rel=4.0 * (m / n / 2.9) ** 0.5)

@@ -11,7 +11,6 @@ NAN = float("nan")
 
 
 def critique(x, causes, **options):
-    """Critique of one gyro, looking for these causes."""
     return aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"], causes=causes, **options)
 
 
@@ -19,23 +18,19 @@ def white(seed):
     return np.random.default_rng(seed).standard_normal(N)
 
 
-# --- The rule -----------------------------------------------------------------------------------------------
-
-
 class Claim(Cause):
     """A cause that offers what it is told to, once."""
 
     def __init__(self, name, gain, p_value=None, bound=1.0, held_out=1.0):
-        self.name, self.told = name, (gain, p_value, bound, held_out)
+        self.name, self.told, self.bound, self.held_out = name, (gain, p_value), bound, held_out
         # What is seen in the samples themselves has no odds.
         self.is_preprocessing = np.isnan(gain)
 
     def detect(self, view: View) -> Candidate | None:
-        gain, p_value, bound, held_out = self.told
         if self.name in view.found:
             return None
         size = [view.amplitude_estimate("amplitude", 0.5, 0.1)]
-        return Candidate(self.name, size, gain, p_value, view, lambda: held_out, bound=bound)
+        return Candidate(self.name, size, *self.told, view, lambda: self.held_out, bound=self.bound)
 
 
 #: What is just enough. A p-value counts by the cause's share, a fifteenth of one per cent; e^-gain, or any
@@ -104,9 +99,6 @@ def test_rivals_are_what_else_was_offered_with_their_odds_against_it():
     assert {r.cause: r.odds for r in found.rivals} == {"warm_up": pytest.approx(np.exp(3.0))}
 
 
-# --- Of one's own -------------------------------------------------------------------------------------------
-
-
 def hump(n):
     return np.exp(-0.5 * ((np.arange(n) / n - 0.5) / 0.03) ** 2)
 
@@ -162,26 +154,21 @@ def test_a_family_of_waveforms_is_found_with_its_parameter_and_not_where_it_is_n
         e = found.parameters[label]
         assert abs(e.value - value) < 4.0 * e.std
         # A saw's edge is sharper than the lowest coefficients show, and periods of the bank are 0.17 s apart.
-        assert std < 1.25 * e.std
+        assert std < 1.25 * e.std < 0.375
     assert found.parameters["period"].unit == "s"
-    assert found.parameters["period"].std < 0.3
     nothing = critique(white(4), [STEP, HEATER])
-    assert nothing.findings == ()
-    assert nothing["gyro_x"].tests.keys() == {"bias_step", "heater"}
+    assert (nothing.findings, nothing["gyro_x"].tests.keys()) == ((), {"bias_step", "heater"})
 
 
 def test_a_p_value_counts_the_places_of_a_bank():
     """Of the largest of all matched filters, by our own draws of white noise; the package's are 400."""
     x = white(5)
     places = np.unique(np.rint(np.linspace(0.0, N, 1_026)[1:-1])).astype(int)
-    means = lambda y: np.cumsum(y, axis=-1)[..., places - 1]  # noqa: E731
-    scale = np.sqrt(places * (1.0 - places / N))
 
     def largest(y):
-        y = y - y.mean(axis=-1, keepdims=True)
-        return np.max(abs(means(y)) / scale, axis=-1)
+        return np.max(abs(np.cumsum(y - y.mean())[places - 1]) / np.sqrt(places * (1.0 - places / N)))
 
-    draws = np.array([largest(row) for row in np.random.default_rng(6).standard_normal((1_500, N))])
+    draws = [largest(row) for row in np.random.default_rng(6).standard_normal((1_500, N))]
     expected = np.mean(draws > largest(x))
     found = critique(x, [STEP])["gyro_x"].tests["bias_step"]
     assert found == pytest.approx(expected, abs=4.0 * np.sqrt(expected * (1.0 - expected) / 320.0))
@@ -193,12 +180,11 @@ def test_the_last_bits_of_a_record_change_nothing():
     warm_up = next(cause for cause in CAUSES if cause.name == "warm_up")
     first, again = (critique(x * (1.0 + k * 2.2e-16), [STEP, warm_up]) for k in (0, 3))
     assert first["gyro_x"].tests == pytest.approx(again["gyro_x"].tests, rel=1e-9)
-    (one,), (other,) = first.findings, again.findings
-    for label, e in one.parameters.items():
-        assert e.value == pytest.approx(other.parameters[label].value, rel=1e-6)
-        assert e.std == pytest.approx(other.parameters[label].std, rel=1e-6)
-    assert np.log(one.p_value) == pytest.approx(np.log(other.p_value), rel=1e-6)
-    assert one.gain == pytest.approx(other.gain, rel=1e-6)
+    numbers = [
+        [f.gain, np.log(f.p_value), *(x for e in f.parameters.values() for x in (e.value, e.std))]
+        for (f,) in (first.findings, again.findings)
+    ]
+    assert numbers[0] == pytest.approx(numbers[1], rel=1e-6)
 
 
 def test_the_best_of_several_channels_is_corrected_for_their_number():

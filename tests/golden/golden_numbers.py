@@ -4,9 +4,10 @@ A number's kind decides by how much it may differ (see `distance`): numbers with
 1e-9, estimates by a share of their own standard error, decisions not at all.
 """
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+import re
 from typing import Any
 
 import bench
@@ -35,13 +36,13 @@ class Number:
     value: Any
     scale: float = 1.0
 
-    def plain(self) -> list[Any]:
+    def plain(self):
         """For JSON, with the digits that matter."""
         digits = 15 if self.kind == "exact" else 9
         return [self.kind, _rounded(self.value, digits), _rounded(self.scale, 6)]
 
 
-def _rounded(value: Any, digits: int) -> Any:
+def _rounded(value, digits):
     if isinstance(value, list | tuple | np.ndarray):
         return [_rounded(v, digits) for v in value]
     if isinstance(value, bool | np.bool_):
@@ -51,19 +52,13 @@ def _rounded(value: Any, digits: int) -> Any:
     return value
 
 
-# --- The numbers of a record --------------------------------------------------------------------------------
-
-
 def numbers_of(name: str) -> dict[str, Number]:
     """All numbers of one record by their place, e.g. "whittle/gyro_x/angle_random_walk/std"."""
-    parts: list[Callable[[str], Iterator[tuple[str, Number]]]] = [_curves]
-    if name in (*PLAIN, *SHAPED):
-        parts.append(_given)
-    parts += [part for names, part in _MORE if name in names]
+    parts = [part for part, names in _PARTS.items() if names is None or name in names]
     return {place: number for part in parts for place, number in part(name)}
 
 
-def _curves(name: str) -> Iterator[tuple[str, Number]]:
+def _curves(name):
     """Numbers without an estimator in them: the record's curves, and those of its true model."""
     record, recording = bench.truth(name), bench.recording(name)
     yield "record", Number("exact", record.fingerprint)
@@ -86,7 +81,7 @@ def _curves(name: str) -> Iterator[tuple[str, Number]]:
         yield "model/psd", Number("exact", model.sampled_psd(frequency, record.rate))
 
 
-def _given(name: str) -> Iterator[tuple[str, Number]]:
+def _given(name):
     """Fits of the model that the record has, by every objective that can fit it."""
     record = bench.truth(name)
     objectives = ["whittle"] if name in SHAPED else ["allan", "whittle"]
@@ -96,7 +91,7 @@ def _given(name: str) -> Iterator[tuple[str, Number]]:
         yield from _of_fit(objective, bench.fit(name, record.model, objective))
 
 
-def _chosen(name: str) -> Iterator[tuple[str, Number]]:
+def _chosen(name):
     """The fit that chooses its terms."""
     fit = bench.fit(name)
     yield from _of_fit("chosen", fit)
@@ -106,7 +101,7 @@ def _chosen(name: str) -> Iterator[tuple[str, Number]]:
     yield "chosen/stretch", Number("seconds", stretch)
 
 
-def _of_fit(label: str, fit: aj.Fit) -> Iterator[tuple[str, Number]]:
+def _of_fit(label, fit):
     """Coefficients, their uncertainty, and how well the model fits."""
     for result in fit.results:
         place = f"{label}/{result.axis.name}"
@@ -122,7 +117,7 @@ def _of_fit(label: str, fit: aj.Fit) -> Iterator[tuple[str, Number]]:
             yield from of_estimate(f"{place}/{name}", c)
 
 
-def of_estimate(place: str, c: aj.Estimate) -> Iterator[tuple[str, Number]]:
+def of_estimate(place, c):
     """Value, standard deviation, intervals and limit of one coefficient."""
     yield f"{place}/detected", Number("same", c.detected)
     if c.detected and np.isfinite(c.std) and c.std > 0.0:
@@ -135,7 +130,7 @@ def of_estimate(place: str, c: aj.Estimate) -> Iterator[tuple[str, Number]]:
         yield f"{place}/upper_limit", Number("limit", c.upper_limit)
 
 
-def _ranking(name: str) -> Iterator[tuple[str, Number]]:
+def _ranking(name):
     """Log evidences of the best sets of terms, relative to the best one, and how probable each term is."""
     for result in bench.selection(name).results:
         place = f"selection/{result.axis.name}"
@@ -143,13 +138,10 @@ def _ranking(name: str) -> Iterator[tuple[str, Number]]:
         best = result.ranking[:3]
         differences = [s.log_evidence - best[0].log_evidence for s in best]
         yield f"{place}/log_evidence", Number("log_evidence", differences)
-        yield (
-            f"{place}/inclusion",
-            Number("probability", [result.inclusion[t] for t in sorted(result.inclusion)]),
-        )
+        yield f"{place}/inclusion", Number("probability", [p for _, p in sorted(result.inclusion.items())])
 
 
-def _posterior(name: str) -> Iterator[tuple[str, Number]]:
+def _posterior(name):
     """Medians, ends of intervals and limits of a posterior."""
     for result in bench.posterior(name, POSTERIORS[name]).results:
         for label, c in result.coefficients.items():
@@ -161,10 +153,12 @@ def _posterior(name: str) -> Iterator[tuple[str, Number]]:
                 yield f"{place}/upper_limit", Number("limit", c.upper_limit)
 
 
-def _critique(name: str) -> Iterator[tuple[str, Number]]:
+def _critique(name):
     """Findings with their axes, parameters, odds and gain."""
     critique = bench.critique(name)
-    found = sorted(critique.findings, key=lambda f: (f.cause, f.axes, _first(f)))
+    # Like findings are told apart by their first parameter.
+    first = lambda f: next((e.value for e in f.parameters.values()), 0.0)  # noqa: E731
+    found = sorted(critique.findings, key=lambda f: (f.cause, f.axes, first(f)))
     yield "critique/findings", Number("same", [[f.cause, *f.axes] for f in found])
     for k, finding in enumerate(found):
         place = f"critique/{k} {finding.cause}"
@@ -179,55 +173,42 @@ def _critique(name: str) -> Iterator[tuple[str, Number]]:
                 yield f"{place}/{what}", Number(what, value)
 
 
-def _first(finding: aj.Finding) -> float:
-    """The first parameter, by which like findings are told apart."""
-    return next((e.value for e in finding.parameters.values()), 0.0)
-
-
-def _uses(name: str) -> Iterator[tuple[str, Number]]:
+def _uses(name):
     """What is made of a fit: filter numbers, growth of errors, lengths, exports."""
     fit = bench.fit(name)
     for result in aj.horizon(fit, 10.0).results:
         place = f"horizon/{result.axis.name}"
         yield f"{place}/white", Number("share_2", result.white.value)
         yield f"{place}/walk", Number("share_2", result.walk.value)
-    growth = aj.navigate(fit, [1.0, 10.0, 100.0])
-    for quantity, of in growth.items():
-        yield (
-            f"navigation/{quantity}",
-            Number("share_2", of.to_dataframe().select_dtypes(float).to_numpy().ravel()),
-        )
+    for quantity, growth in aj.navigate(fit, [1.0, 10.0, 100.0]).items():
+        numbers = growth.to_dataframe().select_dtypes(float).to_numpy().ravel()
+        yield f"navigation/{quantity}", Number("share_2", numbers)
     for line in aj.check(bench.recording(name)).lines:
         yield f"check/{line.name}", Number("same", line.verdict)
     for target in TARGETS:
-        text = aj.export(fit, target)
-        yield f"export/{target}", Number("share_2", sorted(_values(text)))
+        values = []
+        for word in re.sub(r"#.*|[,\[\]]", " ", aj.export(fit, target)).split():
+            with contextlib.suppress(ValueError):
+                values.append(float(word))
+        yield f"export/{target}", Number("share_2", sorted(values))
 
 
-def _values(text: str) -> Iterator[float]:
-    """Numbers of a file of `key: value`, without its comments."""
-    for line in text.splitlines():
-        for word in line.split("#")[0].replace(",", " ").replace("[", " ").replace("]", " ").split():
-            try:
-                yield float(word)
-            except ValueError:
-                continue
+_PARTS = {
+    _curves: None,
+    _given: (*PLAIN, *SHAPED),
+    _chosen: CHOSEN,
+    _ranking: RANKED,
+    _posterior: POSTERIORS,
+    _critique: CRITIQUES,
+    _uses: ("small",),
+}
 
-
-# --- Comparison ---------------------------------------------------------------------------------------------
 
 #: By how much numbers of a kind may differ.
 # Estimates: a tenth of σ between maximizers of one likelihood, three tenths where only the target is fixed
 # (least squares on the Allan curve; a search for structure), 0.15 σ for what is drawn, 4.5 of its errors.
-_IN_SIGMA = {
-    "likely": 0.1,
-    "fitted": 0.3,
-    "end": 0.15,
-    "drawn": 0.15,
-    "drawn_end": 0.2,
-    "parameter": 0.3,
-    "chi2": 0.3,
-}
+_IN_SIGMA = {"likely": 0.1, "fitted": 0.3, "end": 0.15, "drawn": 0.15, "drawn_end": 0.2}
+_IN_SIGMA |= {"parameter": 0.3, "chi2": 0.3}
 # Ratios: a limit is known to a fifth itself; σ of a finding to a quarter.
 _RATIOS = {"std": 1.07, "limit": 1.18, "parameter_std": 1.25, "share_2": 1.02, "misfit": 1.1}
 # Absolute: nats, probabilities, seconds (a window of the first look is 2.56 s).
@@ -248,7 +229,7 @@ def distance(before: Any, now: Number) -> float:
     return float(np.max(_distances(a, b, now.kind, before[2] or 1.0), initial=0.0))
 
 
-def _distances(a: np.ndarray, b: np.ndarray, kind: str, scale: float) -> np.ndarray:
+def _distances(a, b, kind, scale):
     if kind == "exact":
         return np.abs(b - a) / (1e-9 * np.maximum(np.abs(a), 1e-6 * np.max(np.abs(a))))
     if kind in _IN_SIGMA:
@@ -266,20 +247,8 @@ def _distances(a: np.ndarray, b: np.ndarray, kind: str, scale: float) -> np.ndar
     return np.where(a * b < 0.0, np.inf, ratio) / math.log(_RATIOS[kind])
 
 
-def overall(before: Mapping[str, Any], now: Mapping[str, Number]) -> tuple[list[float], list[float]]:
+def overall(before: dict[str, Any], now: dict[str, Number]) -> tuple[list[float], list[float]]:
     """Differences of all estimates over their σ, and logarithms of the ratios of all σ."""
-    common = [p for p in now if p in before and before[p][0] == now[p].kind]
-    moved = [
-        (now[p].value - before[p][1]) / before[p][2] for p in common if now[p].kind in ("likely", "fitted")
-    ]
-    wider = [math.log(now[p].value / before[p][1]) for p in common if now[p].kind == "std"]
-    return moved, wider
-
-
-_MORE: tuple[tuple[Any, Callable[[str], Iterator[tuple[str, Number]]]], ...] = (
-    (CHOSEN, _chosen),
-    (RANKED, _ranking),
-    (POSTERIORS, _posterior),
-    (CRITIQUES, _critique),
-    (("small",), _uses),
-)
+    both = [(before[p], now[p]) for p in now if p in before and before[p][0] == now[p].kind]
+    moved = [(new.value - old[1]) / old[2] for old, new in both if new.kind in ("likely", "fitted")]
+    return moved, [math.log(new.value / old[1]) for old, new in both if new.kind == "std"]

@@ -1,10 +1,8 @@
 """Accept what the golden records give now, with a reason that stays in the file.
 
-    python tests/golden/make.py                        # what has changed, in units of what it may
-    python tests/golden/make.py --accept "why"         # the same, and the new numbers become the golden ones
-    python tests/golden/make.py --only small,lines     # of some records
-
-Run it with the package of this checkout: `pip install -e .`.
+python tests/golden/make.py                        # what has changed, in units of what it may
+python tests/golden/make.py --accept "why"         # the same, and the new numbers become the golden ones
+python tests/golden/make.py --only small,lines     # of some records
 """
 
 import argparse
@@ -50,10 +48,8 @@ def main() -> None:
             golden["records"][name] = {place: number.plain() for place, number in now.items()}
     if options.accept is not None:
         libraries = {library: version(library) for library in LIBRARIES}
-        today = datetime.date.today().isoformat()
-        golden["history"].append(
-            {"date": today, "why": options.accept, "changed": changed, "with": libraries}
-        )
+        entry = {"date": datetime.date.today().isoformat(), "why": options.accept, "changed": changed}
+        golden["history"].append(entry | {"with": libraries})
         GOLDEN.write_text(written(golden), encoding="utf-8")
 
 
@@ -75,20 +71,12 @@ def changes(before: dict, now: dict) -> list[str]:
 
 def written(golden: dict) -> str:
     """JSON with a line for each number, so that a change shows what changed."""
-    rows = [json.dumps(entry, ensure_ascii=False) for entry in golden["history"]]
+    rows = ",\n  ".join(json.dumps(entry, ensure_ascii=False) for entry in golden["history"])
     records = []
     for name, numbers in golden["records"].items():
-        lines = [
-            f"   {json.dumps(place)}: {json.dumps(n, ensure_ascii=False)}" for place, n in numbers.items()
-        ]
+        lines = [f"   {json.dumps(p)}: {json.dumps(n, ensure_ascii=False)}" for p, n in numbers.items()]
         records.append(f"  {json.dumps(name)}: {{\n" + ",\n".join(lines) + "\n  }")
-    return (
-        '{\n "history": [\n  '
-        + ",\n  ".join(rows)
-        + '\n ],\n "records": {\n'
-        + ",\n".join(records)
-        + "\n }\n}\n"
-    )
+    return f'{{\n "history": [\n  {rows}\n ],\n "records": {{\n' + ",\n".join(records) + "\n }\n}\n"
 
 
 if __name__ == "__main__":

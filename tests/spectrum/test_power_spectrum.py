@@ -10,16 +10,15 @@ from scipy import signal, special, stats
 import allanjax as aj
 
 RATE = 10.0
-AXES = {"gyro_x": "gyro", "accel_z": "accel"}
+AXES = (aj.Axis("gyro_x", "gyro", "deg/s"), aj.Axis("accel_z", "accel", "g"))
 
 
-def white(n: int, axes: int = 2, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=(n, axes)) * np.arange(1.0, axes + 1.0)
+def white(n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(n, 2)) * [1.0, 2.0]
 
 
-def recording(values: np.ndarray, rate: float = RATE) -> aj.Recording:
-    axes = (aj.Axis("gyro_x", "gyro", "deg/s"), aj.Axis("accel_z", "accel", "g"))
-    return aj.Recording(values, rate, axes[: values.shape[1]])
+def recording(values: np.ndarray) -> aj.Recording:
+    return aj.Recording(values, RATE, AXES[: values.shape[1]])
 
 
 def groups(m: int) -> np.ndarray:
@@ -148,7 +147,7 @@ COEFFICIENTS = np.array([[2.0, 0.4, 0.03, 0.05], [0.5, 0.02, 0.06, 0.001]])
 def test_white_noise_in_a_band_is_eq_3_41():
     """√(mean/2), of the χ² law of the mean, and below it by what other noise contributes."""
     found = without_scatter(4096, lambda f: shapes(f) @ COEFFICIENTS.T**2)
-    for k, name in enumerate(AXES):
+    for k, name in enumerate(found.names):
         for low, high in ((0.3, 1.7), (0.02, 4.9)):
             inside = (low <= found.frequency) & (found.frequency <= high)
             count = found.count[inside]
@@ -229,7 +228,7 @@ def test_a_term_alone_is_read_and_no_other(label):
     f = np.array([0.01, 0.04])
     assert np.diff(np.log(term_density(term, f)))[0] / np.log(4.0) == pytest.approx(slope, abs=1e-3)
     readings = found.readings()
-    for k, name in enumerate(AXES):
+    for k, name in enumerate(found.names):
         read = {key: e for key, e in readings[name].estimates.items() if e is not None}
         assert list(read) == [label]
         assert set(readings[name].reasons) == set(TERMS) - {label}

@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-import pytest
 from scipy.fft import dct
 from scipy.optimize import minimize
 
@@ -13,22 +12,10 @@ RATE = 100.0
 FACTOR, SEGMENT, LOWEST = 8, 2**13, 2**8
 # Three levels, none of them a whole number of blocks or segments.
 N = 2**21 + 2**18 + 12_345
-# White noise, random walk, ramp, of two axes of different sensors.
+# White noise, random walk, ramp, of two axes of different sensors; the ramps are eight standard deviations of
+# the walks' slopes or more.
 TRUTH = {"gyro_x": (0.1, 3e-3, 4e-4), "accel_z": (0.3, 0.015, 2e-3)}
 LABELS = ("angle_random_walk", "rate_random_walk", "drift_ramp")
-
-
-@pytest.fixture(scope="module")
-def x() -> np.ndarray:
-    """Means over sample intervals; the ramps are eight standard deviations of the walks' slopes or more."""
-    rng = np.random.default_rng(7)
-    axes = []
-    for white, walk, ramp in TRUTH.values():
-        steps, bridge = rng.normal(size=(2, N)) / np.sqrt(RATE)
-        brownian = np.cumsum(steps) - steps / 2.0 + bridge / np.sqrt(12.0)
-        line = ramp * np.arange(N) / RATE
-        axes.append(9.8 + white * np.sqrt(RATE) * rng.normal(size=N) + walk * brownian + line)
-    return np.stack(axes, axis=1)
 
 
 def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
@@ -98,19 +85,23 @@ def pieces_merged(x: np.ndarray, start: int) -> aj.AllanAccumulator:
     return parts[0]
 
 
-@pytest.mark.parametrize("start", [0, 77_777])
-def test_fits_are_those_of_the_levels_by_definition(x, start):
+def test_fits_are_those_of_the_levels_by_definition():
     """Bins of many coefficients cost some hundredths of a standard error; the truth is within four."""
+    start, rng, x = 77_777, np.random.default_rng(7), np.zeros((N, 2))
+    for k, (white, walk, ramp) in enumerate(TRUTH.values()):
+        steps, bridge = rng.normal(size=(2, N)) / np.sqrt(RATE)
+        brownian = np.cumsum(steps) - steps / 2.0 + bridge / np.sqrt(12.0)
+        line = ramp * np.arange(N) / RATE
+        x[:, k] = 9.8 + white * np.sqrt(RATE) * rng.normal(size=N) + walk * brownian + line
     stream = aj.AllanAccumulator(RATE, list(TRUTH), start=start)
     stream.update(x)
     model = aj.AngleRandomWalk() + aj.RateRandomWalk() + aj.DriftRamp()
     fit = stream.fit(model, "whittle", as_is=True)
-    if start:
-        # A value that is lost between pieces would change the coefficients by 10⁻⁵.
-        merged = pieces_merged(x, start).fit(model, "whittle", as_is=True)
-        for name, label in itertools.product(TRUTH, LABELS):
-            one, other = fit[name][label], merged[name][label]
-            np.testing.assert_allclose([one.value, one.std], [other.value, other.std], rtol=1e-8)
+    # A value that is lost between pieces would change the coefficients by 10⁻⁵.
+    merged = pieces_merged(x, start).fit(model, "whittle", as_is=True)
+    for name, label in itertools.product(TRUTH, LABELS):
+        one, other = fit[name][label], merged[name][label]
+        np.testing.assert_allclose([one.value, one.std], [other.value, other.std], rtol=1e-8)
     for k, (name, truth) in enumerate(TRUTH.items()):
         value, error = by_definition(x[:, k], start, truth)
         found = [fit[name][label] for label in LABELS]

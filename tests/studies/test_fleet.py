@@ -1,4 +1,4 @@
-"""Deaths of workers, memory of streams, and false marks by many draws: studies of fleets."""
+"""Deaths of workers, and memory of streams; the study `fleet` has false marks by many draws."""
 
 import os
 import signal
@@ -8,7 +8,6 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from fleets import ARW, Fleet, marks
 
 import allanjax as aj
 
@@ -69,23 +68,3 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     # 18 million more samples are 144 MB; a tenth of that is the allocator's to waste (units of 1 kB).
     if sys.platform.startswith("linux"):
         assert long - short < 14_400
-
-
-@pytest.mark.parametrize("units", [3, 4, 6, 12, 24])
-def test_fleets_of_like_units_are_marked_at_most_as_often_as_they_say(logs, tmp_path, monkeypatch, units):
-    """At one mark in a hundred fleets."""
-    import json
-
-    aj.characterize_fleet(logs / "unit_0.parquet", tmp_path / "key", plain=True, workers=1)
-    key = json.loads((tmp_path / "key" / "recordings" / "unit_0.json").read_text(encoding="utf-8"))["key"]
-    key["options"] |= {"plain": False}
-    monkeypatch.setattr(aj.FleetResult, "plot", lambda *arguments: None)
-    fleet, rng, alarms = Fleet(tmp_path / "like", key), np.random.default_rng(units), 0
-    for k in range(300):
-        error = rng.uniform(0.01, 0.1, (units, 3))
-        # The scatter is of the unit, or of each axis.
-        shared = rng.standard_normal((units, 1 if k % 2 else 3)) * np.ones(3)
-        value = np.exp(rng.uniform(0.0, 0.15) * shared + error * rng.standard_normal((units, 3)))
-        alarms += bool(marks(fleet.judged(("gyro", ARW, value, error))))
-    # Of three expected, a dozen come once in ten thousand times.
-    assert alarms <= 11

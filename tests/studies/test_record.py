@@ -1,4 +1,4 @@
-"""Files damaged at random, and memory of chunks: studies of the readers."""
+"""A file that was damaged at random, as others are in the study `fuzz`, and memory of chunks."""
 
 import tracemalloc
 
@@ -8,35 +8,15 @@ import pytest
 from imu_columns import HEADER
 
 import allanjax as aj
-from benchmarks.common.damaged_files import WRITERS, damaged, outcome, sample_files
+from benchmarks.common.damaged_files import damaged, sample_files
 
 pytestmark = pytest.mark.study
-#: Damaged files of each format; the benchmark reads a hundred thousand.
-COUNT = 100
 
 
-@pytest.fixture(scope="module")
-def samples(tmp_path_factory):
-    return sample_files(tmp_path_factory.mktemp("whole"))
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_damaged_files_are_read_right_or_refused(samples, name):
-    sample = samples[name]
-    content = sample.part.read_bytes()
-    whole = aj.read(sample.path, **sample.options)
-    assert outcome(sample, whole) == "as before"
-    for seed in range(COUNT):
-        sample.part.write_bytes(damaged(content, np.random.default_rng([seed, 1])))
-        told = outcome(sample, whole)
-        assert told in ("as before", "otherwise", "refused"), f"seed {seed}: {told}"
-    sample.part.write_bytes(content)
-
-
-def test_a_log_in_which_pyulog_would_go_back_for_ever(samples, tmp_path):
+def test_a_log_in_which_pyulog_would_go_back_for_ever(tmp_path):
     """The last of its definitions claims more bytes than there are."""
-    path = tmp_path / "log.ulg"
-    path.write_bytes(damaged(samples["ULog"].part.read_bytes(), np.random.default_rng(5_001_447)))
+    whole, path = sample_files(tmp_path)["ULog"].part.read_bytes(), tmp_path / "log.ulg"
+    path.write_bytes(damaged(whole, np.random.default_rng(5_001_447)))
     with pytest.raises(aj.RecordingError, match="does not end"):
         aj.read(path)
 

@@ -30,8 +30,7 @@ def once(name: str, make: Callable[[], _T]) -> _T:
 
     Everybody gets the object anew from the pickle, also who made it: no test depends on being the first.
     """
-    stem = hashlib.sha256(name.encode()).hexdigest()[:24]
-    path = Path(os.environ[RUN]) / f"{stem}.pickle"
+    path = Path(os.environ[RUN]) / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.pickle"
     if not path.exists():
         with _locked(path.with_suffix(".lock")):
             if not path.exists():
@@ -61,44 +60,33 @@ def _locked(path: Path) -> Iterator[None]:
 
 @functools.cache
 def truth(name: str) -> golden_records.Record:
-    """The samples of a record and the truth about them."""
     return golden_records.record(name)
 
 
 @functools.cache
 def recording(name: str) -> aj.Recording:
-    """The recording that a user would have read; nothing of the truth is in it."""
     return truth(name).recording()
 
 
 @functools.cache
 def fit(name: str, model: str | None = None, objective: str = "allan", **options: Any) -> aj.Fit:
-    """The fit of a record, `aj.fit(recording, model, objective, **options)`."""
     label = f"fit {name} {model} {objective} {sorted(options.items())}"
     return once(label, lambda: aj.fit(recording(name), model, objective, **options))
 
 
 @functools.cache
 def selection(name: str) -> Any:
-    """The ranking of all sets of terms of a record."""
     return once(f"selection {name}", lambda: aj.select_terms(recording(name)))
 
 
 @functools.cache
 def critique(name: str) -> aj.Critique:
-    """The critique of a record, `aj.critique(recording)`."""
     return once(f"critique {name}", lambda: aj.critique(recording(name)))
 
 
 @functools.cache
-def posterior(
-    name: str, axes: tuple[str, ...] | None = None, model: str | None = None, **options: Any
-) -> aj.Posterior:
+def posterior(name: str, axes: Any = None, model: str | None = None, **options: Any) -> aj.Posterior:
     """A posterior by Whittle's likelihood, with `seed=1` unless `options` give another."""
     label = f"posterior {name} {axes} {model} {sorted(options.items())}"
     options = {"seed": 1, "progress": False} | options
-
-    def make() -> aj.Posterior:
-        return aj.sample(fit(name, model, "whittle"), None if axes is None else list(axes), **options)
-
-    return once(label, make)
+    return once(label, lambda: aj.sample(fit(name, model, "whittle"), axes and list(axes), **options))

@@ -40,15 +40,11 @@ def check_texts_apart(figure: Figure) -> int:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     renderer = canvas.get_renderer()
-    drawn: list[Text] = []
+    drawn = [*figure.texts, *(text for legend in figure.legends for text in legend.get_texts())]
     for axes in figure.axes:
-        drawn += [*axes.texts, axes.xaxis.label, axes.yaxis.label]
-    titles = {axes: axes.get_title(loc="left") for axes in figure.axes}
-    drawn += [
-        t for axes, title in titles.items() for t in axes.findobj(Text) if title and t.get_text() == title
-    ]
-    drawn += list(figure.texts)
-    drawn += [text for legend in figure.legends for text in legend.get_texts()]
+        title = axes.get_title(loc="left") or None
+        titles = (text for text in axes.findobj(Text) if text.get_text() == title)
+        drawn += [*axes.texts, axes.xaxis.label, axes.yaxis.label, *titles]
     boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in drawn if text.get_text()]
     for i, (first, a) in enumerate(boxes):
         assert 0 <= a.x0 < a.x1 <= figure.bbox.x1, first

@@ -30,7 +30,9 @@ def bounded_memory() -> Iterator[None]:
     if _memory() > max(allowed, _kept[0] + allowed // 4):
         jax.clear_caches()
         gc.collect()
-        _give_back()
+        # The C library of Linux would keep memory that is free.
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL("libc.so.6").malloc_trim(0)
         _kept[0] = _memory()
 
 
@@ -39,25 +41,16 @@ def _allowed() -> int:
     """Memory at which this process forgets its programs: half of the machine's is shared out to all."""
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 0
-    limit = Path("/sys/fs/cgroup/memory.max")
-    if limit.exists() and (text := limit.read_text().strip()).isdigit():
-        total = min(total, int(text))
+    with contextlib.suppress(OSError, ValueError):
+        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()))
     return min(max(total // 2 // workers, _LEAST), _MOST)
-
-
-def _give_back() -> None:
-    """Give memory that is free back to the system; the C library of Linux would keep it."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def _memory() -> int:
     """Memory of this process [bytes]; 0 where the system does not tell."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return 0
-    return pages * 4096
+    with contextlib.suppress(OSError):
+        return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
+    return 0
 
 
 @pytest.fixture
