@@ -60,11 +60,10 @@ def relative_error(step: Step, N: float, q: float, T: float = math.inf) -> float
     return float(np.max(np.abs(covariance(step, time)[use] / want[use] - 1.0)))
 
 
-# Readers of the files, each by a library that knows nothing of ours.
-
-
-def read_yaml(text):
-    return YAML(typ="safe", pure=True).load(text)
+def read_yaml(text, root=None):
+    """By a library that knows nothing of ours; JSON is YAML, too."""
+    v = YAML(typ="safe", pure=True).load(text)
+    return v[root] if root else v
 
 
 def read_assignments(text, pattern):
@@ -81,8 +80,6 @@ def read_python(text, **modules):
     return names
 
 
-# The targets.
-
 AT = {"x": 0, "y": 1, "z": 2}
 LONG = {"gyro": "gyroscope", "accel": "accelerometer"}
 STEM = {"gyro": "gyr", "accel": "acc"}
@@ -95,9 +92,12 @@ def densities(rate, n, w=None):
     return Step(dt, (n / math.sqrt(dt) * dt) ** 2, None if w is None else (w * math.sqrt(dt)) ** 2)
 
 
-def kalibr(text, sensor, axis, rate, root=None):
-    v = read_yaml(text)[root] if root else read_yaml(text)
-    return densities(v["update_rate"], v[f"{LONG[sensor]}_noise_density"], v[f"{LONG[sensor]}_random_walk"])
+def named(text, sensor, axis, rate, root=None, gyro="", accel=""):
+    """Densities by names: white noise, and the walk if there is one; for all axes, or a list of three."""
+    v = read_yaml(text, root)
+    rate = next((v[name] for name in ("update_rate", "IMU.Frequency", "imu_update_rate") if name in v), rate)
+    found = [v[name] for name in {"gyro": gyro, "accel": accel}[sensor].split()]
+    return densities(rate, *(x[AT[axis]] if isinstance(x, list) else x for x in found))
 
 
 def imu_utils(text, sensor, axis, rate):
@@ -114,23 +114,6 @@ def vins(text, sensor, axis, rate):
     return Step(dt, Q[0, 0], Q[1, 1])
 
 
-def orb_slam3(text, sensor, axis, rate):
-    v = read_yaml(text)
-    noise, walk = {"gyro": ("NoiseGyro", "GyroWalk"), "accel": ("NoiseAcc", "AccWalk")}[sensor]
-    return densities(v["IMU.Frequency"], v[f"IMU.{noise}"], v[f"IMU.{walk}"])
-
-
-def basalt(text, sensor, axis, rate):
-    v = json.loads(text)["value0"]
-    white, walk = (v[f"{sensor}_{name}_std"][AT[axis]] for name in ("noise", "bias"))
-    return densities(v["imu_update_rate"], white, walk)
-
-
-def okvis(text, sensor, axis, rate, root):
-    v = read_yaml(text)[root]
-    return densities(rate, v[f"sigma_{sensor[0]}_c"], v[f"sigma_{sensor[0]}w_c"])
-
-
 def gtsam(text, sensor, axis, rate):
     params, dt, k = read_python(text, gtsam=MagicMock())["params"], 1.0 / rate, AT[axis]
     white, bias = {"gyro": ("Gyroscope", "BiasOmega"), "accel": ("Accelerometer", "BiasAcc")}[sensor]
@@ -138,28 +121,16 @@ def gtsam(text, sensor, axis, rate):
     return Step(dt, dt**2 * kept[0] / dt, dt * kept[1])
 
 
-def lio_sam(text, sensor, axis, rate, root):
-    v, stem = read_yaml(text)[root], STEM[sensor].title()
-    return densities(rate, v[f"imu{stem}Noise"], v[f"imu{stem}BiasN"])
-
-
 def fast_lio(text, sensor, axis, rate, root):
-    v, dt = read_yaml(text)[root], 1.0 / rate
+    v, dt = read_yaml(text, root), 1.0 / rate
     return Step(dt, dt * v[f"{STEM[sensor]}_cov"] * dt, dt * v[f"b_{STEM[sensor]}_cov"] * dt)
 
 
-def glim(text, sensor, axis, rate):
-    name = {"gyro": "imu_gyro_noise", "accel": "imu_acc_noise"}[sensor]
-    return densities(rate, json.loads(text)["sensors"][name])
-
-
 def gins(text, sensor, axis, rate, root):
-    v, dt = read_yaml(text)[root], 1.0 / rate
-    pick = lambda x: x[AT[axis]] if isinstance(x, list) else x  # noqa: E731
-    if sensor == "gyro":
-        n, std = pick(v["arw"]) * DEG / 60.0, pick(v["gbstd"]) * DEG / 3600.0
-    else:
-        n, std = pick(v["vrw"]) / 60.0, pick(v["abstd"]) * 1e-5
+    v, dt = read_yaml(text, root), 1.0 / rate
+    names = {"gyro": ("arw", "gbstd"), "accel": ("vrw", "abstd")}[sensor]
+    units = {"gyro": (DEG / 60.0, DEG / 3600.0), "accel": (1.0 / 60.0, 1e-5)}[sensor]
+    n, std = (np.broadcast_to(v[name], 3)[AT[axis]] * unit for name, unit in zip(names, units, strict=True))
     T = v["corrtime"] * 3600.0
     return Step(dt, n**2 * dt, 2.0 * std**2 / T * dt, math.exp(-dt / T))
 
@@ -195,8 +166,8 @@ def _rotors(density, walk, tau, dt):
 
 
 def rotors(text, sensor, axis, rate):
-    find = lambda end: float(ET.fromstring(text).find(LONG[sensor] + end).text)  # noqa: E731
-    return _rotors(find("NoiseDensity"), find("RandomWalk"), find("BiasCorrelationTime"), 1.0 / rate)
+    ends = ("NoiseDensity", "RandomWalk", "BiasCorrelationTime")
+    return _rotors(*(float(ET.fromstring(text).find(LONG[sensor] + end).text) for end in ends), 1.0 / rate)
 
 
 def pegasus(text, sensor, axis, rate):
@@ -238,15 +209,31 @@ def ardupilot(text, sensor, axis, rate):
     return Step(dt, (dt * v[f"EK3_{white}_P_NSE"]) ** 2, delta / dt**2)
 
 
+def _by_names(white, walk, gyro, accel):
+    """A target whose names differ by that of the sensor alone."""
+    names = (f"{white} {walk}".format(*2 * [sensor]) for sensor in (gyro, accel))
+    return partial(named, **dict(zip(("gyro", "accel"), names, strict=True)))
+
+
+kalibr = _by_names("{}_noise_density", "{}_random_walk", *LONG.values())
+okvis, lio_sam = (
+    _by_names("sigma_{}_c", "sigma_{}w_c", "g", "a"),
+    _by_names("imu{}Noise", "imu{}BiasN", "Gyr", "Acc"),
+)
+basalt, glim = (
+    _by_names("{}_noise_std", "{}_bias_std", "gyro", "accel"),
+    _by_names("imu_{}_noise", "", "gyro", "acc"),
+)
 # In the order of the command's list.
-STEPS = dict.fromkeys(("kalibr", "allan_variance_ros"), kalibr)
-STEPS |= {"imu_utils": imu_utils, "vins-mono": vins, "vins-fusion": vins, "orb_slam3": orb_slam3}
-STEPS |= {"openvins": partial(kalibr, root="imu0"), "basalt": basalt}
+STEPS = {"kalibr": kalibr, "allan_variance_ros": kalibr}
+STEPS |= {"imu_utils": imu_utils, "vins-mono": vins, "vins-fusion": vins}
+STEPS |= {"orb_slam3": partial(named, gyro="IMU.NoiseGyro IMU.GyroWalk", accel="IMU.NoiseAcc IMU.AccWalk")}
+STEPS |= {"openvins": partial(kalibr, root="imu0"), "basalt": partial(basalt, root="value0")}
 STEPS |= {"okvis": partial(okvis, root="imu_params"), "okvis2": partial(okvis, root="imu_parameters")}
 STEPS |= {"gtsam": gtsam}
 STEPS |= {"lio-sam": partial(lio_sam, root="lio_sam"), "lvi-sam": partial(lio_sam, root="lvi_sam")}
 STEPS |= {"fast-lio2": partial(fast_lio, root="mapping"), "fast-livo2": partial(fast_lio, root="imu")}
-STEPS |= {"glim": glim, "hybvio": hybvio}
+STEPS |= {"glim": partial(glim, root="sensors"), "hybvio": hybvio}
 STEPS |= {"kf-gins": partial(gins, root="imunoise"), "ob-gins": partial(gins, root="imumodel")}
 STEPS |= {"robot_localization": robot_localization, "gz-sim": sdf, "gazebo-classic": sdf, "rotors": rotors}
 STEPS |= {"airsim": airsim, "isaac-lab": isaac_lab, "pegasus": pegasus, "matlab": matlab}
@@ -260,10 +247,10 @@ WITH_TIME = ("kf-gins", "ob-gins", "gz-sim", "rotors", "pegasus")
 
 def error_of(target: str, text: str, values: dict, rate: float) -> float:
     """Largest error of a target's covariance over 1 s; `values` are (N, q, T) by sensor and axis."""
-    errors = []
+    largest = 0.0
     for sensor, of in values.items():
         worst = max(N for N, _, _ in of.values()), *max((q, T) for _, q, T in of.values())
         for axis, own in of.items():
             step = STEPS[target](text, sensor, axis, rate)
-            errors.append(relative_error(step, *(own if target in EACH else worst)))
-    return max(errors)
+            largest = max(largest, relative_error(step, *(own if target in EACH else worst)))
+    return largest
