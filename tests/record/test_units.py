@@ -14,15 +14,15 @@ UNITS = {
         "deg/h, deg/hr, °/h, °/hr, deg/hour, Deg/h, deg h^-1, deg per hour, dph": DEG / 3600,
         "deg/s, dps, °/s, DEG/S, deg / s, deg/sec, degrees/second, deg·s⁻¹, deg s^-1": DEG,
         "rad/s, Rad/s, rad s-1, rad.s-1, rad*s^-1, rad·s⁻¹": 1.0,
-        **{"mdeg/s, mdps": DEG / 1000, "mrad/s": 1e-3, "rad/h, rad/hr": 1 / 3600},
-        **{"arcsec/s": DEG / 3600, "rpm, rev/min": 2 * np.pi / 60},
-    },
+    }
+    | {"mdeg/s, mdps": DEG / 1000, "mrad/s": 1e-3, "rad/h, rad/hr": 1 / 3600}
+    | {"arcsec/s": DEG / 3600, "rpm, rev/min": 2 * np.pi / 60},
     "accel": {
         "m/s², m/s^2, m/s2, m/s**2, m s-2, m s^-2, m·s⁻², m/s/s, m.s-2": 1.0,
-        **{"g, g's, G's": G0, "mg": 1e-3 * G0, "µg, μg, ug": 1e-6 * G0, "ft/s², ft/s^2": 0.3048},
-        **{"cm/s²": 1e-2, "mm/s²": 1e-3, "Gal, gal": 1e-2, "mGal, mgal": 1e-5},
         "m/s/h, m/s/hr, (m/s)/h": 1 / 3600,
-    },
+    }
+    | {"g, g's, G's": G0, "mg": 1e-3 * G0, "µg, μg, ug": 1e-6 * G0, "ft/s², ft/s^2": 0.3048}
+    | {"cm/s²": 1e-2, "mm/s²": 1e-3, "Gal, gal": 1e-2, "mGal, mgal": 1e-5},
 }
 INCREMENTS = {"accel": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048}}
 INCREMENTS["gyro"] = {"rad": 1.0, "mrad": 1e-3, "µrad, μrad, urad": 1e-6, "deg, °": DEG}
