@@ -41,7 +41,7 @@ def lines_of(text):
 
 @pytest.mark.parametrize("process", ["walk", "markov"])
 def test_horizon(saved, process):
-    words = ("horizon", saved, *"--horizon 10 --axis accel_z --probability 0.9 --process".split(), process)
+    words = f"horizon {saved} --horizon 10 --axis accel_z --probability 0.9 --process {process}".split()
     expected = aj.horizon(aj.load(saved), 10.0, axes="accel_z", process=process, probability=0.9)
     assert lines_of(ran(*words)) == lines_of(expected)
     document = json.loads(ran(*words, "--json"))
@@ -76,7 +76,7 @@ def test_navigate(saved):
 
 
 def test_statespace(saved):
-    words = ("statespace", saved, *"--axis gyro_y --rate 20 --duration 50 -o file --format".split())
+    words = f"statespace {saved} --axis gyro_y --rate 20 --duration 50 -o file --format".split()
     expected = aj.load(saved)["gyro_y"].model.state_space(20.0, duration=50.0)
     for form, text in (("matlab", expected.to_matlab()), ("c", expected.to_c_header())):
         assert "at 20 Hz" in ran(*words, form)
