@@ -14,80 +14,63 @@ import allanjax as aj
 
 pytestmark = pytest.mark.usefixtures("no_windows")
 HOUR, MICRO_G = np.pi / 180.0 / 3600.0, 9.80665e-6
-SCALES = {"gyro": ("deg/h", HOUR), "accel": ("µg", MICRO_G)}
+UNITS = {"gyro": HOUR, "accel": MICRO_G}
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_z")
 
 
 @functools.cache
-def of_small(kind):
-    return {
-        "spectrum": aj.power_spectrum,
-        "autocorrelation": aj.autocorrelation,
-        "wavelets": functools.partial(aj.wavelet_variance, wavelet="db2"),
-    }[kind](bench.recording("small"))
+def of_small(function):
+    return function(bench.recording("small"))
 
 
-def numbers_of(plot):
-    """Abscissae, values and ends of their 68 % intervals, of all axes; and the power of the unit."""
+# Labels of abscissae, and of ordinates of gyros and accelerometers.
+ALLAN = ("cluster time T [s]", "Allan deviation\n[deg/h]", "Allan deviation\n[µg]")
+PSD = ("frequency f [Hz]", "one-sided PSD\n[(deg/h)²/Hz]", "one-sided PSD\n[µg²/Hz]")
+LABELS = {"allan": ALLAN, "curve": ALLAN, "psd": PSD, "spectrum": PSD}
+LABELS["wavelets"] = ("scale [s]", "wavelet variance\n[(deg/h)²]", "wavelet variance\n[µg²]")
+LABELS["autocorrelation"] = ("lag [s]", "autocorrelation\n[(deg/h)²]", "autocorrelation\n[µg²]")
+
+
+def what_draws(plot):
+    """What draws all axes, or those that are named; abscissae, values and ends of their 68 % intervals."""
+    fit = bench.fit("small")
     if plot in ("allan", "curve"):
-        found = bench.fit("small").curve
-        return found.cluster_time, found.deviation, found.confidence_interval(0.68), 1
-    if plot == "autocorrelation":
-        found = of_small(plot)
-        return found.lag, found.value, None, 2
-    found = of_small("wavelets" if plot == "wavelets" else "spectrum")
-    x, y = (found.scale, found.variance) if plot == "wavelets" else (found.frequency, found.density)
-    return x, y, found.confidence_interval(0.68), 2
-
-
-ALLAN, PSD = ("cluster time T [s]", "Allan deviation"), ("frequency f [Hz]", "one-sided PSD")
-PLOTS = {
-    "allan": (lambda *a, **o: aj.plot_allan(bench.fit("small"), *a, **o), *ALLAN),
-    "curve": (lambda *a, **o: bench.fit("small").curve.plot(*a, **o), *ALLAN),
-    "psd": (lambda *a, **o: aj.plot_psd(of_small("spectrum"), bench.fit("small"), *a, **o), *PSD),
-    "spectrum": (lambda *a, **o: of_small("spectrum").plot(*a, **o), *PSD),
-    "wavelets": (lambda *a, **o: of_small("wavelets").plot(*a, **o), "scale [s]", "wavelet variance"),
-    "autocorrelation": (
-        lambda *a, **o: of_small("autocorrelation").plot(*a, **o),
-        "lag [s]",
-        "autocorrelation",
-    ),
-}
-
-
-def label_of(plot, sensor):
-    """Name and unit of a panel's values, e.g. "one-sided PSD [µg²/Hz]"."""
-    unit, power = SCALES[sensor][0], numbers_of(plot)[3]
-    squared = f"({unit})²" if "/" in unit else f"{unit}²"
-    density = "/Hz" if plot in ("psd", "spectrum") else ""
-    return f"{PLOTS[plot][2]}\n[{unit if power == 1 else squared + density}]"
+        found, x, y = fit.curve, fit.curve.cluster_time, fit.curve.deviation
+    elif plot == "autocorrelation":
+        found = of_small(aj.autocorrelation)
+        return found.plot, found.lag, found.value, None
+    elif plot == "wavelets":
+        found = of_small(aj.wavelet_variance)
+        x, y = found.scale, found.variance
+    else:
+        found = of_small(aj.power_spectrum)
+        x, y = found.frequency, found.density
+    draw = {"allan": functools.partial(aj.plot_allan, fit), "psd": functools.partial(aj.plot_psd, found, fit)}
+    return draw.get(plot, found.plot), x, y, found.confidence_interval(0.68)
 
 
 def check_points(panel, plot, k):
     """Points, and their error bars, are the numbers of the k-th axis in the unit that the panel names."""
-    x, values, ends, power = numbers_of(plot)
-    scale = SCALES[NAMES[k].split("_")[0]][1] ** power
+    _, x, values, ends = what_draws(plot)
+    scale = UNITS[NAMES[k].split("_")[0]] ** (1 if plot in ("allan", "curve") else 2)
     drawn = lines_of(panel)["estimate"] if ends is None else panel.containers[0][0]
     np.testing.assert_allclose(drawn.get_xdata(), x, rtol=1e-12)
     np.testing.assert_allclose(drawn.get_ydata(), values[:, k] / scale, rtol=1e-12)
     if ends is not None:
-        bars = panel.containers[0][2][0].get_segments()
-        low, high = np.array([segment[:, 1] for segment in bars]).T
-        np.testing.assert_allclose(low, ends[0][:, k] / scale, rtol=1e-9)
-        np.testing.assert_allclose(high, ends[1][:, k] / scale, rtol=1e-9)
+        bars = np.array(panel.containers[0][2][0].get_segments())[:, :, 1].T
+        np.testing.assert_allclose(bars, np.array(ends)[:, :, k] / scale, rtol=1e-9)
 
 
-@pytest.mark.parametrize("plot", PLOTS)
+@pytest.mark.parametrize("plot", LABELS)
 def test_panels_have_the_numbers_of_their_axes_in_their_units(plot, tmp_path):
     """All axes, each sensor with one scale; one of them in axes of the caller's."""
-    draw, xlabel, _ = PLOTS[plot]
+    draw, (xlabel, gyro, accel) = what_draws(plot)[0], LABELS[plot]
     figure = draw(path=tmp_path / "all.png")
-    assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "all.png").exists()
     found = panels(figure)
     assert tuple(found) == NAMES
     assert xlabel in [axes.get_xlabel() for axes in figure.axes]
-    assert found["gyro_x"].get_ylabel() == label_of(plot, "gyro")
-    assert found["accel_z"].get_ylabel() == label_of(plot, "accel")
+    assert (found["gyro_x"].get_ylabel(), found["accel_z"].get_ylabel()) == (gyro, accel)
     if plot != "autocorrelation":
         assert found["gyro_x"].get_ylim() == found["gyro_y"].get_ylim() != found["accel_z"].get_ylim()
     for k, name in enumerate(NAMES):
@@ -95,7 +78,7 @@ def test_panels_have_the_numbers_of_their_axes_in_their_units(plot, tmp_path):
     assert check_texts_apart(figure) > 4
     own, ax = plt.subplots()
     assert draw("accel_z", ax=ax) is own
-    assert (own.axes, ax.get_xlabel(), ax.get_ylabel()) == ([ax], xlabel, label_of(plot, "accel"))
+    assert (own.axes, ax.get_xlabel(), ax.get_ylabel()) == ([ax], xlabel, accel)
     check_points(ax, plot, 3)
     assert list(panels(draw(["gyro_z"]))) == ["gyro_z"]
     with pytest.raises(aj.AllanjaxError, match="ax="):
@@ -106,7 +89,7 @@ def test_panels_have_the_numbers_of_their_axes_in_their_units(plot, tmp_path):
 
 
 def model_lines(plot, fit, axis):
-    draw = aj.plot_allan if plot == "allan" else functools.partial(aj.plot_psd, of_small("spectrum"))
+    draw = aj.plot_allan if plot == "allan" else functools.partial(aj.plot_psd, of_small(aj.power_spectrum))
     figure = draw(fit, axis)
     return figure, lines_of(panels(figure)[axis])
 
@@ -117,36 +100,34 @@ def test_lines_are_those_of_the_terms_and_of_their_sum():
     N, K = (fit["accel_z"][symbol].value / MICRO_G for symbol in "NK")
     _, lines = model_lines("allan", fit, "accel_z")
     T = lines["model"].get_xdata()
-    white, walk, model = (lines[k].get_ydata() for k in ("velocity random walk", "rate random walk", "model"))
+    names = ("velocity random walk", "rate random walk", "model")
+    white, walk, model = (lines[name].get_ydata() for name in names)
     np.testing.assert_allclose(white, N / np.sqrt(T), rtol=1e-6)
     np.testing.assert_allclose(walk, K * np.sqrt(T / 3.0), rtol=1e-6)
     np.testing.assert_allclose(model, np.hypot(white, walk), rtol=1e-6)
     slopes = {}
     for label, line in lines.items():
         if label.startswith("slope "):
-            (x0, x1), (y0, y1) = np.log10(line.get_xdata()), np.log10(line.get_ydata())
-            slopes[label.removeprefix("slope ")] = (y1 - y0) / (x1 - x0)
+            x, y = np.diff(np.log10(line.get_xydata()), axis=0)[0]
+            slopes[label.removeprefix("slope ")] = y / x
     assert slopes == pytest.approx({"−1": -1.0, "−½": -0.5, "0": 0.0, "+½": 0.5, "+1": 1.0})
     _, lines = model_lines("psd", fit, "accel_z")
     f = lines["model"].get_xdata()
-    white, walk, model = (lines[k].get_ydata() for k in ("velocity random walk", "rate random walk", "model"))
+    white, walk, model = (lines[name].get_ydata() for name in names)
     np.testing.assert_allclose(white, 2.0 * N**2, rtol=1e-9)
-    low = f < 1.0
-    np.testing.assert_allclose(walk[low], 2.0 * (K / (2.0 * np.pi * f[low])) ** 2, rtol=2e-3)
+    np.testing.assert_allclose(walk[f < 1.0], 2.0 * (K / (2.0 * np.pi * f[f < 1.0])) ** 2, rtol=2e-3)
     np.testing.assert_allclose(model, white + walk, rtol=1e-9)
 
 
 def test_strips_show_measured_over_model_in_per_cent():
     """And the model's own error as a band."""
-    fit, spectrum = bench.fit("small"), of_small("spectrum")
+    fit, spectrum = bench.fit("small"), of_small(aj.power_spectrum)
     strip = strip_of(aj.plot_allan(fit, "gyro_y"))
     points = points_of(strip)["residual"][0].get_ydata()
-    curve = fit.curve
-    ratio = curve.deviation[:, 1] / fit.model_deviation("gyro_y", curve.cluster_time)
+    ratio = fit.curve.deviation[:, 1] / fit.model_deviation("gyro_y", fit.curve.cluster_time)
     np.testing.assert_allclose(points, 100.0 * (ratio - 1.0), atol=1e-9)
-    beyond = [line for line in strip.get_lines() if line.get_label() == "beyond the strip"]
-    marked = sum(len(line.get_xdata()) for line in beyond)
-    assert marked == (abs(points) > strip.get_ylim()[1]).sum()
+    beyond = [len(line.get_xdata()) for line in strip.get_lines() if line.get_label() == "beyond the strip"]
+    assert sum(beyond) == (abs(points) > strip.get_ylim()[1]).sum()
     points = points_of(strip_of(aj.plot_psd(spectrum, fit, "gyro_y")))["residual"][0].get_ydata()
     model = fit["gyro_y"].model.sampled(100.0)
     ratio = spectrum.density[:, 1] / (2.0 * np.asarray(model.sampled_psd(spectrum.frequency, 100.0)))
@@ -165,18 +146,17 @@ def test_strips_show_measured_over_model_in_per_cent():
 
 def test_keys_tell_every_coefficient_or_limit():
     """Detected ones beside their lines, too, to 6 % of a deviation; of a spectrum N with its band."""
-    fit, spectrum = bench.fit("small"), of_small("spectrum")
+    fit, spectrum = bench.fit("small"), of_small(aj.power_spectrum)
     for figure in (aj.plot_allan(fit), aj.plot_psd(spectrum, fit)):
         shown = " ".join(" ".join(texts(figure)).split())
         for result in fit.results:
             assert all(c.in_unit().describe() in shown for c in result.coefficients.values())
-    for result in fit.results:
-        walk = spectrum.random_walk(result.axis.name)
+    for name in NAMES:
+        walk = spectrum.random_walk(name)
         low, high = walk.band
         assert f"{walk.in_unit().describe()} ({low:.3g} to {high:.3g} Hz)" in shown
-    (flat,) = [p for p in panels(figure)["gyro_x"].patches if p.get_label() == "flat part"]
-    band = spectrum.random_walk("gyro_x").band
-    assert (flat.get_x(), flat.get_x() + flat.get_width()) == pytest.approx(band)
+        (flat,) = [p for p in panels(figure)[name].patches if p.get_label() == "flat part"]
+        assert (flat.get_x(), flat.get_x() + flat.get_width()) == pytest.approx(walk.band)
     panel = panels(aj.plot_allan(fit))["gyro_x"]
     for symbol, begin in (("N", "N = "), ("B", "0.664 B, B = ")):
         c = fit["gyro_x"][symbol].in_unit()
@@ -197,14 +177,13 @@ def test_what_is_not_known_has_no_line(plot):
     *others, last = fit.results
     hidden = dataclasses.replace(last["rate_random_walk"], detected=False, rivals=())
     unsure = dataclasses.replace(last, _coefficients={**last.coefficients, "rate_random_walk": hidden})
-    drawn = [
+    known, not_detected, moving = (
         model_lines(plot, dataclasses.replace(fit, results=(*others, result)), "accel_z")[1]
         for result in (last, unsure, last.unmeasured(moving=True))
-    ]
+    )
     # The model is the sum of its terms as before.
-    assert set(drawn[0]) - set(drawn[1]) == {"rate random walk"}
-    assert set(drawn[0]) == set(drawn[2])
-    np.testing.assert_array_equal(drawn[1]["model"].get_ydata(), drawn[0]["model"].get_ydata())
+    assert (set(known) - set(not_detected), set(known)) == ({"rate random walk"}, set(moving))
+    np.testing.assert_array_equal(not_detected["model"].get_ydata(), known["model"].get_ydata())
 
 
 def test_a_sinusoid_is_a_vertical_line_a_resonance_a_peak_and_a_ramp_is_not_drawn():
@@ -220,22 +199,17 @@ def test_a_sinusoid_is_a_vertical_line_a_resonance_a_peak_and_a_ramp_is_not_draw
 
 
 def test_several_are_drawn_over_one_another_axis_by_axis():
-    """A fit, a shorter recording with one axis less and one of its own, and its curve."""
+    """A fit, and the curve of a shorter recording with one axis less and one of its own."""
     fit, shorter = bench.fit("small"), bench.recording("small").between(0.0, 81.92)["gyro_x", "accel_z"]
     axes = (shorter.axes[0], dataclasses.replace(shorter.axes[1], name="accel_x"))
     other = dataclasses.replace(shorter, axes=axes, name="shorter")
     curve = aj.allan_deviation(other)
-    figure = aj.plot_allan([fit, other, curve], labels=["fit", "recording", "curve"])
-    found = panels(figure)
+    found = panels(aj.plot_allan([fit, other, curve], labels=["fit", "recording", "curve"]))
     points = {name: {label: c[0] for label, c in points_of(p).items()} for name, p in found.items()}
-    assert {name: list(p) for name, p in points.items()} == {
-        "gyro_x": ["fit", "recording", "curve"],
-        **{name: ["fit"] for name in NAMES[1:]},
-        "accel_x": ["recording", "curve"],
-    }
-    gyro = points["gyro_x"]
-    np.testing.assert_allclose(gyro["fit"].get_ydata(), fit.curve.deviation[:, 0] / HOUR)
-    np.testing.assert_allclose(gyro["recording"].get_ydata(), curve.deviation[:, 0] / HOUR)
+    both = {"gyro_x": ["fit", "recording", "curve"], "accel_x": ["recording", "curve"]}
+    assert {name: list(p) for name, p in points.items()} == {name: ["fit"] for name in NAMES} | both
+    np.testing.assert_allclose(points["gyro_x"]["fit"].get_ydata(), fit.curve.deviation[:, 0] / HOUR)
+    np.testing.assert_allclose(points["accel_x"]["recording"].get_ydata(), curve.deviation[:, 1] / MICRO_G)
     np.testing.assert_allclose(points["accel_x"]["curve"].get_ydata(), curve.deviation[:, 1] / MICRO_G)
     line = lines_of(found["gyro_x"])["fit: model"]
     expected = fit.model_deviation("gyro_x", line.get_xdata()) / HOUR
@@ -255,12 +229,11 @@ SAMPLES = np.random.default_rng(0).normal(size=(512, 2))
         (lambda fit: aj.plot_allan([]), "nothing"),
         (lambda fit: aj.plot_allan([fit, fit], labels=["a"]), "labels"),
         (lambda fit: aj.plot_allan(fit, labels=["a"]), "labels="),
-        (lambda fit: aj.plot_allan(3), "int"),
         (lambda fit: aj.plot_allan([fit, np.ones(3)]), "ndarray"),
         (lambda fit: aj.plot_allan([fit, aj.allan_deviation(SAMPLES, 1.0, kind="hadamard")]), "hadamard"),
         (lambda fit: aj.plot_allan([fit, aj.allan_deviation(SAMPLES, 1.0)]), "unit"),
         (lambda fit: aj.plot_psd(aj.power_spectrum(SAMPLES, 100.0), fit), "fitted"),
-        (lambda fit: aj.plot_psd(dataclasses.replace(of_small("spectrum"), rate=50.0), fit), "50 Hz"),
+        (lambda fit: aj.plot_psd(dataclasses.replace(of_small(aj.power_spectrum), rate=50.0), fit), "50 Hz"),
     ],
 )
 def test_what_cannot_be_drawn_together_is_refused(call, word):
@@ -278,9 +251,9 @@ def test_arrays_without_a_unit_have_panels_by_number():
 def test_figures_do_not_pile_up_and_one_is_rendered(tmp_path):
     """The user's, one that waits, and the one that is drawn; a saved one is pyplot's no longer."""
     own, fit = plt.figure(), bench.fit("small")
-    for k in range(3):
+    for k in range(2):
         saved = fit.plot(["gyro_x"], path=tmp_path / "a.png")
-        assert len(plt.get_fignums()) == 1 + bool(k)
+        assert len(plt.get_fignums()) == 1 + k
         assert plt.gcf() is not saved
         fit.plot("gyro_x")
         assert own.number in plt.get_fignums()
