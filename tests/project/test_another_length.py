@@ -9,7 +9,6 @@ import allanjax as aj
 
 
 def in_sevenths(recording):
-    """An accumulator that is fed in pieces."""
     accumulator = aj.AllanAccumulator(recording.rate, recording.axes)
     for piece in np.array_split(recording.values, 7):
         accumulator.update(piece)
@@ -29,7 +28,6 @@ def test_a_second_length_compiles_nothing():
 
 @pytest.mark.usefixtures("no_windows")
 def test_what_is_made_of_a_fit_compiles_nothing(tmp_path):
-    """Tables, pictures, the model at other times, a PSD, a filter's numbers, exports."""
     fit, spectrum = bench.fit("small"), aj.power_spectrum(bench.recording("small"))
     with compilations() as compiled:
         fit.plot(path=tmp_path / "a.png")
