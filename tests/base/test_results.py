@@ -49,7 +49,6 @@ def posterior():
 
 @functools.cache
 def rates():
-    """Without a number, so that nothing is compiled."""
     curve = aj.allan_deviation(bench.recording("white").values[:1024, 0], 50.0, gyro_unit="rad/s")
     none = np.full(1, np.nan)
     axis = aj.Axis("gyro", "gyro", "rad/s")
@@ -143,7 +142,6 @@ def test_copies_are_equal_and_what_is_told_is_short(kind):
 
 
 def but(make, **changes):
-    """A result and the same with other attributes, which are made of it."""
     return make, lambda one: dataclasses.replace(one, **{k: change(one) for k, change in changes.items()})
 
 

@@ -67,7 +67,6 @@ def test_short_records_are_in_seconds_long_ones_in_hours():
 
 @pytest.mark.usefixtures("elsewhere")
 def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
-    """Units, frames of tables in signs of equal length, names of files by their numbers; printed objects."""
 
     def said(action):
         streams = {name: io.TextIOWrapper(io.BytesIO(), "ascii") for name in ("stdout", "stderr")}
@@ -94,7 +93,6 @@ def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
 
 
 def test_names_are_data():
-    """Not markup of a terminal or of a notebook's page."""
     from IPython.core.formatters import HTMLFormatter
 
     name = "[/red] x $a$ :smile: <b>& grün"

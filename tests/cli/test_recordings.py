@@ -30,7 +30,6 @@ def write_odd(name):
 
 
 def check_fit(document, fit):
-    """Every number of the coefficients in a document, and what was fitted."""
     assert document["recording"]["n"] == fit.curve.n
     assert [axis["name"] for axis in document["axes"]] == list(fit)
     for axis in document["axes"]:
@@ -42,7 +41,6 @@ def check_fit(document, fit):
 
 
 def fitted(*words, given=None):
-    """The one fit that a command which succeeds prints as JSON."""
     done = run("characterize", *words, "--json", given=given)
     assert done.exit_code == 0, done.stderr
     (document,) = json.loads(done.stdout)["fits"]
@@ -63,7 +61,6 @@ def test_characterize_prints_the_table_and_writes_the_results():
 
 
 def test_critique_tells_the_story_and_writes_the_results():
-    """The same findings as those of the record itself, and as many figures."""
     done = run("critique", *write_odd("steps"), "--out", "there")
     assert done.exit_code == 0, done.stderr
     document = json.loads(Path("there/odd_critique.json").read_text(encoding="utf-8"))
@@ -79,7 +76,6 @@ def test_critique_tells_the_story_and_writes_the_results():
 
 
 def test_one_bad_file_does_not_stop_the_others():
-    """Files by patterns, each once, but for those among results; nor are those of one name overwritten."""
     own, twin = "ü[bold]<b>&_1.csv", "other/Ü[bold]<b>&_1.npz"
     for name in (own, twin, "unit_2.parquet", "both/unit_3.csv"):
         Path(name).parent.mkdir(exist_ok=True)
@@ -97,7 +93,6 @@ def test_one_bad_file_does_not_stop_the_others():
 
 
 def test_standard_input_and_an_axis_without_result():
-    """A dead axis beside one that is alive is an error, and the results are written."""
     aj.write(bench.recording("white"), "a.parquet")
     fit = fitted("-", "--terms", "N", given=Path("a.parquet").read_bytes())
     assert fit["file"] == "stdin"
@@ -150,7 +145,6 @@ def test_check_says_look_or_stop_and_the_lengths():
 
 
 def test_reading_options_are_those_of_read():
-    """By a filter, whose likelihood every sample, unit, rate and time is in."""
     n, rng = 600, np.random.default_rng(5)
     table = {"clock": 20.0 * np.arange(n), "gyro_x": rng.standard_normal(n), "note": 1.0 * (np.arange(n) % 3)}
     pd.DataFrame(table).drop(index=range(400, 404)).to_csv("stamped.csv", index=False)

@@ -25,7 +25,6 @@ def saved(tmp_path):
 
 
 def ran(*words):
-    """What a command that succeeds prints."""
     done = run(*words)
     assert done.exit_code == 0, done.stderr
     return done.stdout

@@ -39,7 +39,6 @@ def logs(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def characterized(logs, cluster, tmp_path_factory):
-    """The folder of the results, and the result."""
     out = tmp_path_factory.mktemp("out")
     return out, aj.characterize_fleet(logs / "*.parquet", out, "N + K", plain=True, scheduler=cluster)
 

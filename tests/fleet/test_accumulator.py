@@ -44,7 +44,6 @@ def test_a_stream_has_the_degrees_of_freedom_of_its_record_and_pieces_stay_as_th
 
 
 def test_a_snapshot_goes_on_where_it_was_taken(x, tmp_path, monkeypatch):
-    """It is written as a whole or not at all; a buffer may be filled again."""
     path, buffer = tmp_path / "rig.npz", np.empty((50_000, 2))
     before = aj.AllanAccumulator(RATE, AXES, start=7, name="rig")
     for k in range(0, 150_000, 50_000):

@@ -60,7 +60,6 @@ def test_the_table_holds_what_fits_find(characterized, logs):
 
 @pytest.mark.parametrize("stretch", [{}, {"start": 100.003, "stop": 1_400.0}])
 def test_a_long_recording_is_divided_and_put_together(cluster, tmp_path, stretch):
-    """The pieces give what one accumulator of the whole gives."""
     rng, path = np.random.default_rng(3), tmp_path / "long.npy"
     x = rng.standard_normal((150_000, 1)) + np.cumsum(rng.standard_normal((150_000, 1)), axis=0) * 1e-3
     np.save(path, x)
@@ -125,7 +124,6 @@ OPTIONS |= {"plain": True}
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("name", OPTIONS)
 def test_each_option_is_part_of_a_results_key(three, cluster, name):
-    """With it all is computed anew; what was stored with it is taken, by the call and by the command."""
     value = OPTIONS[name]
     words = [f"--{name.replace('_', '-')}", *([] if value is True else np.atleast_1d(value))]
     assert three.run(three.files).resumed == 3
@@ -218,7 +216,6 @@ def test_names_tell_recordings_apart_and_may_change_from_run_to_run(fleet):
 
 
 def test_patterns_find_each_file_once_and_no_results(fleet, cluster, monkeypatch):
-    """The folder of a bag is one recording, whose files are none of their own."""
     monkeypatch.chdir(fleet.folder)
     there = "b/imu.csv a/imu.csv log[1].csv out/x.csv a/deeper/x.csv one/metadata.yaml one/0.mcap"
     for name in there.split():
@@ -321,7 +318,6 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs):
 
 
 def test_the_printed_table_has_median_scatter_and_quantiles(fleet):
-    """Of estimates without outlying ones; of one alone its own error."""
     values = np.array([[1.0], [1.06], [0.94], [1.03], [0.97], [9.0]])
     limits = np.array([[np.nan], *5 * [[20_000.0]]])
     few = ("gyro", "bias_instability", 12_347.0 * np.ones((6, 1)), 0.05)
@@ -338,7 +334,6 @@ def test_the_printed_table_has_median_scatter_and_quantiles(fleet):
 
 @pytest.mark.usefixtures("no_windows")
 def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units(fleet, monkeypatch):
-    """Estimates with their intervals, limits as marks; of each group side by side, with its median."""
     monkeypatch.undo()
     values = np.column_stack([1.0 + 0.02 * np.arange(9), 2.0 + 0.02 * np.arange(9)])
     values[8, 1] = 30.0

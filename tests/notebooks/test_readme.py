@@ -45,7 +45,6 @@ def test_names_and_keywords_of_its_code_exist():
 
 @pytest.fixture
 def folder(elsewhere, tmp_path):
-    """An empty folder with the files that the README speaks of."""
     # As long as the record whose critique is shown, for the compiled programs; with a line to find as well.
     terms = "N=0.1 deg/sqrt(h) + B=2 deg/h + sinusoid(amplitude=20 deg/h, frequency=1.4 Hz)"
     recording = aj.simulate_recording({"gyro_x": terms}, 45_000, 100.0, 0)

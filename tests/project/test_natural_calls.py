@@ -19,7 +19,6 @@ def samples():
 
 
 def test_samples_with_a_rate_and_a_unit_are_taken_as_their_recording_is():
-    """To rounding of the samples' units; without a unit there are numbers only."""
     expected = aj.power_spectrum(gyro()).density
     for data in (samples()[:, None], samples(), samples().tolist(), pd.Series(samples())):
         spectrum = aj.power_spectrum(data, 100.0, gyro_unit="deg/s", names=["gyro_y"])
@@ -36,7 +35,6 @@ def test_samples_with_a_rate_and_a_unit_are_taken_as_their_recording_is():
 
 
 def test_a_data_frame_says_by_its_columns_what_it_is():
-    """With stamps in a column, or an index of seconds or dates, or a rate."""
     recording = bench.recording("small")
     frame = recording.to_dataframe()
     without, times = frame.drop(columns="time [s]"), frame["time [s]"].to_numpy()

@@ -24,7 +24,6 @@ FRAME["temperature"] = np.sin(TIMES)
 
 
 def check(path, stated=RATE, **options):
-    """The file has the noise, at this rate; the recording."""
     recording = aj.read(path, **options)
     assert {*recording.names} == {*SIX}
     assert recording.rate == pytest.approx(stated, rel=1e-9)
@@ -98,7 +97,6 @@ def test_hdf5_and_matlab_7_3(tmp_path):
 
 @pytest.mark.parametrize("groups", [("imu", "imu"), ("gyros", "accels")])
 def test_tdms(tmp_path, groups, capsys):
-    """Units and the interval are properties; a file cut short has the channels before the cut."""
     path = tmp_path / "imu.tdms"
     about = [{"unit_string": unit, "wf_increment": 0.005} for unit in ("deg/s", "g")]
     with nptdms.TdmsWriter(path) as writer:
@@ -138,7 +136,6 @@ def test_files_of_every_format_are_read_and_damaged_ones_are_refused_by_name(tmp
 
 
 def test_what_claims_to_be_large_takes_no_memory(tmp_path):
-    """Datasets of which nothing is there; what is compressed as far as it can be is read."""
     with h5py.File(tmp_path / "imu.h5", "w") as file:
         file.create_dataset("gyro", shape=(10**12, 3), dtype="f8", chunks=(1000, 3))
     refused(tmp_path / "imu.h5", "24000000000000", rate=RATE, **UNITS)
@@ -186,7 +183,6 @@ def same_in_chunks(path, chunk, **options):
 
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".txt", ".parquet", ".npy", ".h5"])
 def test_chunks_are_what_read_gives(tmp_path, suffix):
-    """Of stretches that begin and end between samples and chunks, too; a bad value is found where it is."""
     path = save(FRAME, tmp_path / f"imu{suffix}")
     for stretch in ({}, {"start": 3.005, "stop": 17.3}, {"start": 29.5}, {"stop": 0.5}):
         for chunk in (1000, 3006):
@@ -202,7 +198,6 @@ def test_chunks_are_what_read_gives(tmp_path, suffix):
 
 
 def test_chunks_of_other_tables(tmp_path):
-    """Plain arrays without stamps, increments, stamps in two columns, dates."""
     k, axes = np.arange(ROWS), pd.DataFrame(NOISE, columns=list(SIX))
     np.save(tmp_path / "plain.npy", NOISE)
     np.savetxt(tmp_path / "plain.csv", NOISE, delimiter=",")

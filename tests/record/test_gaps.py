@@ -49,7 +49,6 @@ def written(tmp_path):
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_what_is_there_stays_and_what_is_not_is_counted(written, late):
-    """Also where stamps are late or early by up to a tenth of the interval."""
     table, lost = whole(), lost_at()
     table["time [s]"] += late / RATE * np.random.default_rng(3).uniform(-1.0, 1.0, N)
     recording = aj.read(written(table[~lost]), gaps="fill")
@@ -106,7 +105,6 @@ def test_packets_recorded_twice_are_left_out(written):
 
 
 def test_draws_are_the_same_whatever_the_unit_and_the_last_bits():
-    """Another machine may round the samples otherwise; of other samples the draws are others."""
     table, lost = whole(4096), lost_at(4096)
     x = np.where(lost[:, None], np.nan, table.iloc[:, 1:4].to_numpy())
     drawn = filled(x).values
@@ -214,7 +212,6 @@ def test_whatever_is_given_is_filled_as_a_file_is(written):
 
 
 def in_stretches(x, lengths):
-    """Array with these stretches of samples, one sample missing between them."""
     parts = np.split(x[: sum(lengths)], np.cumsum(lengths)[:-1])
     gap = np.full((1, x.shape[1]), np.nan)
     return np.concatenate([y for part in parts for y in (part, gap)][:-1])

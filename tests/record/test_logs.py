@@ -44,7 +44,6 @@ def bag(tmp_path):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bags(tmp_path, bag, kind):
-    """Also compressed, with frames of several lengths, and messages out of order."""
     late = stamps() + np.random.default_rng(3).integers(0, 8_000_000, N)
     frames = [*"abcdefghi", "", "base_link", "imu"]
     plain = bag(kind, other=True)
@@ -66,7 +65,6 @@ def test_bags(tmp_path, bag, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_halves_are_one_recording(bag, kind):
-    """Each lacks a few samples at its ends that the other has."""
     topics = {"/accel": Topic(stamps()[3:] + 400_000, ACCEL[3:]), "/gyro": Topic(stamps()[:-2], GYRO[:-2])}
     path = bag(kind, topics)
     for chosen in (None, "/gyro, /accel"):
@@ -124,7 +122,6 @@ def micros(n=N, interval=5000, start=5_000_000):
 
 
 def sensor(values, times, late=900):
-    """Messages that are written somewhat after the sample is taken."""
     axes = dict(zip("xyz", values.T, strict=True)) | {"temperature": np.full(len(values), 40.0, "f4")}
     return structured(timestamp=times + np.uint64(late), timestamp_sample=times, **axes)
 
@@ -147,7 +144,6 @@ def fifo(values, interval, lost=()):
 
 
 def test_gyros_and_accelerometers_of_px4(tmp_path):
-    """Several of each, beside what the autopilot has averaged; the time is that of the sample."""
     messages = {}
     for k in (0, 1):
         messages["sensor_gyro", k] = sensor(SAMPLES[:, :3] * (1 + k), micros())
@@ -168,7 +164,6 @@ def test_gyros_and_accelerometers_of_px4(tmp_path):
 
 
 def test_what_px4_combines_and_integrates(tmp_path):
-    """Dropouts are told; increments are divided by their time."""
     path, rows = tmp_path / "log.ulg", combined()
     recording = check(aj.read(write_ulog(path, {("sensor_combined", 0): rows}, [30, 12])))
     assert noted(recording, "2 dropouts", "42 ms")
@@ -290,7 +285,6 @@ REAL = {
 
 @pytest.mark.skipif(not (DATA / "phidgets_imu.bag").is_file(), reason="the folder of ALLANJAX_DATA is absent")
 def test_real_files():
-    """An accelerometer that is nearly at rest has gravity; a refusal names the longest stretch."""
     assert aj.read(DATA / "sparkfun_razor.bag").n == 2144
     for name, (rate, close, stretch) in REAL.items():
         if stretch:

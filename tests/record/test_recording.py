@@ -86,7 +86,6 @@ def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
 
 @pytest.mark.parametrize("si", [False, True])
 def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
-    """Values to the last digit and all else, by Parquet, too."""
     frame = recording.to_dataframe(si=si)
     units = ("rad/s", "m/s²") if si else ("deg/s", "mg")
     axes = [*(f"gyro_{k} [{units[0]}]" for k in "xyz"), *(f"accel_{k} [{units[1]}]" for k in "xz")]
@@ -100,7 +99,6 @@ def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
 
 
 def test_frames_of_another_shape(recording):
-    """Rows at the ends and columns may be left out; of a frame changed otherwise the columns are read."""
     # Samples that are no multiples of their unit: in that, numbers round once more.
     made = dataclasses.replace(recording["gyro"], values=NOISE[:, :3])
     assert aj.Recording.from_dataframe(made.to_dataframe(si=True)) == made

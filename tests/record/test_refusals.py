@@ -35,12 +35,10 @@ def text(header=HEADER[:3], cells=(), lines=N, times=None, label="time [s]", edi
 
 
 def line(number, content):
-    """A file of which a line is another."""
     return text(edit=lambda lines: [*lines[: number - 1], content, *lines[number:]])
 
 
 def cell(content, **more):
-    """A file of which a cell of the second axis is another, in line 23."""
     return text(cells={(23, 1): content}, **more)
 
 

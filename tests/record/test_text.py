@@ -31,7 +31,6 @@ def commented(lines):
 
 
 def european(lines):
-    """The first line tells the delimiter."""
     return ["sep=;", lines[0].replace(",", ";"), *(x.replace(",", ";").replace(".", ",") for x in lines[1:])]
 
 
@@ -188,7 +187,6 @@ def test_the_rate_is_that_of_all_intervals_and_the_jitter_their_scatter(tmp_path
 
 
 def test_what_ros_exports(tmp_path):
-    """The stamp of the header is used, not that of arrival, and the frame is no channel."""
     columns = {"%time": NS + 300_000 * (STEP % 3), "field.header.seq": STEP, "field.header.stamp": NS}
     columns |= {"field.header.frame_id": "imu_link", "field.orientation.w": 1.0}
     columns |= {f"field.angular_velocity.{a}": NOISE[:, i] for i, a in enumerate("xyz")}
@@ -238,7 +236,6 @@ VECTORNAV = {"VNYMR": (6, 0), "VNQMR": (7, 0), "VNMAR": (3, 0), "VNIMU": (3, 2),
 
 @pytest.mark.parametrize("kind", VECTORNAV)
 def test_vectornav(tmp_path, kind):
-    """Cut within the first line, as when the log is begun; with other messages between."""
     before, after = (k + np.arange(count) for k, count in zip((7.0, 31.0), VECTORNAV[kind], strict=True))
     lines = vectornav(kind, before, after)
     lines = [lines[0][30:], *(text for x in lines for text in (x, "$VNRRG,05,+1.0*00", "# a comment", ""))]

@@ -30,7 +30,6 @@ def walking():
 
 @functools.cache
 def wandering():
-    """White noise and a Markov process, all unequal."""
     models = {}
     for k, name in enumerate(AXES):
         scale = 1.0 if name.startswith("gyro") else 10.0
@@ -75,14 +74,12 @@ def test_a_target_with_a_correlation_time_holds_a_markov_process(target):
 
 
 def words_of(text):
-    """A file without marks of comments and line breaks."""
     lines = [re.sub(r"^\s*(#|%|<!--)", "", line).removesuffix("-->") for line in text.splitlines()]
     return " ".join(" ".join(lines).split())
 
 
 @pytest.mark.parametrize("target", STEPS)
 def test_every_value_says_where_it_comes_from(target):
-    """The estimate with its interval, that K of gyro_z is a limit, and what the target does not hold."""
     text = words_of(aj.export(walking(), target))
     assert "source: " in text
     assert ("FLOOR" in text) == (target in ("px4", "ardupilot"))
@@ -124,7 +121,6 @@ def test_the_worst_the_mean_and_each():
 
 
 def test_what_is_not_there_is_left_out():
-    """A sensor; and a walk of a model without one, of which a target that holds nothing else gets none."""
     gyros = dataclasses.replace(walking(), results=walking().results[:3])
     text = aj.export(gyros, "kalibr")
     assert {*read_yaml(text)} == {
@@ -172,7 +168,6 @@ def test_what_cannot_be_asked_is_refused():
 
 @pytest.mark.usefixtures("elsewhere")
 def test_the_command_gives_what_the_function_does():
-    """Names of targets are written as people do."""
     white = bench.fit("white", "N")
     aj.write_json(walking(), "bench.json")
     aj.write_json(white, "white.json")

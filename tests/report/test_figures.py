@@ -50,7 +50,6 @@ def what_draws(plot):
 
 
 def check_points(panel, plot, k):
-    """Points, and their error bars, are the numbers of the k-th axis in the unit that the panel names."""
     _, x, values, ends = what_draws(plot)
     scale = UNITS[NAMES[k].split("_")[0]] ** (1 if plot in ("allan", "curve") else 2)
     drawn = lines_of(panel)["estimate"] if ends is None else panel.containers[0][0]
@@ -63,7 +62,6 @@ def check_points(panel, plot, k):
 
 @pytest.mark.parametrize("plot", LABELS)
 def test_panels_have_the_numbers_of_their_axes_in_their_units(plot, tmp_path):
-    """All axes, each sensor with one scale; one of them in axes of the caller's."""
     draw, (xlabel, gyro, accel) = what_draws(plot)[0], LABELS[plot]
     figure = draw(path=tmp_path / "all.png")
     assert (tmp_path / "all.png").exists()
@@ -120,7 +118,6 @@ def test_lines_are_those_of_the_terms_and_of_their_sum():
 
 
 def test_strips_show_measured_over_model_in_per_cent():
-    """And the model's own error as a band."""
     fit, spectrum = bench.fit("small"), of_small(aj.power_spectrum)
     strip = strip_of(aj.plot_allan(fit, "gyro_y"))
     points = points_of(strip)["residual"][0].get_ydata()
@@ -167,7 +164,6 @@ def test_keys_tell_every_coefficient_or_limit():
 
 @pytest.mark.parametrize("plot", ["allan", "psd"])
 def test_what_is_not_known_has_no_line(plot):
-    """An axis without result, which says so; and a term that cannot be told from none."""
     figure, lines = model_lines(plot, without_result(bench.fit("small"), "gyro_y"), "gyro_y")
     assert list(points_of(panels(figure)["gyro_y"])) == ["measured"]
     assert "model" not in lines
@@ -199,7 +195,6 @@ def test_a_sinusoid_is_a_vertical_line_a_resonance_a_peak_and_a_ramp_is_not_draw
 
 
 def test_several_are_drawn_over_one_another_axis_by_axis():
-    """A fit, and the curve of a shorter recording with one axis less and one of its own."""
     fit, shorter = bench.fit("small"), bench.recording("small").between(0.0, 81.92)["gyro_x", "accel_z"]
     axes = (shorter.axes[0], dataclasses.replace(shorter.axes[1], name="accel_x"))
     other = dataclasses.replace(shorter, axes=axes, name="shorter")

@@ -174,7 +174,6 @@ def test_a_critiques_document_has_the_numbers_of_its_findings():
 
 
 def test_a_story_tells_what_was_found_and_where():
-    """Cause, axes, frequency and gain; its lines are short."""
     critique = bench.critique("lines")
     told, details = str(critique), critique.details()
     finding = max((f for f in critique.findings if f.cause == "sinusoid"), key=lambda f: f.gain)

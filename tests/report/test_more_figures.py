@@ -120,7 +120,6 @@ def test_a_decomposition_is_drawn_part_by_part():
 
 
 def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
-    """Lines: each in the axis in which it matters most, with its peak at its frequency."""
     critique, steps = bench.critique("lines"), bench.critique("steps")
     figures = critique.plot(tmp_path / "new")
     written = {path.name for path in (tmp_path / "new").iterdir()}
