@@ -8,7 +8,6 @@ import difflib
 import re
 
 import nbformat
-import numpy as np
 import pytest
 from nbclient import NotebookClient
 from places import DATA, ROOT
@@ -80,18 +79,3 @@ def test_notebook(path, tmp_path, monkeypatch):
     assert difflib.SequenceMatcher(None, words, now, autojunk=False).ratio() > WORDS, "execute it again"
     same = [abs(a - b) <= 0.01 * abs(a) for a, b in zip(numbers, numbers_now, strict=False)]
     assert sum(same) >= NUMBERS * len(same), "execute it again"
-
-
-def test_the_simulated_units_stand_in_for_the_real_ones(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "notebooks")
-    import simulated_units
-
-    unit = simulated_units.simulated_unit(1, 20_000)
-    for sensor, columns in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
-        counts = unit.values[:, columns] / (simulated_units.COUNT[sensor] * simulated_units.SI[sensor])
-        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-    # The peak of gyro_z stands out by far more than a level of so many degrees of freedom scatters.
-    power = np.abs(np.fft.rfft(unit.values[:, 2] - unit.values[:, 2].mean())) ** 2
-    f = np.fft.rfftfreq(unit.n, 1.0 / unit.rate)
-    peak, beside = (power[(a < f) & (f < b)].mean() for a, b in ((21.4, 22.4), (5.0, 10.0)))
-    assert peak > 3.0 * beside

@@ -14,7 +14,7 @@ import allanjax as aj
 # What commands start is public, too: pyproject.toml names it.
 ALLOWED = {"allanjax.cli.app.app", "allanjax.cli.app.main"}
 #: Most inner names in all files of tests together, each for a law that nothing public shows.
-MOST = 10
+MOST = 8
 
 
 def is_public(name: str) -> bool:
@@ -48,11 +48,3 @@ def test_tests_use_public_names():
     paths = sorted((ROOT / "tests").rglob("*.py"))
     found = [(path.name, name) for path in paths for name in inner_names(path.read_text(encoding="utf-8"))]
     assert len(found) <= MOST, found
-
-
-def test_an_inner_name_is_seen_wherever_it_hides():
-    text = "from allanjax.base import linalg as algebra; import allanjax.estimate.gls as gls"
-    text += "\nmonkeypatch.setattr('allanjax.estimate.gls.solve', None); fit._model; self._own; fit.__class__"
-    text += "\nfrom allanjax import Fit; from allanjax.record.recording import Recording; aj.fit([1.0]).results"
-    inner = {"allanjax.base.linalg", "allanjax.estimate.gls", "allanjax.estimate.gls.solve", "fit._model"}
-    assert inner_names(text) == inner

@@ -94,36 +94,17 @@ def test_an_axis_without_result_has_nulls_and_a_reason():
     assert len(written) == 16
 
 
-#: Each with what spoils it.
-DOCUMENTS = {
-    "fit": (
-        lambda: aj.to_dict(bench.fit("small")),
-        lambda d: d.update(schema_version=2),
-        lambda d: d["axes"][0]["coefficients"][0].pop("si"),
-        lambda d: d["axes"][0]["coefficients"][0].update(value="NaN"),
-    ),
-    "critique": (
-        lambda: bench.critique("lines").to_dict(),
-        lambda d: d.update(schema_version=2),
-        lambda d: d["axes"][0].pop("findings"),
-        lambda d: d["findings"][0].update(gain_nats="NaN"),
-    ),
-    "horizon": (
-        lambda: aj.horizon(bench.fit("small"), 10.0).to_dict(),
-        lambda d: d.update(colour="red"),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", DOCUMENTS)
+@pytest.mark.parametrize("name", ["fit", "critique", "horizon"])
 def test_schemas_take_what_is_written_and_nothing_else(name):
-    make, *spoilers = DOCUMENTS[name]
-    document, validator = json.dumps(make(), allow_nan=False), schema(name)
-    validator.validate(json.loads(document))
-    for spoil in spoilers:
-        other = json.loads(document)
-        spoil(other)
-        assert not validator.is_valid(other)
+    results = {"fit": lambda: aj.to_dict(bench.fit("small"))}
+    results |= {"critique": lambda: bench.critique("lines").to_dict()}
+    results["horizon"] = lambda: aj.horizon(bench.fit("small"), 10.0).to_dict()
+    document, validator = json.loads(json.dumps(results[name](), allow_nan=False)), schema(name)
+    validator.validate(document)
+    axis = document["axes"][0]
+    assert not validator.is_valid(document | {"schema_version": 2, "colour": "red"})
+    axis.pop({"fit": "covariance", "critique": "findings", "horizon": "white"}[name])
+    assert not validator.is_valid(document)
 
 
 def test_the_curve_is_in_the_recordings_own_units():
