@@ -133,16 +133,6 @@ def combined(values=SAMPLES, times=None):
     return structured(timestamp=micros(n) if times is None else times, **gyros, **accels)
 
 
-def fifo(values, interval, lost=()):
-    """Messages of eight samples in arrays of 32, at an interval [µs], of values in counts of 0.25."""
-    n = len(values) // 8
-    padded = np.pad(values.reshape(n, 8, 3).transpose(0, 2, 1), [(0, 0), (0, 0), (0, 24)]).astype("i2")
-    end = (1_000_000 + np.round((8 * np.arange(n) + 7) * interval)).astype("u8")
-    about = {"dt": np.full(n, 125.0, "f4"), "scale": np.full(n, 0.25, "f4"), "samples": np.full(n, 8, "u1")}
-    about |= {"timestamp_sample": end, "x": padded[:, 0], "y": padded[:, 1], "z": padded[:, 2]}
-    return np.delete(structured(timestamp=end + np.uint64(50), **about), list(lost))
-
-
 def test_gyros_and_accelerometers_of_px4(tmp_path):
     messages = {}
     for k in (0, 1):
@@ -180,20 +170,6 @@ def test_what_px4_combines_and_integrates(tmp_path):
     np.testing.assert_allclose(aj.read(path).values, VALUES, rtol=1e-6)
     rows["delta_velocity_dt"][9] = 0
     refused(write_ulog(path, {("vehicle_imu", 0): rows}), "accel_x|row 9")
-
-
-def test_batches_of_px4_by_a_clock_that_is_2_per_cent_faster_than_it_tells(tmp_path):
-    counts = np.random.default_rng(1).integers(-999, 999, (800, 3))
-    messages = {
-        ("sensor_gyro_fifo", 0): fifo(counts, 122.5),
-        ("sensor_accel_fifo", 0): fifo(counts[::-1], 122.5),
-    }
-    messages["sensor_combined", 0] = combined(np.ones((20, 6), "f4"))
-    recording = aj.read(write_ulog(tmp_path / "log.ulg", messages))
-    np.testing.assert_array_equal(recording.values, 0.25 * np.hstack([counts, counts[::-1]]))
-    assert recording.rate == pytest.approx(1e6 / 122.5, rel=3e-4)
-    messages["sensor_gyro_fifo", 0] = fifo(counts, 122.5, lost=[40])
-    refused(write_ulog(tmp_path / "log.ulg", messages), "gap|row 320", topic="sensor_gyro_fifo")
 
 
 def test_logs_of_px4_that_can_not_be_read(tmp_path, monkeypatch):
