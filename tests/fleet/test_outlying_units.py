@@ -25,11 +25,8 @@ def integral(x, s, unit, scale):
     def density(width, tail):
         w = 1.0 / (width**2 + s[others] ** 2)
         mean = np.sum(w * x[others]) / w.sum()
-        of = (
-            student.pdf(width / scale, 8)
-            * np.prod(norm.pdf(x[others], mean, 1.0 / np.sqrt(w)))
-            / np.sqrt(w.sum())
-        )
+        of = student.pdf(width / scale, 8) / np.sqrt(w.sum())
+        of *= np.prod(norm.pdf(x[others], mean, 1.0 / np.sqrt(w)))
         z = sign * (x[unit] - mean) / np.sqrt(width**2 + s[unit] ** 2 + 1.0 / w.sum())
         return of * (norm.sf(z) if tail else 1.0)
 

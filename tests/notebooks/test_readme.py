@@ -18,11 +18,9 @@ PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 def commands(*languages):
     """Words of the allanjax commands in blocks, without comments, prompts and output."""
-    lines = [
-        line for of, text in BLOCKS if of in languages for line in text.replace("\\\n", " ").splitlines()
-    ]
-    found = [re.match(r"(?:\$ )?allanjax (\w.*)", line) for line in lines]
-    return [shlex.split(match[1], comments=True) for match in found if match]
+    text = "\n".join(text for language, text in BLOCKS if language in languages).replace("\\\n", " ")
+    found = re.findall(r"^(?:\$ )?allanjax (\w.*)", text, re.MULTILINE)
+    return [shlex.split(words, comments=True) for words in found]
 
 
 def test_options_of_its_commands_exist():

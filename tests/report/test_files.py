@@ -44,13 +44,11 @@ def test_json_has_the_fits_numbers_in_both_units_and_csv_in_usual_ones(tmp_path)
     aj.write_coefficients_csv(fit, "c.csv")
     table = pd.read_csv("c.csv").set_index(["axis", "coefficient"])
     for axis, result in zip(document["axes"], fit.results, strict=True):
-        numbers = ("chi2", "dof", "p_value", "discrepancy")
-        assert [axis[name] for name in numbers] == [getattr(result, name) for name in numbers]
-        covariance, si_units = (
-            axis["covariance"],
-            [USUAL[axis["sensor"], name][2] for name in result.coefficients],
-        )
-        assert (covariance["labels"], covariance["units"]) == (list(result.coefficients), si_units)
+        for name in ("chi2", "dof", "p_value", "discrepancy"):
+            assert axis[name] == getattr(result, name)
+        covariance = axis["covariance"]
+        assert covariance["labels"] == list(result.coefficients)
+        assert covariance["units"] == [USUAL[axis["sensor"], name][2] for name in result.coefficients]
         np.testing.assert_array_equal(covariance["values"], result.covariance)
         for entry, c in zip(axis["coefficients"], result.coefficients.values(), strict=True):
             (unit, scale, si_unit), row = USUAL[axis["sensor"], c.label], table.loc[axis["name"], c.label]
@@ -60,14 +58,9 @@ def test_json_has_the_fits_numbers_in_both_units_and_csv_in_usual_ones(tmp_path)
             limit = math.nan if c.upper_limit is None else c.upper_limit
             own = [c.value, c.std, *c.interval, limit]
             for told, factor in ((entry, scale), (entry["si"], 1.0)):
-                numbers = [
-                    told["value"],
-                    told["std"],
-                    *told["interval_95"],
-                    told["upper_limit_95"] or math.nan,
-                ]
-                np.testing.assert_allclose(np.array(numbers) * factor, own, rtol=1e-12)
-                np.testing.assert_allclose(np.array(told["interval_68"]) * factor, c.interval_68, rtol=1e-12)
+                ends = [*told["interval_95"], told["upper_limit_95"], *told["interval_68"]]
+                numbers = np.array([told["value"], told["std"], *ends], float) * factor
+                np.testing.assert_allclose(numbers, [*own, *c.interval_68], rtol=1e-12)
             written = row[["value", "std", "lower_95", "upper_95", "upper_limit_95"]].to_numpy(float)
             np.testing.assert_allclose(written * scale, own, rtol=1e-12)
     assert {entry["detected"] for axis in document["axes"] for entry in axis["coefficients"]} == {True, False}

@@ -146,10 +146,9 @@ def ekf3(_, white, walk, dt=0.012):
 
 
 # Words for a sensor in the names of values.
-WORDS = {
-    "as": "long Long stem Stem STEM short Short SHORT g G of Of bias rw rate topic",
-    "gyro": "gyroscope Gyroscope gyr Gyr GYR gyro Gyro GYRO g G gyro Gyro Omega arw Angular angular_velocity",
-}
+WORDS = {"as": "long Long stem Stem STEM short Short SHORT g G of Of bias rw rate topic"}
+WORDS["gyro"] = "gyroscope Gyroscope gyr Gyr GYR gyro Gyro GYRO g G gyro Gyro Omega arw Angular"
+WORDS["gyro"] += " angular_velocity"
 WORDS["accel"] = "accelerometer Accelerometer acc Acc ACC acc Acc ACC a A accel Accel Acc vrw Velocity"
 WORDS["accel"] += " linear_acceleration"
 NOISE = "{topic}.{axis}.noise."
@@ -188,10 +187,8 @@ TARGETS = {
     "ardupilot": ("EK3_{SHORT}_P_NSE EK3_{G}BIAS_P_NSE", ekf3),
 }
 # Units of what is not in SI.
-UNITS = {
-    ("airsim", "gyro"): (DEG / 60.0, DEG / 3600.0, 1.0),
-    ("airsim", "accel"): (G / 1000.0, 1e-6 * G, 1.0),
-}
+UNITS = {("airsim", "gyro"): (DEG / 60.0, DEG / 3600.0, 1.0)}
+UNITS["airsim", "accel"] = (G / 1000.0, 1e-6 * G, 1.0)
 UNITS |= {(name, "gyro"): (DEG / 60.0, DEG / 3600.0, 3600.0) for name in ("kf-gins", "ob-gins")}
 UNITS |= {(name, "accel"): (1.0 / 60.0, 1e-5, 3600.0) for name in ("kf-gins", "ob-gins")}
 

@@ -65,9 +65,8 @@ class Fleet:
                 errors = np.broadcast_to(errors, np.shape(values))
                 limit = limits[0] if limits else np.full(np.shape(values), np.nan)
                 for name, value, error, end in zip("xyz", values[u], errors[u], limit[u], strict=False):
-                    found = coefficient(
-                        label, float(value), float(error), None if np.isnan(end) else float(end)
-                    )
+                    end = None if np.isnan(end) else float(end)
+                    found = coefficient(label, float(value), float(error), end)
                     axes.setdefault(f"{sensor}_{name}", []).append(found)
             self.store(file.stem, [axis(name, found) for name, found in axes.items()])
         named = None if group is None else {f"unit_{u}": str(name) for u, name in enumerate(group)}
