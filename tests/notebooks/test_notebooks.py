@@ -8,7 +8,6 @@ import difflib
 import re
 
 import nbformat
-import numpy as np
 import pytest
 from nbclient import NotebookClient
 from places import DATA, ROOT
@@ -30,19 +29,8 @@ for text, expression in {claims!r}.items():
 pytestmark = pytest.mark.notebook
 
 
-def read(path):
-    return nbformat.read(path, as_version=4)
-
-
 def outputs(notebook):
     return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-
-
-def shown(notebook):
-    """All text that a reader sees as output."""
-    return "\n".join(
-        output.get("text", "") or output.get("data", {}).get("text/plain", "") for output in outputs(notebook)
-    )
 
 
 def pictures(notebook):
@@ -54,16 +42,17 @@ def with_checks(notebook):
     cells = []
     for cell in notebook.cells:
         cells.append(cell)
-        if cell.metadata.get("claims"):
-            assert all(text in cell.source for text in cell.metadata["claims"]), cell.id
-            check = CHECK.format(claims=dict(cell.metadata["claims"]))
+        if claims := cell.metadata.get("claims"):
+            assert all(text in cell.source for text in claims), cell.id
+            check = CHECK.format(claims=dict(claims))
             cells.append(nbformat.v4.new_code_cell(check, id=f"{cell.id}-claims"))
     return nbformat.from_dict({**notebook, "cells": cells})
 
 
-def words_and_numbers(text):
-    """Words with # for numbers, and the numbers; lines of tables are neither."""
-    text = re.sub(r"[─-╿│…]+", " ", text)
+def words_and_numbers(notebook):
+    """Words of all outputs with # for numbers, and the numbers; lines of tables are neither."""
+    shown = [each.get("text", "") or each.get("data", {}).get("text/plain", "") for each in outputs(notebook)]
+    text = re.sub(r"[─-╿│…]+", " ", "\n".join(shown))
     return NUMBER.sub("#", text).split(), [float(x.replace(",", "")) for x in NUMBER.findall(text)]
 
 
@@ -79,31 +68,14 @@ def test_notebook(path, tmp_path, monkeypatch):
     monkeypatch.setenv("ALLANJAX_DATA", str(DATA))
     # The command line, tried in this process before, sets one that shows no pictures.
     monkeypatch.delenv("MPLBACKEND", raising=False)
-    saved = read(path)
+    saved = nbformat.read(path, as_version=4)
     # nbclient fills in the outputs of the notebook that it is given, and raises where a cell does.
-    executed = with_checks(read(path))
-    NotebookClient(
-        executed, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
-    ).execute()
+    executed = with_checks(nbformat.read(path, as_version=4))
+    resources = {"metadata": {"path": str(tmp_path)}}
+    NotebookClient(executed, timeout=300, kernel_name="python3", resources=resources).execute()
     assert len(pictures(executed)) == len(pictures(saved)) > 0
     assert not [output for output in outputs(executed) if output.get("name") == "stderr"]
-    (words, numbers), (now, numbers_now) = (words_and_numbers(shown(x)) for x in (saved, executed))
+    (words, numbers), (now, numbers_now) = map(words_and_numbers, (saved, executed))
     assert difflib.SequenceMatcher(None, words, now, autojunk=False).ratio() > WORDS, "execute it again"
-    pairs = zip(numbers, numbers_now, strict=False)
-    same = [abs(a - b) <= 0.01 * abs(a) for a, b in pairs]
+    same = [abs(a - b) <= 0.01 * abs(a) for a, b in zip(numbers, numbers_now, strict=False)]
     assert sum(same) >= NUMBERS * len(same), "execute it again"
-
-
-def test_the_simulated_units_stand_in_for_the_real_ones(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "notebooks")
-    import simulated_units
-
-    unit = simulated_units.simulated_unit(1, 20_000)
-    for sensor, columns in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
-        counts = unit.values[:, columns] / (simulated_units.COUNT[sensor] * simulated_units.SI[sensor])
-        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-    # The peak of gyro_z stands out by far more than a level of so many degrees of freedom scatters.
-    power = np.abs(np.fft.rfft(unit.values[:, 2] - unit.values[:, 2].mean())) ** 2
-    f = np.fft.rfftfreq(unit.n, 1.0 / unit.rate)
-    peak, beside = (power[(a < f) & (f < b)].mean() for a, b in ((21.4, 22.4), (5.0, 10.0)))
-    assert peak > 3.0 * beside

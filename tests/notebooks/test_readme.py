@@ -1,5 +1,7 @@
-"""The README's code runs as it stands there, from its first block to its last."""
+"""The README's code uses names and options that exist, and runs as it stands there, from first to last."""
 
+import ast
+import inspect
 import re
 import shlex
 
@@ -9,67 +11,76 @@ from places import ROOT
 
 import allanjax as aj
 
-pytestmark = pytest.mark.notebook
-README = ROOT / "README.md"
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 
-def blocks(language):
-    return [text for of, text in BLOCKS if of == language]
+def commands(*languages):
+    """Words of the allanjax commands in blocks, without comments, prompts and output."""
+    text = "\n".join(text for language, text in BLOCKS if language in languages).replace("\\\n", " ")
+    found = re.findall(r"^(?:\$ )?allanjax (\w.*)", text, re.MULTILINE)
+    return [shlex.split(words, comments=True) for words in found]
+
+
+def test_options_of_its_commands_exist():
+    assert len(commands("bash", "text")) > 4
+    for command, *words in commands("bash", "text"):
+        shown = run(command, "--help")
+        assert shown.exit_code == 0, command
+        assert {word for word in words if word[:2] == "--"} <= {*re.findall(r"--[\w-]+", shown.output)}, words
+
+
+def test_names_and_keywords_of_its_code_exist():
+    tree = ast.parse("\n".join(PYTHON))
+    used = [n for n in ast.walk(tree) if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "aj"]
+    assert len(used) > 10
+    assert all(hasattr(aj, name.attr) for name in used)
+    for call in (n for n in ast.walk(tree) if isinstance(n, ast.Call) and n.func in used):
+        taken = inspect.signature(getattr(aj, call.func.attr)).parameters
+        assert {word.arg for word in call.keywords} <= set(taken), ast.unparse(call)
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty folder with the files that the README speaks of."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ALLANJAX_CACHE", "off")
+def folder(elsewhere, tmp_path):
     # As long as the record whose critique is shown, for the compiled programs; with a line to find as well.
     terms = "N=0.1 deg/sqrt(h) + B=2 deg/h + sinusoid(amplitude=20 deg/h, frequency=1.4 Hz)"
     recording = aj.simulate_recording({"gyro_x": terms}, 45_000, 100.0, 0)
-    aj.write(recording, "imu.csv")
-    aj.write(recording, "week.parquet")
+    for name in ("imu.csv", "week.parquet"):
+        aj.write(recording, name)
     return tmp_path
 
 
+@pytest.mark.notebook
 def test_python_blocks_run_in_order(folder, capsys):
     given = {}
-    for text in blocks("python"):
-        exec(compile(text, str(README), "exec"), given)
-    for name in ("allan.png", "corner.png", "pictures"):
-        assert (folder / name).exists(), name
+    for text in PYTHON:
+        exec(compile(text, "README.md", "exec"), given)
+    assert {"allan.png", "corner.png", "pictures"} <= {path.name for path in folder.iterdir()}
     assert given["accumulator"].n == 45_000
     assert "noise terms by evidence" in capsys.readouterr().out
 
 
-def commands(text):
-    """The allanjax commands of a block, without comments, prompts and output."""
-    lines = text.replace("\\\n", " ").splitlines()
-    found = [re.sub(r"^\$ ", "", line) for line in lines]
-    return [shlex.split(line, comments=True)[1:] for line in found if line.startswith("allanjax ")]
-
-
+@pytest.mark.notebook
 def test_commands_run(folder):
-    ran = [words for text in blocks("bash") for words in commands(text)]
+    ran = commands("bash")
     assert [words[0] for words in ran] == ["characterize", "fleet", "fleet", "export", "export"]
     for words in ran:
         # Of a fleet, a cluster and files that are not there, only that the command line is right.
         shown = run(*words, "--help") if words[0] == "fleet" else run(*words)
         assert shown.exit_code == 0, shown.output
-    names = {path.name for path in (folder / "results").iterdir()}
-    told = re.search(r"prints a table and writes (.*?)\.\n", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert names == set(re.findall(r"`(imu[\w.]+)`", told[1]))
+    told = re.search(r"prints a table and writes (.*?)\.\n", README, re.DOTALL)[1]
+    assert {path.name for path in (folder / "results").iterdir()} == {*re.findall(r"`(imu[\w.]+)`", told)}
 
 
+@pytest.mark.notebook
 def test_the_critique_says_what_the_readme_shows(folder):
-    (text,) = (text for text in blocks("text") if "allanjax critique" in text)
-    for words in commands(text):
-        result = run(*words)
-        assert result.exit_code == 0, result.output
-    _, shown = text.split("allanjax critique bench.csv\n")
-    told = result.stdout[: result.stdout.index("none left")]
+    results = [run(*words) for words in commands("text")]
+    assert [result.exit_code for result in results] == [0] * len(results)
+    (shown,) = (text for _, text in BLOCKS if "allanjax critique bench.csv\n" in text)
     # Digits beyond these may differ from one machine to the next.
-    rounded = [
-        re.sub(r"\d+\.?\d*", lambda number: f"{float(number[0]):.1g}", re.sub("p = [^;)]*", "", words))
-        for words in (told, shown[: shown.index("none left")])
-    ]
-    assert rounded[0].split() == rounded[1].split()
+    told, shown = (
+        re.sub(r"\d+\.?\d*", lambda number: f"{float(number[0]):.1g}", re.sub("p = [^;)]*", "", text)).split()
+        for text in (results[-1].stdout, shown.split("allanjax critique bench.csv\n")[1])
+    )
+    assert told[: told.index("none")] == shown[: shown.index("none")]

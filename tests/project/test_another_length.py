@@ -2,14 +2,12 @@
 
 import bench
 import numpy as np
-import pytest
 from compilations import compilations
 
 import allanjax as aj
 
 
 def in_sevenths(recording):
-    """An accumulator that is fed in pieces."""
     accumulator = aj.AllanAccumulator(recording.rate, recording.axes)
     for piece in np.array_split(recording.values, 7):
         accumulator.update(piece)
@@ -25,22 +23,3 @@ def test_a_second_length_compiles_nothing():
         with compilations() as compiled:
             call(recording.between(0.0, 94.77))
         assert compiled == [], call
-
-
-@pytest.mark.usefixtures("no_windows")
-def test_what_is_made_of_a_fit_compiles_nothing(tmp_path):
-    """Tables, pictures, the model at other times, a PSD, a filter's numbers, exports."""
-    fit, spectrum = bench.fit("small"), aj.power_spectrum(bench.recording("small"))
-    with compilations() as compiled:
-        fit.plot(path=tmp_path / "a.png")
-        aj.plot_psd(spectrum, fit, path=tmp_path / "b.png")
-        aj.write_json(fit, tmp_path / "a.json")
-        aj.write_curve_csv(fit, tmp_path / "a.csv")
-        aj.write_coefficients_csv(fit, tmp_path / "b.csv")
-        told = f"{fit}{spectrum}{fit.to_dataframe()}{bench.recording('small').to_dataframe()}"
-        fit.model_deviation("gyro_x", np.geomspace(0.05, 7.0, 13))
-        aj.export(fit, "kalibr")
-        aj.navigate(fit, [3.0])
-        fit["accel_z"].model.state_space(100.0)
-    assert compiled == []
-    assert "gyro_y" in told

@@ -27,43 +27,34 @@ def recording():
 
 def test_columns_are_gyro_then_accel():
     made = aj.Recording.from_array(NOISE, 50.0, **UNITS, name="unit")
-    assert (made.names, made.name) == (SIX, "unit")
+    assert (made.names, made.name, made.rate) == (SIX, "unit", 50.0)
     assert [axis.sensor for axis in made.axes] == 3 * ["gyro"] + 3 * ["accel"]
     assert [axis.unit for axis in made.axes] == 3 * ["deg/s"] + 3 * ["g"]
     np.testing.assert_allclose(made.values, NOISE * [*3 * [DEG], *3 * [G0]], rtol=1e-14)
     np.testing.assert_allclose(made.own_values, NOISE, rtol=1e-14)
     np.testing.assert_array_equal(made.own_values * made.own_scales, made.values)
-    assert (made.n, made.rate, made.duration) == (N, 50.0, N / 50.0)
+    assert (made.n, made.duration) == (N, N / 50.0)
     np.testing.assert_allclose(made.time[[0, 1, -1]], [0.0, 0.02, (N - 1) / 50.0])
-    assert any("gyro_x" in note for note in made.notes)
     assert made.jitter is made.missing is None
-    assert made.dead == made.others == ()
-    for count, units, names in (
-        (3, {"gyro_unit": "rad/s"}, SIX[:3]),
-        (3, {"accel_unit": "m/s²"}, SIX[3:]),
-        (1, {"gyro_unit": "rad/s"}, ("gyro",)),
-        (1, {"accel_unit": "m/s²"}, ("accel",)),
-    ):
-        made = aj.Recording.from_array(NOISE[:, :count], 1.0, **units)
+    for count, unit, names in ((3, "gyro", SIX[:3]), (3, "accel", SIX[3:]), (1, "accel", ("accel",))):
+        made = aj.Recording.from_array(NOISE[:, :count], 1.0, **{f"{unit}_unit": UNITS[f"{unit}_unit"]})
         assert made.names == names
-        assert made.notes
+        assert names[0] in made.notes[0]
     vector = aj.Recording.from_array(NOISE[:, 0], 1.0, gyro_unit="rad/s")
     np.testing.assert_array_equal(vector.values, NOISE[:, :1])
 
 
 def test_axes_are_chosen_by_name_or_sensor(recording):
-    assert recording.select("accel").names == ("accel_x", "accel_z")
     chosen = recording["accel_z", "gyro", "gyro_x"]
     assert chosen.names == ("accel_z", "gyro_x", "gyro_y", "gyro_z")
     np.testing.assert_array_equal(chosen.values, recording.values[:, [4, 0, 1, 2]])
     assert chosen.auxiliary.keys() == recording.auxiliary.keys()
     assert [d.axis.name for d in recording["accel"].dead] == ["accel_y"]
-    assert recording["gyro"].dead == ()
     refused(lambda: recording["accel_y"], "accel_y was left out")
     # In notebooks a table tells their means and deviations.
     own = recording.own_values[:, 3]
-    cells = (f">{own.mean():.6g}<", f">{own.std():.6g}<", ">mg<")
-    assert all(cell in HTMLFormatter()(recording) for cell in cells)
+    table = HTMLFormatter()(recording)
+    assert all(cell in table for cell in (f">{own.mean():.6g}<", f">{own.std():.6g}<", ">mg<"))
 
 
 def test_a_dead_axis_is_left_out_and_told():
@@ -76,11 +67,10 @@ def test_a_dead_axis_is_left_out_and_told():
     assert "-0.25 g" in made.dead[1].reason
     np.testing.assert_allclose(made.own_values, x[:, [1, 2, 3, 5]], rtol=1e-14)
     # Dead in a part alone.
-    x = NOISE.copy()
+    x[:, 0] = x[:, 4] = NOISE[:, 0]
     x[:100, 2] = 1.5
     part = aj.Recording.from_array(x, 50.0, **UNITS).between(stop=2.0)
-    assert [d.axis.name for d in part.dead] == ["gyro_z"]
-    assert "1.5 deg/s" in part.dead[0].reason
+    assert [(d.axis.name, "1.5 deg/s" in d.reason) for d in part.dead] == [("gyro_z", True)]
 
 
 def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
@@ -96,11 +86,10 @@ def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
 
 @pytest.mark.parametrize("si", [False, True])
 def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
-    """Values to the last digit and all else, by Parquet, too."""
     frame = recording.to_dataframe(si=si)
     units = ("rad/s", "m/s²") if si else ("deg/s", "mg")
-    assert [*frame.columns[1:4]] == [f"gyro_{k} [{units[0]}]" for k in "xyz"]
-    assert [*frame.columns[4:6]] == [f"accel_{k} [{units[1]}]" for k in "xz"]
+    axes = [*(f"gyro_{k} [{units[0]}]" for k in "xyz"), *(f"accel_{k} [{units[1]}]" for k in "xz")]
+    assert [*frame.columns[:6]] == ["time [s]", *axes]
     np.testing.assert_array_equal(frame["time [s]"], recording.time)
     frame.to_parquet(tmp_path / "imu.parquet")
     for each in (frame, pd.read_parquet(tmp_path / "imu.parquet")):
@@ -110,12 +99,9 @@ def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
 
 
 def test_frames_of_another_shape(recording):
-    """Rows at the ends and columns may be left out; of a frame changed otherwise the columns are read."""
     # Samples that are no multiples of their unit: in that, numbers round once more.
     made = dataclasses.replace(recording["gyro"], values=NOISE[:, :3])
-    exact = aj.Recording.from_dataframe(made.to_dataframe(si=True))
-    assert exact == made
-    assert {axis.unit for axis in exact.axes} == {"deg/s"}
+    assert aj.Recording.from_dataframe(made.to_dataframe(si=True)) == made
     rounded = aj.Recording.from_dataframe(made.to_dataframe()).values
     assert (abs(rounded - made.values) <= np.spacing(abs(made.values))).all()
     frame = recording.to_dataframe()
@@ -126,8 +112,7 @@ def test_frames_of_another_shape(recording):
     # Thinned out, renamed or joined, what was stated of it does not hold.
     frame = recording["gyro"].to_dataframe().drop(columns="time")
     thin = aj.Recording.from_dataframe(frame[::2])
-    assert thin.rate == pytest.approx(123.4567 / 2.0, rel=1e-9)
-    assert thin.name == ""
+    assert (thin.rate, thin.name) == (pytest.approx(123.4567 / 2.0, rel=1e-9), "")
     renamed = aj.Recording.from_dataframe(frame.rename(columns={"gyro_x [deg/s]": "gyro_x [rad/s]"}))
     np.testing.assert_array_equal(renamed.values[:, 0], frame["gyro_x [deg/s]"])
     refused(lambda: aj.Recording.from_dataframe(frame.drop(index=range(500, 600))), "gap")
@@ -142,8 +127,8 @@ def test_frames_of_another_shape(recording):
 
 def test_a_written_recording_is_read_without_arguments(tmp_path):
     units = {"gyro_unit": "arcsec", "accel_unit": "µg", "names": ["gyro_x", "gyro_1", "accel_z"]}
-    warm = {"temperature": NOISE[:, 5]}
-    made = aj.Recording.from_array(NOISE[:, [0, 2, 3]], 100.0 / 3.0, auxiliary=warm, **units)
+    units["auxiliary"] = {"temperature": NOISE[:, 5]}
+    made = aj.Recording.from_array(NOISE[:, [0, 2, 3]], 100.0 / 3.0, **units)
     for suffix in ("csv", "parquet", "npz"):
         aj.write(made, tmp_path / f"imu.{suffix}")
         again = aj.read(tmp_path / f"imu.{suffix}")

@@ -6,6 +6,7 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import bench
 import numpy as np
@@ -16,6 +17,8 @@ from export_arithmetic import EACH, ONE_TIME, STEPS, WITH_TIME, error_of, predic
 from export_sensors import AXES, RATE, model_of, recording, walk, with_one_time
 
 import allanjax as aj
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 # Steps of 12 ms and less make an error of 1.2 % of the covariance of angle and bias over 1 s.
 TOLERANCE = 0.02
@@ -29,7 +32,6 @@ def walking():
 
 @functools.cache
 def wandering():
-    """White noise and a Markov process, all unequal."""
     models = {}
     for k, name in enumerate(AXES):
         scale = 1.0 if name.startswith("gyro") else 10.0
@@ -38,12 +40,11 @@ def wandering():
     return with_terms(walking(), models)
 
 
-def values_of(name, coefficient="angle_random_walk", axes="xyz"):
-    return [walking()[f"{name}_{axis}"].coefficients[coefficient].value for axis in axes]
+def coefficients(sensor, label="angle_random_walk"):
+    return [walking()[f"{sensor}_{axis}"].coefficients[label] for axis in "xyz"]
 
 
 def test_the_reference_is_the_textbook_one_and_there_is_an_arithmetic_of_every_target():
-    """Covariance of white noise and a walk over 1 s."""
     want = [[4.0 + 9.0 / 3.0, 9.0 / 2.0], [9.0 / 2.0, 9.0]]
     np.testing.assert_allclose(predicted(2.0, 3.0), want, rtol=1e-12)
     assert re.findall(r"^(\S+)", run("export", "--list").stdout, re.M) == list(STEPS)
@@ -53,7 +54,6 @@ def test_the_reference_is_the_textbook_one_and_there_is_an_arithmetic_of_every_t
 def test_a_target_predicts_what_the_model_does(target):
     """By the rate of the recording and another; autopilots have their own. No recording's name spoils it."""
     fit, model = walking(), model_of(walking())
-    assert not fit["gyro_z"].coefficients["rate_random_walk"].detected
     # A walk is told with a long correlation time: an hour is far beyond 1 s.
     assert error_of(target, aj.export(fit, target), model, RATE) < TOLERANCE
     if target not in ("px4", "ardupilot"):
@@ -76,64 +76,56 @@ def test_a_target_with_a_correlation_time_holds_a_markov_process(target):
 
 
 def words_of(text):
-    """A file without marks of comments and line breaks."""
     lines = [re.sub(r"^\s*(#|%|<!--)", "", line).removesuffix("-->") for line in text.splitlines()]
     return " ".join(" ".join(lines).split())
 
 
-def numbers_in(text, begin):
-    """Value and ends of the interval wherever a quantity in rad is told."""
-    number = r"\(?(-?[\d.]+(?:e[+-]\d+)?)"
-    pattern = rf"{begin} = {number} \S+ \(95 %: {number} \.\.\. {number}\)?(e[+-]\d+)?"
-    for value, low, high, power in re.findall(pattern, text):
-        yield float(value), float(low + power), float(high + power)
-
-
 @pytest.mark.parametrize("target", STEPS)
 def test_every_value_says_where_it_comes_from(target):
-    """The estimate with its interval, that K of gyro_z is a limit, and what the target does not hold."""
     text = words_of(aj.export(walking(), target))
     assert "source: " in text
     assert ("FLOOR" in text) == (target in ("px4", "ardupilot"))
+    number = r"\(?(-?[\d.]+(?:e[+-]\d+)?)"
     for symbol, label in (("N", "angle_random_walk"), ("K", "rate_random_walk")):
         lacking = symbol == "K" and target in WITHOUT_BIAS
         assert ("NOT HELD by" in text and f": {label.replace('_', ' ')}" in text) == lacking
+        # The power of ten is told once, behind the interval.
+        pattern = rf"{symbol} = {number} \S+ \(95 %: {number} \.\.\. {number}\)?(e[+-]\d+)?"
+        told = [(float(v), float(low + e), float(high + e)) for v, low, high, e in re.findall(pattern, text)]
         for sensor in ("gyro", "accel") if not lacking else ():
-            cs = [walking()[f"{sensor}_{axis}"].coefficients[label] for axis in "xyz"]
-            cs = [c for c in cs if c.detected]
+            cs = [c for c in coefficients(sensor, label) if c.detected]
             for c in cs if target in EACH else [max(cs, key=lambda c: c.value)]:
-                want = (c.value, *c.interval)
                 # The error is told with two digits.
-                assert any(np.allclose(got, want, 0.0, 0.06 * c.std) for got in numbers_in(text, symbol))
-    limit = walking()["gyro_z"].coefficients["rate_random_walk"].upper_limit
+                assert any(np.allclose(got, (c.value, *c.interval), 0.0, 0.06 * c.std) for got in told)
+    limit = coefficients("gyro", "rate_random_walk")[2].upper_limit
     if target in EACH and target not in WITHOUT_BIAS:
         assert f"K NOT DETECTED: this is its 95 % upper limit {limit:.4e}" in text
 
 
 def test_the_worst_the_mean_and_each():
     """Of a mean of independent axes, the half width is 1.96 standard deviations. A limit in it is told."""
-    N = values_of("gyro")
-    for axes, value in ((None, max(N)), ("worst", max(N)), ("mean", np.mean(N))):
+    N = [c.value for c in coefficients("gyro")]
+    worst, mean = 3 * [max(N)], 3 * [np.mean(N)]
+    for axes, each, value in ((None, N, worst[0]), ("worst", worst, worst[0]), ("mean", mean, mean[0])):
         got = read_yaml(aj.export(walking(), "kalibr", axes=axes))["gyroscope_noise_density"]
         assert got == pytest.approx(value, rel=1e-5)
-    for axes, want in ((None, N), ("each", N), ("worst", [max(N)] * 3), ("mean", [np.mean(N)] * 3)):
         got = json.loads(aj.export(walking(), "basalt", axes=axes))["value0"]["gyro_noise_std"]
-        np.testing.assert_allclose(got, want, rtol=1e-5)
-    std = [walking()[f"accel_{a}"].coefficients["angle_random_walk"].std for a in "xyz"]
+        np.testing.assert_allclose(got, each, rtol=1e-5)
+    assert aj.export(walking(), "basalt", axes="each") == aj.export(walking(), "basalt")
+    std = math.hypot(*(c.std for c in coefficients("accel"))) / 3.0
     text = words_of(aj.export(walking(), "kalibr", axes="mean"))
     low, high = map(float, re.search(r"N = \S+ m/s/sqrt\(s\) \(95 %: (\S+) \.\.\. (\S+)\)", text).groups())
-    assert (high - low) / 2.0 == pytest.approx(1.96 * math.hypot(*std) / 3.0, rel=0.05)
+    assert (high - low) / 2.0 == pytest.approx(1.96 * std, rel=0.05)
     assert "NOT DETECTED in gyro_z" in text
 
 
 def test_what_is_not_there_is_left_out():
-    """A sensor; and a walk of a model without one, of which a target that holds nothing else gets none."""
-    keys = {"gyroscope_noise_density", "gyroscope_random_walk", "rostopic", "update_rate"}
     gyros = dataclasses.replace(walking(), results=walking().results[:3])
     text = aj.export(gyros, "kalibr")
-    assert set(read_yaml(text)) == keys
+    assert [*read_yaml(text)][:2] == ["gyroscope_noise_density", "gyroscope_random_walk"]
     assert "accelerometer_noise_density, accelerometer_random_walk left out" in words_of(text)
-    assert [child.tag for child in ET.fromstring(aj.export(gyros, "gz-sim"))] == ["angular_velocity"]
+    (child,) = ET.fromstring(aj.export(gyros, "gz-sim"))
+    assert (child.tag, child.find("x/noise").get("type")) == ("angular_velocity", "gaussian")
     assert set(read_python(aj.export(gyros, "pegasus"))["imu_config"]) == {"gyroscope"}
     text = aj.export(wandering(), "vins-mono")
     assert set(read_yaml(text)) == {"gyr_n", "acc_n"}
@@ -145,50 +137,158 @@ def test_matlab_gets_a_bias_instability_that_is_detected_only():
     """And no limit, for a simulator makes noise of it."""
     fit = bench.fit("small")
     text = aj.export(fit, "matlab")
-    found = [fit[f"gyro_{a}"].coefficients["bias_instability"].value for a in "xyz"]
+    found = [fit[f"gyro_{a}"]["B"].value for a in "xyz"]
     values = json.loads(re.search(r"^gyro.BiasInstability = (.*);$", text, re.M)[1])
     np.testing.assert_allclose(values, found, rtol=1e-4)
-    assert not fit["accel_z"].coefficients["bias_instability"].detected
     assert "accel.BiasInstability = ...; left out: B NOT DETECTED" in words_of(text)
 
 
 def test_an_axis_that_is_no_measurement_is_not_exported():
     x, *others = walking().results
     spoilt = dataclasses.replace(walking(), results=(x.unmeasured(moving=True), *others))
-    text, N = aj.export(spoilt, "basalt"), values_of("gyro", axes="yz")
+    text, N = aj.export(spoilt, "basalt"), [c.value for c in coefficients("gyro")[1:]]
     np.testing.assert_allclose(json.loads(text)["value0"]["gyro_noise_std"], [max(N), *N], rtol=1e-5)
     assert "without gyro_x" in text
-    none = dataclasses.replace(spoilt, results=tuple(r.unmeasured(moving=True) for r in spoilt.results))
     with pytest.raises(aj.FitError, match="axis"):
-        aj.export(none, "kalibr")
+        aj.export(dataclasses.replace(spoilt, results=spoilt.results[:1]), "kalibr")
 
 
-@pytest.mark.parametrize(
-    ("target", "options", "word"),
-    [
-        ("fusioncore", {}, "kalibr"),
-        ("kalibr", {"rate": 0.0}, "rate"),
-        ("kalibr", {"axes": "best"}, "worst"),
-        ("kalibr", {"axes": "each"}, "all axes"),
-    ],
-)
-def test_what_cannot_be_asked_is_refused(target, options, word):
-    with pytest.raises(aj.AllanjaxError, match=word):
-        aj.export(walking(), target, **options)
+def test_what_cannot_be_asked_is_refused():
+    wrong = ({"rate": 0.0}, "rate"), ({"axes": "best"}, "worst"), ({"axes": "each"}, "all axes")
+    for options, word in (({"target": "fusioncore"}, "kalibr"), *wrong):
+        with pytest.raises(aj.AllanjaxError, match=word):
+            aj.export(walking(), **{"target": "kalibr", **options})
 
 
-@pytest.mark.usefixtures("elsewhere")
-def test_the_command_gives_what_the_function_does(tmp_path):
-    """Names of targets are written as people do."""
-    for name, fit in (("bench", walking()), ("white", bench.fit("white", "N"))):
-        aj.write_json(fit, f"{name}.json")
+def test_the_command_gives_what_the_function_does():
+    white = bench.fit("white", "N")
+    aj.write_json(walking(), "bench.json")
+    aj.write_json(white, "white.json")
     done = run("export", "white.json", "--to", "Vins Mono", "-o", "imu.yaml")
-    assert done.exit_code == 0
-    assert "acc_n, acc_w left out" in done.stderr
-    aj.export(bench.fit("white", "N"), "vins_mono", path="same.yaml")
-    texts = [(tmp_path / name).read_text(encoding="ascii") for name in ("imu.yaml", "same.yaml")]
-    assert texts == [aj.export(bench.fit("white", "N"), "vins-mono")] * 2
+    assert (done.exit_code, "acc_n, acc_w left out" in done.stderr) == (0, True)
+    aj.export(white, "vins_mono", path="same.yaml")
+    texts = [Path(name).read_text(encoding="ascii") for name in ("imu.yaml", "same.yaml")]
+    assert texts == [aj.export(white, "vins-mono")] * 2
     shown = run("export", "bench.json", "--to", "basalt", "--rate", "100", "--axes", "mean")
     assert shown.stdout == aj.export(walking(), "basalt", axes="mean", rate=100.0)
     refused = {"": 2, "bench.json": 2, "bench.json --to no": 1, "none.json --to kalibr": 1}
     assert {words: run("export", *words.split()).exit_code for words in refused} == refused
+
+
+UNREADABLE = ("imu_utils", "gtsam", "airsim", "isaac-lab", "pegasus", "matlab")
+OWN_N, OWN_K = {"gyro": 1.7e-4, "accel": 2.0e-3}, {"gyro": 1.9e-5, "accel": 3.0e-3}
+# Whose files hold no walk of a bias: none, or a Markov process.
+WITHOUT_WALK = "glim robot_localization gz-sim gazebo-classic rotors hybvio kf-gins ob-gins"
+# As Kalibr's wiki has it.
+KALIBR = f"""#Accelerometers
+accelerometer_noise_density: {OWN_N["accel"]:.6e}   #Noise density (continuous-time)
+accelerometer_random_walk:   {OWN_K["accel"]:.6e}   #Bias random walk
+
+gyroscope_noise_density:     {OWN_N["gyro"]:.6e}
+gyroscope_random_walk:       {OWN_K["gyro"]:.6e}
+
+rostopic:                    /imu0      #the IMU ROS topic
+update_rate:                 {RATE}      #Hz (for discretization of the values above)
+"""
+
+# A part of euroc_config.yaml of VINS, with what stands around the four.
+VINS = """%YAML:1.0
+
+extrinsicRotation: !!opencv-matrix
+   data: [0.0148655429818,
+           0.999557249008]
+
+#imu parameters       The more accurate parameters you provide, the better performance
+acc_n: 0.08          # accelerometer measurement noise standard deviation. #0.2   0.04
+gyr_n: 0.004         # gyroscope measurement noise standard deviation.     #0.05  0.004
+acc_w: 0.00004         # accelerometer bias random work noise standard deviation.  #0.02
+gyr_w: 2.0e-6       # gyroscope bias random work noise standard deviation.     #4.0e-5
+"""
+# deg/√h, m/s/√h, deg/h, mGal and h.
+GINS = """imudatarate: 200
+imunoise:
+  arw: [0.003, 0.004, 0.003]          # [deg/sqrt(hr)]
+  vrw: [0.03, 0.03, 0.03]
+  gbstd: [0.027, 0.027, 0.05]
+  abstd: [15.0, 15.0, 15.0]
+  corrtime: 4.0                    # [hr]
+antlever:  [ 0.136, -0.301, -0.184 ]
+"""
+
+
+def converted(tmp_path, text, source, target, *options):
+    (tmp_path / "there.yaml").write_text(text, encoding="utf-8")
+    done = run("export", "there.yaml", "--from", source, "--to", target, *options)
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
+
+
+def number(text, name):
+    found = re.search(rf"^{name}: +(\S+)", text, re.M)
+    return float(found[1]) if found else None
+
+
+@pytest.mark.parametrize("target", STEPS)
+def test_there_and_back(tmp_path, target):
+    """Its file is Kalibr's again; what is there is read in the target's own arithmetic elsewhere."""
+    there = converted(tmp_path, KALIBR, "kalibr", target)
+    model = {sensor: {"y": (OWN_N[sensor], OWN_K[sensor], math.inf)} for sensor in OWN_N}
+    assert error_of(target, there, model, RATE) < TOLERANCE
+    if target in UNREADABLE:
+        done = run("export", "there.yaml", "--from", target, "--to", "kalibr")
+        assert (done.exit_code, "can not be conv" in done.stderr) == (1, True)
+        return
+    back = converted(tmp_path, there, target, "kalibr", "--rate", RATE)
+    for sensor, name in (("gyro", "gyroscope"), ("accel", "accelerometer")):
+        # Six digits are written, and their square has half of the error.
+        assert number(back, f"{name}_noise_density") == pytest.approx(OWN_N[sensor], rel=1e-5)
+        walk = None if target in WITHOUT_WALK else pytest.approx(OWN_K[sensor], rel=1e-5)
+        assert number(back, f"{name}_random_walk") == walk
+
+
+def test_a_file_of_vins_with_what_else_is_in_it(tmp_path):
+    """By hand: N = n/√(2r), K = w/√r."""
+    got = converted(tmp_path, VINS, "VINS-Mono", "kalibr", "--rate", RATE)
+    for name, n, w in (("accelerometer", 0.08, 4e-5), ("gyroscope", 0.004, 2e-6)):
+        assert number(got, f"{name}_noise_density") == pytest.approx(n / math.sqrt(400.0), rel=1e-5)
+        assert number(got, f"{name}_random_walk") == pytest.approx(w / math.sqrt(200.0), rel=1e-5)
+    assert number(got, "update_rate") == 200.0
+
+
+def test_a_markov_process_goes_between_targets_that_have_one(tmp_path):
+    """From KF-GINS' own file: std σ and T in q = σ√(2/T), by hand."""
+    made = converted(tmp_path, GINS, "kf-gins", "gz-sim", "--rate", RATE)
+    deg, T = math.pi / 180.0, 4.0 * 3600.0
+    gyros = [(0.003 * deg / 60.0, 0.027 * deg / 3600.0), (0.003 * deg / 60.0, 0.05 * deg / 3600.0)]
+    for axis, (n, std) in {"gyro x": gyros[0], "gyro z": gyros[1], "accel x": (0.03 / 60.0, 15e-5)}.items():
+        sensor, name = axis.split()
+        model = {sensor: {name: (n, std * math.sqrt(2.0 / T), T)}}
+        assert error_of("gz-sim", made, model, RATE) < TOLERANCE
+
+
+@pytest.mark.parametrize(
+    ("text", "source", "target", "word"),
+    [
+        (VINS, "vins-mono", "kalibr", "--rate"),
+        (VINS, "kalibr", "vins-mono", "gyroscope_noise_density"),
+        (KALIBR + "gyroscope_noise_density: 1.0e-3\n", "kalibr", "gtsam", "2 times"),
+        (KALIBR.replace("1.900000e-05", "0"), "kalibr", "gtsam", "gyroscope_random_walk"),
+        ("<imu>", "gz-sim", "kalibr", "gz-sim"),
+        ('{"value0": {"gyro_noise_std": [1, 2]}}', "basalt", "kalibr", "gyro_noise_std"),
+        ("imunoise:\n  gbstd: [1, 1, 1]\n", "kf-gins", "gz-sim", "correlation time"),
+        (b"\xff\xfe\x00", "kalibr", "vins-mono", "not a text"),
+        (None, "kalibr", "vins-mono", "No such file"),
+    ],
+)
+def test_what_cannot_be_converted_is_refused(tmp_path, text, source, target, word):
+    if text is not None:
+        (tmp_path / "there.yaml").write_bytes(text if isinstance(text, bytes) else text.encode())
+    done = run("export", "there.yaml", "--from", source, "--to", target)
+    assert (done.exit_code, word in done.stderr) == (1, True)
+    assert done.stderr.startswith("error: there.yaml: ")
+
+
+def test_a_rate_that_the_other_takes_is_asked_for(tmp_path):
+    converted(tmp_path, converted(tmp_path, KALIBR, "kalibr", "okvis2"), "okvis2", "lio-sam")
+    asked = run("export", "there.yaml", "--from", "okvis2", "--to", "vins-mono")
+    assert (asked.exit_code, "--rate" in asked.stderr) == (1, True)

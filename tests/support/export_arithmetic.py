@@ -60,17 +60,9 @@ def relative_error(step: Step, N: float, q: float, T: float = math.inf) -> float
     return float(np.max(np.abs(covariance(step, time)[use] / want[use] - 1.0)))
 
 
-# Readers of the files, each by a library that knows nothing of ours.
-
-
 def read_yaml(text):
+    """By a library that knows nothing of ours; JSON is YAML, too."""
     return YAML(typ="safe", pure=True).load(text)
-
-
-def read_assignments(text, pattern):
-    """Numbers, or lists of them, that lines assign to names."""
-    lines = (re.fullmatch(pattern, line) for line in text.splitlines())
-    return {match["name"]: json.loads(match["value"]) for match in lines if match}
 
 
 def read_python(text, **modules):
@@ -81,177 +73,142 @@ def read_python(text, **modules):
     return names
 
 
-# The targets.
-
-AT = {"x": 0, "y": 1, "z": 2}
-LONG = {"gyro": "gyroscope", "accel": "accelerometer"}
-STEM = {"gyro": "gyr", "accel": "acc"}
-TOPIC = {"gyro": "angular_velocity", "accel": "linear_acceleration"}
+def _tree(element):
+    return {child.tag: _tree(child) for child in element} or float(element.text)
 
 
-def densities(rate, n, w=None):
-    """A step of white noise n and a walk w of continuous time: noise n/√dt for dt, and a walk by w·√dt."""
-    dt = 1.0 / rate
+# Lines that assign a number, or a list, to a name.
+LINES = {"hybvio": r"-(\w+)=(\S+)", "px4": r"param set (\w+) (\S+)", "ardupilot": r"(\w+),(\S+)"}
+LINES["matlab"] = r"(\w+\.\w+) = (\[.*\]);"
+
+
+def read(target, text):
+    """Values by names, with those of the levels above them."""
+    if target in LINES:
+        return {name: json.loads(value) for name, value in re.findall(f"^{LINES[target]}$", text, re.M)}
+    if target == "gtsam":
+        calls = read_python(text, gtsam=MagicMock())["params"].method_calls
+        return {name: given[0] for name, given, _ in calls if given}
+    if target == "isaac-lab":
+        module = MagicMock(GaussianNoiseCfg=lambda mean, std: std)
+        return read_python(text, **{f"isaaclab{name}": module for name in ("", ".utils", ".utils.noise")})
+    if target == "pegasus":
+        return _flat(read_python(text)["imu_config"])
+    return _flat(_tree(ET.fromstring(text)) if text.lstrip().startswith("<") else read_yaml(text))
+
+
+def _flat(v, above=""):
+    if not isinstance(v, dict):
+        return {above.removesuffix("."): v}
+    return {name: x for key, part in v.items() for name, x in _flat(part, f"{above}{key}.").items()}
+
+
+# Laws: what a step of dt adds, by what the file has for the sensor and the axis, in SI.
+
+
+def walk(dt, n, w=None):
+    """White noise n and a walk w of continuous time: noise n/√dt for dt, and a walk by w·√dt."""
     return Step(dt, (n / math.sqrt(dt) * dt) ** 2, None if w is None else (w * math.sqrt(dt)) ** 2)
 
 
-def kalibr(text, sensor, axis, rate, root=None):
-    v = read_yaml(text)[root] if root else read_yaml(text)
-    return densities(v["update_rate"], v[f"{LONG[sensor]}_noise_density"], v[f"{LONG[sensor]}_random_walk"])
-
-
-def imu_utils(text, sensor, axis, rate):
-    v = read_yaml(text)[STEM[sensor].title()][f"{axis}-axis"]
-    return densities(rate, v[f"{STEM[sensor]}_n"], v[f"{STEM[sensor]}_w"])
-
-
-def vins(text, sensor, axis, rate):
-    v, dt = read_yaml(text), 1.0 / rate
-    n, w = v[f"{STEM[sensor]}_n"], v[f"{STEM[sensor]}_w"]
+def vins(dt, n, w):
     # Midpoint: noise of both samples of a step, each with dt/2; V*diag(n^2)*V^T.
     V = np.array([[dt / 2.0, dt / 2.0, 0.0], [0.0, 0.0, dt]])
-    Q = V @ np.diag([n**2, n**2, w**2]) @ V.T
-    return Step(dt, Q[0, 0], Q[1, 1])
+    return Step(dt, *np.diag(V @ np.diag([n**2, n**2, w**2]) @ V.T))
 
 
-def orb_slam3(text, sensor, axis, rate):
-    v = read_yaml(text)
-    noise, walk = {"gyro": ("NoiseGyro", "GyroWalk"), "accel": ("NoiseAcc", "AccWalk")}[sensor]
-    return densities(v["IMU.Frequency"], v[f"IMU.{noise}"], v[f"IMU.{walk}"])
-
-
-def basalt(text, sensor, axis, rate):
-    v = json.loads(text)["value0"]
-    white, walk = (v[f"{sensor}_{name}_std"][AT[axis]] for name in ("noise", "bias"))
-    return densities(v["imu_update_rate"], white, walk)
-
-
-def okvis(text, sensor, axis, rate, root):
-    v = read_yaml(text)[root]
-    return densities(rate, v[f"sigma_{sensor[0]}_c"], v[f"sigma_{sensor[0]}w_c"])
-
-
-def gtsam(text, sensor, axis, rate):
-    params, dt, k = read_python(text, gtsam=MagicMock())["params"], 1.0 / rate, AT[axis]
-    white, bias = {"gyro": ("Gyroscope", "BiasOmega"), "accel": ("Accelerometer", "BiasAcc")}[sensor]
-    kept = [getattr(params, f"set{name}Covariance").call_args.args[0][k, k] for name in (white, bias)]
-    return Step(dt, dt**2 * kept[0] / dt, dt * kept[1])
-
-
-def lio_sam(text, sensor, axis, rate, root):
-    v, stem = read_yaml(text)[root], STEM[sensor].title()
-    return densities(rate, v[f"imu{stem}Noise"], v[f"imu{stem}BiasN"])
-
-
-def fast_lio(text, sensor, axis, rate, root):
-    v, dt = read_yaml(text)[root], 1.0 / rate
-    return Step(dt, dt * v[f"{STEM[sensor]}_cov"] * dt, dt * v[f"b_{STEM[sensor]}_cov"] * dt)
-
-
-def glim(text, sensor, axis, rate):
-    name = {"gyro": "imu_gyro_noise", "accel": "imu_acc_noise"}[sensor]
-    return densities(rate, json.loads(text)["sensors"][name])
-
-
-def gins(text, sensor, axis, rate, root):
-    v, dt = read_yaml(text)[root], 1.0 / rate
-    pick = lambda x: x[AT[axis]] if isinstance(x, list) else x  # noqa: E731
-    if sensor == "gyro":
-        n, std = pick(v["arw"]) * DEG / 60.0, pick(v["gbstd"]) * DEG / 3600.0
-    else:
-        n, std = pick(v["vrw"]) / 60.0, pick(v["abstd"]) * 1e-5
-    T = v["corrtime"] * 3600.0
+def gins(dt, n, std, T):
     return Step(dt, n**2 * dt, 2.0 * std**2 / T * dt, math.exp(-dt / T))
 
 
-def hybvio(text, sensor, axis, rate):
-    v, dt = read_assignments(text, r"-(?P<name>\w+)=(?P<value>\S+)"), 1.0 / rate
-    white, bias = {"gyro": ("Gyro", "BGA"), "accel": ("Acc", "BAA")}[sensor]
-    theta = v[f"noiseProcess{bias}Rev"]
-    drive = v[f"noiseProcess{bias}"] ** 2 * -math.expm1(-2.0 * dt * theta) / (2.0 * theta)
-    return Step(dt, (dt * v[f"noiseProcess{white}"]) ** 2, drive, math.exp(-dt * theta))
+def hybvio(dt, n, w, theta):
+    drive = w**2 * -math.expm1(-2.0 * dt * theta) / (2.0 * theta)
+    return Step(dt, (dt * n) ** 2, drive, math.exp(-dt * theta))
 
 
-def robot_localization(text, sensor, axis, rate):
-    matrix = np.array(read_yaml(text)[f"{TOPIC[sensor]}_covariance"]).reshape(3, 3)
-    assert np.count_nonzero(matrix) == 3
-    return Step(1.0 / rate, matrix[AT[axis], AT[axis]] / rate**2, None)
+def sdf(dt, stddev, sigma=None, tau=1.0):
+    drive = None if sigma is None else sigma**2 * tau / 2.0 * -math.expm1(-2.0 * dt / tau)
+    return Step(dt, (stddev * dt) ** 2, drive, math.exp(-dt / tau))
 
 
-def sdf(text, sensor, axis, rate):
-    noise = ET.fromstring(text).find(f"{TOPIC[sensor]}/{axis}/noise")
-    assert noise.get("type") == "gaussian"
-    v, dt = {child.tag: float(child.text) for child in noise}, 1.0 / rate
-    white = (v["stddev"] * dt) ** 2
-    if "dynamic_bias_stddev" not in v:
-        return Step(dt, white, None)
-    sigma, tau = v["dynamic_bias_stddev"], v["dynamic_bias_correlation_time"]
-    return Step(dt, white, sigma**2 * tau / 2.0 * -math.expm1(-2.0 * dt / tau), math.exp(-dt / tau))
-
-
-def _rotors(density, walk, tau, dt):
+def rotors(dt, density, walk, tau):
     sigma_b_d = math.sqrt(-(walk**2) * tau / 2.0 * math.expm1(-2.0 * dt / tau))
     return Step(dt, (density / math.sqrt(dt) * dt) ** 2, sigma_b_d**2, math.exp(-dt / tau))
 
 
-def rotors(text, sensor, axis, rate):
-    find = lambda end: float(ET.fromstring(text).find(LONG[sensor] + end).text)  # noqa: E731
-    return _rotors(find("NoiseDensity"), find("RandomWalk"), find("BiasCorrelationTime"), 1.0 / rate)
-
-
-def pegasus(text, sensor, axis, rate):
-    v = read_python(text)["imu_config"][LONG[sensor]]
-    return _rotors(v["noise_density"], v["random_walk"], v["bias_correlation_time"], 1.0 / rate)
-
-
-def airsim(text, sensor, axis, rate):
-    v = json.loads(text)["Sensors"]["Imu"]
-    if sensor == "gyro":
-        white, bias = v["AngularRandomWalk"] / math.sqrt(3600.0) * DEG, v["GyroBiasStability"] / 3600.0 * DEG
-    else:
-        white, bias = v["VelocityRandomWalk"] * G / 1000.0, v["AccelBiasStability"] * 1e-6 * G
-    return densities(rate, white, bias / math.sqrt(v[f"{sensor.title()}BiasStabilityTau"]))
-
-
-def isaac_lab(text, sensor, axis, rate):
-    module = MagicMock(GaussianNoiseCfg=lambda mean, std: std)
-    modules = dict.fromkeys(("isaaclab", "isaaclab.utils", "isaaclab.utils.noise"), module)
-    return Step(1.0 / rate, (read_python(text, **modules)[f"{sensor}_noise"] / rate) ** 2, None)
-
-
-def matlab(text, sensor, axis, rate):
-    v = read_assignments(text, r"(?P<name>\w+\.\w+) = (?P<value>\[.*\]);")
-    return densities(rate, v[f"{sensor}.NoiseDensity"][AT[axis]], v[f"{sensor}.RandomWalk"][AT[axis]])
-
-
-def px4(text, sensor, axis, rate):
-    v, dt = read_assignments(text, r"param set (?P<name>\w+) (?P<value>\S+)"), 0.010
-    white, walk = (v[f"EKF2_{STEM[sensor].upper()}_{name}"] for name in ("NOISE", "B_NOISE"))
+def ekf2(_, white, walk, dt=0.010):
     return Step(dt, (dt * white) ** 2, (dt * walk) ** 2)
 
 
-def ardupilot(text, sensor, axis, rate):
-    v, dt = read_assignments(text, r"(?P<name>\w+),(?P<value>\S+)"), 0.012
-    white, walk = {"gyro": ("GYRO", "GBIAS"), "accel": ("ACC", "ABIAS")}[sensor]
+def ekf3(_, white, walk, dt=0.012):
     # The state is a delta angle's bias, bias*dt.
-    delta = (dt**2 * v[f"EK3_{walk}_P_NSE"]) ** 2
-    return Step(dt, (dt * v[f"EK3_{white}_P_NSE"]) ** 2, delta / dt**2)
+    return Step(dt, (dt * white) ** 2, (dt**2 * walk) ** 2 / dt**2)
 
 
-# In the order of the command's list.
-STEPS = dict.fromkeys(("kalibr", "allan_variance_ros"), kalibr)
-STEPS |= {"imu_utils": imu_utils, "vins-mono": vins, "vins-fusion": vins, "orb_slam3": orb_slam3}
-STEPS |= {"openvins": partial(kalibr, root="imu0"), "basalt": basalt}
-STEPS |= {"okvis": partial(okvis, root="imu_params"), "okvis2": partial(okvis, root="imu_parameters")}
-STEPS |= {"gtsam": gtsam}
-STEPS |= {"lio-sam": partial(lio_sam, root="lio_sam"), "lvi-sam": partial(lio_sam, root="lvi_sam")}
-STEPS |= {"fast-lio2": partial(fast_lio, root="mapping"), "fast-livo2": partial(fast_lio, root="imu")}
-STEPS |= {"glim": glim, "hybvio": hybvio}
-STEPS |= {"kf-gins": partial(gins, root="imunoise"), "ob-gins": partial(gins, root="imumodel")}
-STEPS |= {"robot_localization": robot_localization, "gz-sim": sdf, "gazebo-classic": sdf, "rotors": rotors}
-STEPS |= {"airsim": airsim, "isaac-lab": isaac_lab, "pegasus": pegasus, "matlab": matlab}
-STEPS |= {"px4": px4, "ardupilot": ardupilot}
+# Words for a sensor in the names of values.
+WORDS = {"as": "long Long stem Stem STEM short Short SHORT g G of Of bias rw rate topic"}
+WORDS["gyro"] = "gyroscope Gyroscope gyr Gyr GYR gyro Gyro GYRO g G gyro Gyro Omega arw Angular"
+WORDS["gyro"] += " angular_velocity"
+WORDS["accel"] = "accelerometer Accelerometer acc Acc ACC acc Acc ACC a A accel Accel Acc vrw Velocity"
+WORDS["accel"] += " linear_acceleration"
+NOISE = "{topic}.{axis}.noise."
+SDF = f"{NOISE}stddev {NOISE}dynamic_bias_stddev {NOISE}dynamic_bias_correlation_time"
+AIRSIM = "Sensors.Imu.{rate}RandomWalk Sensors.Imu.{Of}BiasStability Sensors.Imu.{Of}BiasStabilityTau"
+# Names of values, and the law, in the order of the command's list.
+TARGETS = {
+    "kalibr": ("{long}_noise_density {long}_random_walk", walk),
+    "allan_variance_ros": ("{long}_noise_density {long}_random_walk", walk),
+    "imu_utils": ("{Stem}.{axis}-axis.{stem}_n {Stem}.{axis}-axis.{stem}_w", walk),
+    "vins-mono": ("{stem}_n {stem}_w", vins),
+    "vins-fusion": ("{stem}_n {stem}_w", vins),
+    "orb_slam3": ("IMU.Noise{Short} IMU.{Short}Walk", walk),
+    "openvins": ("imu0.{long}_noise_density imu0.{long}_random_walk", walk),
+    "basalt": ("value0.{of}_noise_std value0.{of}_bias_std", walk),
+    "okvis": ("imu_params.sigma_{g}_c imu_params.sigma_{g}w_c", walk),
+    "okvis2": ("imu_parameters.sigma_{g}_c imu_parameters.sigma_{g}w_c", walk),
+    "gtsam": ("set{Long}Covariance setBias{bias}Covariance", lambda t, c, b: Step(t, t**2 * c / t, t * b)),
+    "lio-sam": ("lio_sam.imu{Stem}Noise lio_sam.imu{Stem}BiasN", walk),
+    "lvi-sam": ("lvi_sam.imu{Stem}Noise lvi_sam.imu{Stem}BiasN", walk),
+    "fast-lio2": ("mapping.{stem}_cov mapping.b_{stem}_cov", lambda t, c, b: Step(t, t * c * t, t * b * t)),
+    "fast-livo2": ("imu.{stem}_cov imu.b_{stem}_cov", lambda t, c, b: Step(t, t * c * t, t * b * t)),
+    "glim": ("sensors.imu_{short}_noise", walk),
+    "hybvio": ("noiseProcess{Short} noiseProcessB{G}A noiseProcessB{G}ARev", hybvio),
+    "kf-gins": ("imunoise.{rw} imunoise.{g}bstd imunoise.corrtime", gins),
+    "ob-gins": ("imumodel.{rw} imumodel.{g}bstd imumodel.corrtime", gins),
+    "robot_localization": ("{topic}_covariance", lambda dt, variance: Step(dt, variance * dt**2, None)),
+    "gz-sim": (SDF, sdf),
+    "gazebo-classic": (f"{NOISE}stddev", sdf),
+    "rotors": ("{long}NoiseDensity {long}RandomWalk {long}BiasCorrelationTime", rotors),
+    "airsim": (AIRSIM, lambda dt, white, bias, tau: walk(dt, white, bias / math.sqrt(tau))),
+    "isaac-lab": ("{of}_noise", sdf),
+    "pegasus": ("{long}.noise_density {long}.random_walk {long}.bias_correlation_time", rotors),
+    "matlab": ("{of}.NoiseDensity {of}.RandomWalk", walk),
+    "px4": ("EKF2_{STEM}_NOISE EKF2_{STEM}_B_NOISE", ekf2),
+    "ardupilot": ("EK3_{SHORT}_P_NSE EK3_{G}BIAS_P_NSE", ekf3),
+}
+# Units of what is not in SI.
+UNITS = {("airsim", "gyro"): (DEG / 60.0, DEG / 3600.0, 1.0)}
+UNITS["airsim", "accel"] = (G / 1000.0, 1e-6 * G, 1.0)
+UNITS |= {(name, "gyro"): (DEG / 60.0, DEG / 3600.0, 3600.0) for name in ("kf-gins", "ob-gins")}
+UNITS |= {(name, "accel"): (1.0 / 60.0, 1e-5, 3600.0) for name in ("kf-gins", "ob-gins")}
 
+
+def step(target: str, text: str, sensor: str, axis: str, rate: float) -> Step:
+    """A step of a target with this file, by the rate that the file has, if it has one."""
+    v, k, found = read(target, text), "xyz".index(axis), []
+    words = dict(zip(WORDS["as"].split(), WORDS[sensor].split(), strict=True))
+    for name in TARGETS[target][0].format(axis=axis, **words).split():
+        x = np.ravel(v[name])
+        if len(x) == 9:
+            assert np.count_nonzero(x) == 3
+            x = x[::4]
+        found.append(float(x[k % len(x)]))
+    rates = [x for name, x in v.items() if name.endswith(("update_rate", "IMU.Frequency"))]
+    found = np.array(found) * UNITS.get((target, sensor), 3 * [1.0])[: len(found)]
+    return TARGETS[target][1](1.0 / (rates or [rate])[0], *found)
+
+
+STEPS = {target: partial(step, target) for target in TARGETS}
 #: Targets that hold a value for each axis; those with one correlation time for all, and with any.
 EACH = ("imu_utils", "basalt", "gtsam", "kf-gins", "robot_localization", "gz-sim", "gazebo-classic", "matlab")
 ONE_TIME = ("kf-gins", "ob-gins")
@@ -260,10 +217,10 @@ WITH_TIME = ("kf-gins", "ob-gins", "gz-sim", "rotors", "pegasus")
 
 def error_of(target: str, text: str, values: dict, rate: float) -> float:
     """Largest error of a target's covariance over 1 s; `values` are (N, q, T) by sensor and axis."""
-    errors = []
+    largest = 0.0
     for sensor, of in values.items():
         worst = max(N for N, _, _ in of.values()), *max((q, T) for _, q, T in of.values())
         for axis, own in of.items():
             step = STEPS[target](text, sensor, axis, rate)
-            errors.append(relative_error(step, *(own if target in EACH else worst)))
-    return max(errors)
+            largest = max(largest, relative_error(step, *(own if target in EACH else worst)))
+    return largest

@@ -15,16 +15,14 @@ ARW = "angle_random_walk"
 
 def coefficient(label: str, value: float, error: float, limit: float | None = None, **more: Any) -> dict:
     """A coefficient with a relative standard error, as JSON has it; with a limit it is not detected."""
-    seen = limit is None
-    ratio = np.exp(1.96 * error)
+    seen, ratio = limit is None, np.exp(1.96 * error)
     shown = {"value": value if seen else 0.0, "std": error * value, "upper_limit_95": limit, "detected": seen}
     ends = [value / ratio, value * ratio] if seen else [0.0, limit]
-    about = {"label": label, "term": label, "unit": "deg/√h", "measured": True}
-    return about | shown | {"interval_95": ends} | more
+    about = {"label": label, "term": label, "unit": "deg/√h", "measured": True, "interval_95": ends}
+    return about | shown | more
 
 
 def axis(name: str, coefficients: Sequence[dict], **more: Any) -> dict:
-    """An axis with these coefficients."""
     of_all = {"name": name, "sensor": name.split("_")[0], "converged": True, "reason": "", "p_value": 0.5}
     return of_all | {"coefficients": list(coefficients), "selection": None, "extension": None} | more
 
@@ -60,25 +58,23 @@ class Fleet:
     def judged(self, *parts: tuple, group: Sequence | None = None) -> aj.FleetResult:
         """Result for (sensor, label, values [units, axes], errors, limits if any) of unit_0, unit_1, …"""
         shutil.rmtree(self.out, ignore_errors=True)
-        files = []
-        for u in range(len(parts[0][2])):
+        files = [self.file(f"unit_{u}") for u in range(len(parts[0][2]))]
+        for u, file in enumerate(files):
             axes: dict[str, list] = {}
             for sensor, label, values, errors, *limits in parts:
                 errors = np.broadcast_to(errors, np.shape(values))
-                for k, value in enumerate(values[u]):
-                    limit = float(limits[0][u][k]) if limits and np.isfinite(limits[0][u][k]) else None
-                    found = coefficient(label, float(value), float(errors[u, k]), limit)
-                    axes.setdefault(f"{sensor}_{'xyz'[k]}", []).append(found)
-            self.store(f"unit_{u}", [axis(name, found) for name, found in axes.items()])
-            files.append(self.file(f"unit_{u}"))
+                limit = limits[0] if limits else np.full(np.shape(values), np.nan)
+                for name, value, error, end in zip("xyz", values[u], errors[u], limit[u], strict=False):
+                    end = None if np.isnan(end) else float(end)
+                    found = coefficient(label, float(value), float(error), end)
+                    axes.setdefault(f"{sensor}_{name}", []).append(found)
+            self.store(file.stem, [axis(name, found) for name, found in axes.items()])
         named = None if group is None else {f"unit_{u}": str(name) for u, name in enumerate(group)}
         return self.run(files, group=named)
 
     def run(self, files: Sequence[Path], **options: Any) -> aj.FleetResult:
-        """What a fleet finds with these files."""
         return aj.characterize_fleet(files, self.out, **options)
 
 
 def marks(result: aj.FleetResult) -> list[tuple[str, str]]:
-    """Units and axes that are marked."""
     return [*zip(result.outlying["recording"], result.outlying["axis"], strict=True)]

@@ -15,10 +15,7 @@ _BIN = {"f4": "f", "f8": "d", "u8": "Q", "u4": "I", "u2": "H", "u1": "B", "i2": 
 def structured(**columns: np.ndarray) -> np.ndarray:
     """Structured array of columns, packed."""
     dtype = [(name, column.dtype.str, column.shape[1:]) for name, column in columns.items()]
-    rows = np.zeros(len(next(iter(columns.values()))), dtype)
-    for name, column in columns.items():
-        rows[name] = column
-    return rows
+    return np.array([*zip(*columns.values(), strict=True)], dtype)
 
 
 def _fields(rows: np.ndarray) -> list[tuple[str, str, str]]:
@@ -54,17 +51,13 @@ def write_dataflash(path: Path, messages: Mapping[str, np.ndarray], junk: bytes 
     def packet(number: int, payload: bytes) -> bytes:
         return b"\xa3\x95" + bytes([number]) + payload
 
-    def definition(number: int, name: str, characters: str, labels: str, size: int) -> bytes:
-        words = (word.encode() for word in (name, characters, labels))
-        return packet(128, struct.pack("<BB4s16s64s", number, size, *words))
-
-    parts = [definition(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
+    parts, longest = [], max(map(len, messages.values()))
+    defined = [(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")]
     for number, (name, rows) in enumerate(messages.items(), start=130):
         characters = "".join(_BIN[shape + kind] for _, kind, shape in _fields(rows))
-        parts.append(
-            definition(number, name, characters, ",".join(rows.dtype.names), rows.dtype.itemsize + 3)
-        )
-    longest = max(map(len, messages.values()))
+        defined.append((number, rows.dtype.itemsize + 3, name, characters, ",".join(rows.dtype.names)))
+    for number, size, *words in defined:
+        parts.append(packet(128, struct.pack("<BB4s16s64s", number, size, *map(str.encode, words))))
     for k in range(longest):
         parts.append(junk if k == longest // 2 else b"")
         for number, rows in enumerate(messages.values(), start=130):

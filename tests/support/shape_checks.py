@@ -33,11 +33,8 @@ def _shape(hint: Any) -> Any:
     """What of an annotation is checked; Any if it has no shape."""
     if isinstance(hint, type) and issubclass(hint, AbstractArray):
         lengths = " ".join(map(_length, hint.dim_str.split()))
-        return (
-            hint.dtype[jax.Array | np.ndarray | np.generic, lengths]
-            if hint.array_type in _LIBRARIES
-            else hint
-        )
+        arrays = hint.dtype[jax.Array | np.ndarray | np.generic, lengths]
+        return arrays if hint.array_type in (jax.Array, np.ndarray) else hint
     of, parts = get_origin(hint), get_args(hint)
     shapes = tuple(map(_shape, parts))
     if all(shape is Any for shape in shapes):
@@ -52,4 +49,3 @@ def _length(text: str) -> str:
 
 
 _SIGNS = str.maketrans({"-": "_minus_", "+": "_plus_", "*": "_times_", "/": "_over_"})
-_LIBRARIES = (jax.Array, np.ndarray)
