@@ -73,7 +73,6 @@ def by_numpy(name, step=0.0):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_values_are_numpys_and_derivatives_those_of_differences(name):
-    """Central differences of NumPy's values err by the square of the step, and by rounding over it."""
     value, slope = found()[1][name]
     step = 2e-5
     with compilations() as names:

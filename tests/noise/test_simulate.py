@@ -19,23 +19,12 @@ INNER = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(4e-3)
 
 
 class OwnMarkov(aj.NoiseTerm):
-    """A user's Gauss–Markov term, from its phase covariance alone: drawn by its increments."""
-
     amplitude: float | None = aj.parameter("q", time_exponent=-0.5)
     memory: float | None = aj.parameter("τ", "time")
 
     def phase_covariance(self, lag):
         x = lag / self.memory
         return -(self.amplitude**2) * self.memory**3 / 2 * (x - 1 + jnp.exp(-x))
-
-
-class OwnWhite(aj.NoiseTerm):
-    """White noise by a G that grows with the lag."""
-
-    coefficient: float | None = aj.parameter("N", time_exponent=0.5)
-
-    def phase_covariance(self, lag):
-        return -(self.coefficient**2) * lag / 2
 
 
 # As samples are seen; one of a user's; and after filters, of which the orders between are no others.
@@ -87,12 +76,10 @@ def maps():
 
 
 # A mean is taken without delay on a circle of eight thousand samples; the density of flicker with a cutoff
-# ends at an edge, and that of a differentiated one at zero, which short circles do not follow.
+# ends at an edge, and that of a differentiated one at zero, which short circles do not follow. A user's own G
+# is rounded.
 TOLERANCES = {"mean of 5": 2e-5, "mean of 3.7": 2e-5, "flicker to 0.9 Hz": 5e-4, "power law -0.5": 2e-6}
-# Rounding of a user's own G.
 TOLERANCES |= {"own": 1e-7}
-
-
 # All of these but the last two remember for longer than a sample: a start at rest would show.
 STATIONARY = ["markov", "short markov", "resonance", "damped resonance", "wandering resonance", "low pass"]
 STATIONARY += ["low pass of order 2", "white", "quantization"]
@@ -120,10 +107,10 @@ def test_walks_and_flicker_begin_near_zero(maps):
 def test_long_records_of_a_users_term_gain_no_spurious_drift(monkeypatch):
     """G grows with the lag, and its rounding must not add up, here to a walk: the exact Allan variance."""
     n, m = 1 << 16, 1 << 13
-    f, size = linear(lambda key: OwnWhite(1.0).simulate(key, n, RATE), monkeypatch)
+    f, size = linear(lambda key: OwnMarkov(5.2e-5, 8.0).simulate(key, n, RATE), monkeypatch)
     w = np.repeat([-1.0, 1.0], m) / m
     (found,) = jax.jit(lambda z, c: jax.vjp(f, z)[1](c))(np.zeros(size), np.pad(w, (n - 2 * m, 0)))
-    assert float(found @ found) / 2.0 == pytest.approx(RATE / m, rel=0.02)
+    assert found @ found / 2.0 == pytest.approx(RANDOM["markov"].allan_variance(m / RATE), rel=0.02)
 
 
 def test_increments_far_apart_have_the_covariance_of_the_phase(monkeypatch):
@@ -141,20 +128,23 @@ def test_increments_far_apart_have_the_covariance_of_the_phase(monkeypatch):
 
 
 CHANNEL = aj.ChannelEffect(2.0, lag=0.0, channel="temperature")
-DRAWN = DETERMINISTIC | TRANSIENT
-DRAWN |= {
-    "telegraph": RANDOM["telegraph"],
-    "line of samples": DETERMINISTIC["line"].sampled(RATE),
-    "line of phase 0.7": aj.Sinusoid(2.0, 3.7112, phase=0.7),
+COLUMNS = {
+    **{name: term for name, term in (DETERMINISTIC | TRANSIENT).items() if name not in ("line", "effect")},
     "falling ramp": aj.DriftRamp(3e-5, sign=-1),
     "given": CHANNEL.given({"temperature": np.arange(LONG) / RATE}, RATE),
+}
+DRAWN = COLUMNS | {
+    "telegraph": RANDOM["telegraph"],
+    "line": DETERMINISTIC["line"],
+    "line of samples": DETERMINISTIC["line"].sampled(RATE),
+    "line of phase 0.7": aj.Sinusoid(2.0, 3.7112, phase=0.7),
+    "effect": TRANSIENT["effect"],
 }
 MIDDLES = (np.arange(LONG) + 0.5) / RATE
 
 
 @pytest.fixture(scope="module")
 def drawn():
-    """Two draws from one compiled program."""
     draws = jax.jit(lambda key: {name: term.simulate(key, LONG, RATE) for name, term in DRAWN.items()})
     return [jax.device_get(draws(jax.random.key(seed))) for seed in (3, 4)]
 
@@ -164,23 +154,20 @@ def test_telegraph_paths_jump_between_two_levels(drawn):
 
     They begin at either level: of 64 starts, four standard deviations of their number.
     """
-    x, J = drawn[0]["telegraph"], 4.3e-4
-    assert_allclose(np.unique(x), [-J / 2.0, J / 2.0])
+    x = drawn[0]["telegraph"]
+    assert_allclose(np.unique(x), [-4.3e-4 / 2.0, 4.3e-4 / 2.0])
     law = binom(len(x) - 1, (1.0 - math.exp(-2.0 / (RATE * 0.3))) / 2.0)
     assert abs(np.count_nonzero(np.diff(x)) - law.mean()) < 4.0 * law.std()
     keys = jax.random.split(jax.random.key(1), 64)
-    starts = jax.jit(jax.vmap(lambda key: aj.Telegraph(2.0, 0.3).simulate(key, 1, RATE)[0]))(keys)
+    starts = jax.jit(jax.vmap(lambda key: RANDOM["telegraph"].simulate(key, 1, RATE)[0]))(keys)
     assert 32 - 16 < np.count_nonzero(np.asarray(starts) > 0.0) < 32 + 16
 
 
 def test_lines_have_their_amplitude_and_a_phase_of_their_own(drawn):
     """Ω0 is that of the samples, or of the continuous line that they are means of, damped by a sinc."""
-    waves = np.exp(2j * np.pi * 3.7112 * MIDDLES)
-    damped = np.sinc(3.7112 / RATE)
-    seen, first, second = (
-        2.0 * np.mean(draw[name] * waves.conj())
-        for draw, name in ((drawn[0], "line of samples"), (drawn[0], "line"), (drawn[1], "line"))
-    )
+    waves, damped = np.exp(2j * np.pi * 3.7112 * MIDDLES), np.sinc(3.7112 / RATE)
+    records = drawn[0]["line of samples"], drawn[0]["line"], drawn[1]["line"]
+    seen, first, second = (2.0 * np.mean(x * waves.conj()) for x in records)
     # Over ten thousand periods what is left of the other frequencies is less than a thousandth.
     assert_allclose(abs(np.array([seen, first / damped, second / damped])), 7.7e-4, rtol=2e-3)
     assert abs(first - second) > 1e-4
@@ -189,17 +176,11 @@ def test_lines_have_their_amplitude_and_a_phase_of_their_own(drawn):
 
 
 def test_ramps_and_transients_are_their_columns(drawn):
-    """A channel that is not given leaves its effect out."""
-    t, found = MIDDLES, drawn[0]
-    for name, expected in {
-        "ramp": 3.3e-5 * t,
-        "falling ramp": -3e-5 * t,
-        "step": 4.3e-4 * (t > 2.0),
-        "warm-up": 6.1e-4 * np.exp(-t / 1.3),
-        "given": 2.0 * np.arange(LONG) / RATE,
-        "effect": 0.0 * t,
-    }.items():
-        assert_allclose(found[name], expected, rtol=1e-9, atol=1e-300, err_msg=name)
+    """Of unit amplitude in the middles of the samples; a channel that is not given leaves its effect out."""
+    for name, term in COLUMNS.items():
+        size = getattr(term, term.parameters()[0].name)
+        assert_allclose(drawn[0][name], size * term.column(MIDDLES), rtol=1e-9, atol=1e-300, err_msg=name)
+    assert not np.any(drawn[0]["effect"])
 
 
 MODELS = {
@@ -213,9 +194,8 @@ def test_recordings_of_several_axes():
     """White noise of N√rate, to four standard errors; each axis has a draw of its own."""
     n, options = 2048, {"bias": {"accel_z": 9.81}, "accel_unit": "mg", "name": "bench"}
     recording = aj.simulate_recording(MODELS, n, RATE, 3, gyro_unit="°/h", **options)
-    assert recording.names == ("gyro_x", "gyro_y", "accel_z")
+    assert (recording.names, recording.name, recording.rate, recording.n) == (tuple(MODELS), "bench", RATE, n)
     assert [axis.unit for axis in recording.axes] == ["deg/h", "deg/h", "mg"]
-    assert (recording.name, recording.rate, recording.n) == ("bench", RATE, n)
     gx, gy, az = recording.values.T
     assert gx.std() == pytest.approx(1e-3 * math.sqrt(RATE), rel=4 / math.sqrt(2 * n))
     assert gy.std() == pytest.approx(math.radians(0.2) * math.sqrt(RATE), rel=4 / math.sqrt(2 * n))
@@ -226,12 +206,10 @@ def test_recordings_of_several_axes():
     assert "temperature" in recording.notes[1]
     level = {"temperature": np.full(n, 40.0)}
     warm = aj.simulate_recording(MODELS, n, RATE, jax.random.key(3), auxiliary=level)
-    assert [axis.unit for axis in warm.axes] == ["deg/s", "deg/s", "m/s²"]
-    assert len(warm.notes) == 1
+    assert ([axis.unit for axis in warm.axes], len(warm.notes)) == (["deg/s", "deg/s", "m/s²"], 1)
     assert_array_equal(warm.values[:, 0], gx)
     assert_allclose(warm.values[:, 2] - (az - 9.81), 20.0)
-    other = aj.simulate_recording(MODELS, n, RATE, 4)
-    assert not np.any(other.values[:, 0] == gx)
+    assert not np.any(aj.simulate_recording(MODELS, n, RATE, 4).values[:, 0] == gx)
 
 
 WHITE = aj.AngleRandomWalk(1.0)
@@ -259,9 +237,9 @@ def test_what_cannot_be_simulated_is_refused():
 
 def test_presets_have_a_recording_for_each_rate():
     gyros, accels = aj.SENSORS["motionpak2"].simulate(1.0, 1)
-    assert gyros.names == ("gyro_x", "gyro_y", "gyro_z")
-    assert accels.names == ("accel_x", "accel_y", "accel_z")
-    assert (gyros.rate, gyros.n, accels.rate, accels.n) == (100.0, 100, 1000.0, 1000)
+    for recording, sensor, rate in ((gyros, "gyro", 100), (accels, "accel", 1000)):
+        assert recording.names == tuple(f"{sensor}_{axis}" for axis in "xyz")
+        assert recording.rate == recording.n == rate
     # White noise of N√rate to four standard errors; the flicker is far below.
     expected = math.radians(0.5121) / 60 * math.sqrt(100)
     assert gyros.values[:, 0].std() == pytest.approx(expected, rel=4 / math.sqrt(2 * 100))
