@@ -34,10 +34,7 @@ def test_white_noise_takes_the_time_of_the_thesis():
 
 
 def test_a_walk_makes_an_optimum():
-    """The variance N²/T + K²T/12 is least at T = √12·N/K and N·K/√3 there, to a grid of 8 an octave.
-
-    It is within 2 % of the least at 0.82 of that time, hence T within 10 % (a step of the grid) of it.
-    """
+    """The variance N²/T + K²T/12 is least at T = √12·N/K and N·K/√3 there; within 2 % from 0.82 T on."""
     models = {"gyro_x": WALKING}
     found = aj.align(models, 51.0, 1.5 * LEAST, rate=10.0)["gyro_x"]
     expected = N**2 / found.time + K**2 * found.time / 12.0
@@ -101,19 +98,16 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
 
 def test_intervals_of_a_fit_hold_the_truth():
     """Best azimuth, its time and the time needed, of two gyros: of six intervals of 95 % one may miss."""
-    fit, truth = bench.fit("walk", "N + K"), bench.truth("walk").truth
     hits = []
-    for name, own in truth.items():
-        white, walk = own["angle_random_walk"], own["rate_random_walk"]
-        model = aj.AngleRandomWalk(white) + aj.RateRandomWalk(walk)
-        least = math.sqrt(white * walk / math.sqrt(3.0)) / EARTH
-        exact = aj.align({name: model}, 51.0, 1.5 * least, rate=100.0)[name]
-        result = aj.align(fit, 51.0, 1.5 * least)[name]
+    for name, own in bench.truth("walk").truth.items():
+        model = aj.AngleRandomWalk(own["angle_random_walk"]) + aj.RateRandomWalk(own["rate_random_walk"])
+        wanted = 1.5 * aj.align({name: model}, 51.0, rate=100.0)[name].best
+        exact = aj.align({name: model}, 51.0, wanted, rate=100.0)[name]
+        result = aj.align(bench.fit("walk", "N + K"), 51.0, wanted)[name]
         for number in ("best", "best_time", "needed"):
             low, high = getattr(result, f"{number}_interval")
             hits.append(low <= getattr(exact, number) <= high)
-            assert low <= getattr(result, number) <= high
-            assert high < 3.0 * low
+            assert low <= getattr(result, number) <= high < 3.0 * low
         assert result.out_of_reach < 0.05
         # Of half of the record in each position.
         assert 0.9 * 163.84 < result.time[-1] <= 163.84

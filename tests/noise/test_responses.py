@@ -74,15 +74,6 @@ def test_bandwidths_halve_the_power_of_an_analog_filter():
     assert mean.duration == pytest.approx(1.5)
 
 
-def test_a_mean_of_a_broken_number_of_samples_has_all_aliases_of_an_integrator():
-    """sinc²((f + k·rate)τ) summed over k, over the sum at 0; beyond ±K it falls off as 2/(π²K·samples²)."""
-    k = np.arange(-200_000, 200_001)
-    for samples in (1.0, 1.2, 20.5):
-        folded = np.array([np.sum(np.sinc((x / RATE + k) * samples) ** 2) for x in F[::4]])
-        found = aj.MovingAverage.of(samples / RATE).power(F[::4], RATE)
-        assert_allclose(found, folded / folded[0], atol=1e-5)
-
-
 class Echo(aj.Response):
     """Half of what came in one sample before and half of now, as a user would write it; no recursion."""
 

@@ -40,9 +40,8 @@ def oscillator(power, f0, Q):
 
 def low_pass(term):
     w, N2 = 2 * mp.pi * mp.mpf(term.bandwidth), mp.mpf(term.coefficient) ** 2
-    if term.order == 1:
-        return N2 * w / 2, -w
-    return oscillator(N2 * w / mp.sqrt(8), term.bandwidth, mp.sqrt(0.5))
+    two = oscillator(N2 * w / mp.sqrt(8), term.bandwidth, mp.sqrt(0.5))
+    return two if term.order == 2 else (N2 * w / 2, -w)
 
 
 # Weight and pole of what is read at instants.
@@ -66,11 +65,6 @@ def oscillator_psd(f, sigma, f0, Q):
     return sigma**2 / (np.pi * f0 * Q) / ((1.0 - (f / f0) ** 2) ** 2 + (f / f0 / Q) ** 2)
 
 
-def relaxation(f, T):
-    """Of a process of unit density at zero that forgets within T."""
-    return 1.0 / (1.0 + (2.0 * np.pi * f * T) ** 2)
-
-
 # Two-sided, of the continuous rate; of quantization (4.28).
 PSD = {
     aj.Quantization: lambda t, f: 4.0 * t.coefficient**2 * RATE * np.sin(np.pi * f / RATE) ** 2,
@@ -78,11 +72,11 @@ PSD = {
     aj.BiasInstability: lambda t, f: (f <= t.cutoff_frequency) * t.coefficient**2 / (2.0 * np.pi * f),
     aj.RateRandomWalk: lambda t, f: (t.coefficient / (2.0 * np.pi * f)) ** 2,  # (4.52)
     aj.DriftRamp: lambda t, f: t.coefficient**2 / (2.0 * np.pi * f) ** 3,  # (4.58)
-    aj.Markov: lambda t, f: (t.amplitude * t.correlation_time) ** 2 * relaxation(f, t.correlation_time),
+    aj.Markov: lambda t, f: t.amplitude**2 / (1.0 / t.correlation_time**2 + (2.0 * np.pi * f) ** 2),
     aj.Sinusoid: lambda t, f: 0.0 * f,
     aj.Resonance: lambda t, f: oscillator_psd(f, t.amplitude, t.frequency, t.quality_factor),
     aj.LowPass: lambda t, f: t.coefficient**2 / (1.0 + (f / t.bandwidth) ** (2 * t.order)),
-    aj.Telegraph: lambda t, f: t.amplitude**2 / 4.0 * t.dwell_time * relaxation(f, t.dwell_time / 2.0),
+    aj.Telegraph: lambda t, f: t.amplitude**2 / (4.0 / t.dwell_time + t.dwell_time * (2.0 * np.pi * f) ** 2),
     aj.PowerLaw: lambda t, f: t.amplitude**2 * f ** -float(t.exponent),
 }
 # The power of f with which the density falls of what is averaged over the sample interval.
@@ -91,10 +85,7 @@ FALLS |= {aj.Resonance: 4.0}
 
 
 def alias_sum(psd, f, falls, aliases=4000):
-    """Sum of S(f + m·rate)·sinc²((f + m·rate)/rate), the tails as integrals of the power f^−falls.
-
-    The midpoint rule errs by a relative (falls + 2)²/(24·aliases²) of a tail below 1/aliases of the sum.
-    """
+    """Sum of S(f + m·rate)·sinc²((f + m·rate)/rate), the tails as integrals of the power f^−falls."""
     u = f[:, None] / RATE + np.arange(-aliases, aliases + 1)
     total = np.sum(psd(np.abs(u) * RATE) * np.sinc(u) ** 2, axis=1)
     for side in (1.0, -1.0):
@@ -109,10 +100,7 @@ FREQUENCIES = RATE * np.array([5.2e-6, 5e-5, 7e-4, 3.1e-3, 0.011, 0.063, 0.13, 0
 
 @pytest.mark.parametrize("name", [name for name, term in TERMS.items() if type(term) in PSD])
 def test_curves_are_the_closed_forms(name):
-    """Allan variances at once and one by one, densities, and those of means, to 10⁻⁷ of the aliases' sum.
-
-    A resonance sums eight aliases, to 10⁻⁴ or better.
-    """
+    """Of Allan variances and densities; a resonance sums eight aliases, to 10⁻⁴ or better."""
     term, kind = TERMS[name], type(TERMS[name])
     expected = [float(allan_variance(term, mp.mpf(T))) for T in TIMES]
     for found in (term.allan_variance(TIMES), [term.allan_variance(T) for T in TIMES]):
@@ -208,16 +196,12 @@ def test_the_ends_of_a_record_add_to_its_cosine_spectrum():
 
 
 def test_the_mean_square_scatters_as_power_scatter_says():
-    """Var = 2ΣΣR²/n² for Gaussian noise. The formula is one for 1/Q_f² ≪ 1, here a hundredth.
-
-    A wandering resonance is eleven oscillators, each of which scatters by itself.
-    """
+    """Var = 2ΣΣR²/n²; the formula is one for 1/Q_f² ≪ 1, here a hundredth. One that wanders is eleven."""
     k, (nodes, weights) = np.arange(40_000), np.polynomial.hermite_e.hermegauss(11)
     wandering = aj.WanderingResonance(2.0, 7.0, 9.0, 0.3), 7.0 + 0.3 * nodes, weights / weights.sum()
     for term, frequencies, shares in ((aj.Resonance(2.0, 7.0, 9.0), [7.0], [1.0]), wandering):
-        squares = sum(
-            (s * dense.oscillator(k / RATE, f, 9.0)) ** 2 for f, s in zip(frequencies, shares, strict=True)
-        )
+        each = zip(frequencies, shares, strict=True)
+        squares = sum((share * dense.oscillator(k / RATE, f, 9.0)) ** 2 for f, share in each)
         expected = 2.0 * (2.0 * np.sum((1.0 - k / len(k)) * squares) - squares[0]) / len(k)
         assert term.power_scatter(len(k) / RATE) == pytest.approx(expected, rel=0.02)
 
@@ -234,8 +218,7 @@ def test_transients_are_their_columns():
     assert effect.given({"pressure": samples}, 1.0) == effect
     given = effect.given({"temperature": samples}, 0.5)
     assert (effect.missing_channel, given.missing_channel) == ("temperature", "")
-    expected = 20.0 - np.interp(t - 0.4, [1.0, 3.0, 5.0, 7.0], samples)
-    assert_allclose(given.column(t), expected, atol=1e-12)
+    assert_allclose(given.column(t), 20.0 - np.interp(t - 0.4, [1, 3, 5, 7], samples), atol=1e-12)
     for term in (DETERMINISTIC | TRANSIENT).values():
         assert_array_equal(term.sampled_psd(FREQUENCIES[:, None], RATE), np.zeros((len(FREQUENCIES), 1)))
     for term in TRANSIENT.values():
@@ -259,16 +242,13 @@ def test_a_users_term_needs_no_more_than_g():
 
     @jax.jit
     def found(T, f):
-        """NumPy's numbers of a compiled function, and JAX's."""
         curve = (aj.AngleRandomWalk(1e-5) + term).allan_variance
         return term.allan_variance(TIMES), curve(T), term.hadamard_variance(T), term.sampled_psd(f, RATE)
 
-    own, summed, third, samples = found(TIMES, FREQUENCIES)
-    assert_allclose(own, law.allan_variance(TIMES), rtol=1e-9)
-    assert_allclose(summed, law.allan_variance(TIMES) + 1e-10 / TIMES, rtol=1e-9)
-    assert_allclose(third, law.hadamard_variance(TIMES), rtol=1e-9)
-    expected = alias_sum(lambda f: scale / np.sqrt(f), FREQUENCIES, 0.5)
-    assert_allclose(samples, expected, rtol=1e-4)
+    *curves, samples = found(TIMES, FREQUENCIES)
+    allan = law.allan_variance(TIMES)
+    assert_allclose(curves, [allan, allan + 1e-10 / TIMES, law.hadamard_variance(TIMES)], rtol=1e-9)
+    assert_allclose(samples, alias_sum(lambda f: scale / np.sqrt(f), FREQUENCIES, 0.5), rtol=1e-4)
     assert [(p.name, p.symbol, p.time_exponent) for p in term.parameters()] == [("coefficient", "H", 0.25)]
     assert (aj.AngleRandomWalk(1.0) + term).term_labels == ("angle_random_walk", "half_flicker")
 
