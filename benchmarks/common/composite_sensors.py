@@ -68,9 +68,7 @@ class Composite:
 
 def drawn_filter(scene: Scene) -> Filter:
     rng, rate = scene.rng, scene.rate
-    kind = str(
-        rng.choice(["one pole", "two poles", "Butterworth", "Bessel", "moving average", "digital IIR"])
-    )
+    kind = str(rng.choice([*ANALOG, "moving average", "digital IIR"]))
     if kind == "moving average":
         length = int(rng.integers(2, 9))
         return Filter(kind, 0.443 * rate / length, length, rate)

@@ -1,4 +1,4 @@
-"""Two compiled programs of all terms and all responses: NumPy's values, derivatives by each parameter, no NaN."""
+"""Terms and responses in compiled programs: NumPy's values, derivatives by each parameter, no NaN."""
 
 import functools
 import math
@@ -58,9 +58,7 @@ def run(values, directions, times=T):
 
 
 VALUES = {name: finite(model) for name, model in MODELS.items()}
-DIRECTIONS = {
-    n: dict(zip(v, np.random.default_rng(3).uniform(0.3, 1.0, 9), strict=False)) for n, v in VALUES.items()
-}
+DIRECTIONS = {n: dict(zip(v, (0.3, 0.45, 0.6, 0.75, 0.9), strict=False)) for n, v in VALUES.items()}
 
 
 @functools.cache

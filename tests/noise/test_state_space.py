@@ -33,18 +33,15 @@ def test_samples_have_the_covariance_of_the_model(name):
     assert_allclose(own, steps, rtol=0.0, atol=1e-9 * abs(steps).max())
     if not re.search("walk|ramp|sum", name) and name not in RESPONSES:
         assert_allclose(found, expected, rtol=0.0, atol=1e-9 * abs(expected).max())
+    if name == "walk":
+        # It begins at zero: the mean over the first interval has K²/(3·rate), and its end K²/rate.
+        assert_allclose(np.diag(space.P0) * RATE / 6.2e-6**2, [1 / 3, 1.0], rtol=1e-12)
     # Its own curves, of the matrices alone.
     m = np.array([1, 2, 7, 32])
     allan = [dense.allan_variance(expected, k) for k in m]
     assert_allclose(space.allan_variance(m / RATE), allan, rtol=1e-7)
     f = np.array([0.011, 0.31, 3.0, 7.1, 19.0])
     assert_allclose(space.spectrum(f), model.sampled(RATE).sampled_psd(f, RATE), rtol=1e-8)
-
-
-def test_a_walk_begins_at_zero():
-    """The mean of a walk over the first interval has K²/(3·rate), and its end K²/rate."""
-    found = np.diag(MODELS["walk"].state_space(RATE).P0)
-    assert_allclose(found, RANDOM["walk"].coefficient ** 2 / RATE * np.array([1 / 3, 1.0]), rtol=1e-12)
 
 
 @pytest.mark.parametrize("term", [aj.BiasInstability(1e-4), aj.PowerLaw(1e-4, 0.5), aj.PowerLaw(1e-4, 1.9)])
