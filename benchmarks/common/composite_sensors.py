@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.signal.windows import tukey
 
-from benchmarks.common.composite_noise import Filter, Resonance, exponential, exponential_spectrum
+from benchmarks.common.composite_noise import ANALOG, Filter, Resonance, exponential, exponential_spectrum
 from benchmarks.common.composite_scene import (
     GRADES,
     NAMES,
