@@ -78,7 +78,7 @@ def test_usual_units_are_those_of_people():
         estimate(None)
 
 
-def test_widened():
+def test_widened_and_unmeasured():
     """Ends of positive values in proportion, about the value otherwise; zero stays an end."""
     e = estimate(lower_limit=2.6, excess=0.03)
     ends = [3.0 * (x / 3.0) ** 1.5 for x in (2.7, 3.25, 2.85, 3.12)]
@@ -88,9 +88,6 @@ def test_widened():
     for (value, *given), expected in ends.items():
         assert estimate(value=value, interval=given).widened(2.0).interval == pytest.approx(expected)
     assert e.widened(1.0) == e
-
-
-def test_unmeasured():
     found = estimate().unmeasured()
     assert (found.value, found.upper_limit, found.detected, found.measured) == (3.0, None, False, False)
     assert np.isnan([found.std, *found.interval, *found.interval_68]).all()

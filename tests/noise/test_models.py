@@ -147,11 +147,9 @@ def test_mistakes_are_named():
     assert aj.Quantization(0.0).coefficient == 0.0
 
 
-def read(text, sensor="gyro"):
-    """The model that a text is for an axis of this sensor, of records of one length."""
-    x, units = np.random.default_rng(1).standard_normal(64), {"gyro": "deg/s", "accel": "g"}
-    record = aj.Recording.from_array(x, RATE, names=[f"{sensor}_x"], **{f"{sensor}_unit": units[sensor]})
-    return aj.kalman_filter(record, text).results[0].model
+def read(text, axis="gyro_x"):
+    """The model that a text is for an axis, of records of one length."""
+    return aj.kalman_filter(bench.recording("small")[axis].between(0.0, 0.64), text).results[0].model
 
 
 ARW, RRW = aj.AngleRandomWalk, aj.RateRandomWalk
@@ -175,7 +173,7 @@ WRITTEN = {
 @pytest.mark.parametrize("text", WRITTEN)
 def test_text_is_the_model_that_it_says(text):
     """Values to six digits, what is held, options and filters are all in the expression."""
-    found, expected = read(text, "accel" if "m/s/√h" in text else "gyro"), aj.Model(()) + WRITTEN[text]
+    found, expected = read(text, "accel_z" if "m/s/√h" in text else "gyro_x"), aj.Model(()) + WRITTEN[text]
     assert repr(found) == repr(expected)
     assert found.values == pytest.approx(expected.values, rel=1e-12)
 
@@ -199,6 +197,9 @@ def test_what_cannot_be_read_is_explained():
         for text, word in table:
             with pytest.raises(error, match=word):
                 read(text)
+    # A value is of one sensor, and the record has both.
+    with pytest.raises(aj.AllanjaxError, match="angle_random_walk"):
+        aj.fit(bench.recording("small"), "N=1 deg/√h + B", as_is=True)
 
 
 def test_every_term_is_read_by_its_name_and_its_symbol():
@@ -208,14 +209,6 @@ def test_every_term_is_read_by_its_name_and_its_symbol():
         for text in (name, name.upper(), *own):
             with pytest.raises(aj.AllanjaxError, match=f"^{name}"):
                 aj.simulate(text, 16, RATE, 0)
-
-
-def test_a_value_in_text_is_of_one_sensor():
-    values = np.random.default_rng(1).standard_normal((64, 2))
-    names = ["gyro_x", "accel_x"]
-    both = aj.Recording.from_array(values, RATE, names=names, gyro_unit="deg/s", accel_unit="g")
-    with pytest.raises(aj.AllanjaxError, match="angle_random_walk"):
-        aj.fit(both, "N=1 deg/√h + B", as_is=True)
 
 
 CALLED = {
@@ -233,8 +226,7 @@ CALLED = {
 
 def named(axis: str, model: aj.Model) -> aj.AxisFit:
     """An axis of a fit with coefficients of this model."""
-    fitted = bench.fit("small")[axis]
-    N = fitted["N"]
+    fitted, N = bench.fit("small")[axis], bench.fit("small")[axis]["N"]
     found = {p.label: dataclasses.replace(N, label=p.label, parameter=p.parameter) for p in model.parameters}
     return dataclasses.replace(fitted, _coefficients=found)
 
