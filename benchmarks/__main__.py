@@ -27,9 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("name", nargs="?", choices=names(), metavar="NAME", help="a study")
     parser.add_argument("--list", action="store_true", help="all studies and what they ask")
     parser.add_argument("--all", action="store_true", help="run all of them")
-    parser.add_argument(
-        "--quick", action="store_true", help="small numbers, to see that it runs; not written"
-    )
+    parser.add_argument("--quick", action="store_true", help="small numbers, to see that it runs")
     parser.add_argument("--workers", type=int, help="processes; 2, or none beside this one where it is quick")
     parser.add_argument("--keep", type=Path, help="folder of finished tasks, from which a later run goes on")
     parser.add_argument("--results", type=Path, help="file of the results")

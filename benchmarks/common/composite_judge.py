@@ -160,10 +160,8 @@ def judged(seed: int, clean: bool, samples: int) -> Outcome:
     aj.enable_compilation_cache()
     made = composite(seed, clean, samples or None)
     outcome = Outcome(seed, len(made.effects))
-    units = {"gyro_unit": made.gyro_unit, "accel_unit": made.accel_unit}
-    recording = aj.Recording.from_array(
-        made.values, made.rate, names=list(made.names), auxiliary=made.auxiliary, **units
-    )
+    options = {"gyro_unit": made.gyro_unit, "accel_unit": made.accel_unit, "auxiliary": made.auxiliary}
+    recording = aj.Recording.from_array(made.values, made.rate, names=list(made.names), **options)
     begun = time.perf_counter()
     try:
         critique = aj.critique(recording)

@@ -16,6 +16,7 @@ An axis is asked for if its gain is ASKED or more.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -34,6 +35,7 @@ from benchmarks.common.composite_noise import (
     walk,
     walk_spectrum,
 )
+from benchmarks.common.hidden_sensors import log_uniform
 
 ASKED = 25.0
 NAMES = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
@@ -107,7 +109,7 @@ class Scene:
         return self.filters.get(NAMES[k].split("_")[0])
 
     def log_uniform(self, low: float, high: float) -> float:
-        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+        return log_uniform(self.rng, low, high)
 
     def some_axes(self, low: int, high: int) -> np.ndarray:
         """So many axes; up to three are of one sensor."""
@@ -176,10 +178,7 @@ def drawn_truth(rng: np.random.Generator, grade: str, duration: float) -> list[A
     0.2 Hz of flicker; Gauss-Markov noise has 3 to 100 times its density, and a T_c of 3 s to 1/20 record.
     """
 
-    def between(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-    truth = []
+    between, truth = functools.partial(log_uniform, rng), []
     for worst, best in GRADES[grade]:
         typical = between(best, worst)
         for _ in range(3):

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.signal.windows import tukey
 
-from benchmarks.common.composite_noise import Filter, Resonance, exponential, exponential_spectrum
+from benchmarks.common.composite_noise import ANALOG, Filter, Resonance, exponential, exponential_spectrum
 from benchmarks.common.composite_scene import (
     GRADES,
     NAMES,
@@ -68,9 +68,7 @@ class Composite:
 
 def drawn_filter(scene: Scene) -> Filter:
     rng, rate = scene.rng, scene.rate
-    kind = str(
-        rng.choice(["one pole", "two poles", "Butterworth", "Bessel", "moving average", "digital IIR"])
-    )
+    kind = str(rng.choice([*ANALOG, "moving average", "digital IIR"]))
     if kind == "moving average":
         length = int(rng.integers(2, 9))
         return Filter(kind, 0.443 * rate / length, length, rate)

@@ -17,6 +17,8 @@ import scipy.optimize
 import scipy.signal
 import scipy.sparse.linalg
 
+from benchmarks.common.truth import cosine_variances
+
 DETECTABLE_LLR = 12.5  # expected log-likelihood ratio at the limit, nats
 DETECTABLE_SNR = np.sqrt(2.0 * DETECTABLE_LLR)
 DEG = np.pi / 180.0
@@ -78,16 +80,6 @@ def autocovariance(term, n, rate, correlation_time=np.nan):
     raise ValueError(term)
 
 
-def stationary_variances(autocovariance):
-    """Expected squared cosine coefficients j = 1 … n−1, exactly, from the autocovariance at lags 0 … n−1."""
-    n = len(autocovariance)
-    angle = np.pi * np.arange(1, n) / n
-    weights = 2.0 - 2.0 * np.arange(n) / n
-    direct = scipy.fft.rfft(weights * autocovariance, 2 * n).real[1:n] - autocovariance[0]
-    ends = scipy.fft.rfft(autocovariance, 2 * n).imag[1:n] * 2.0 / (n * np.sin(angle))
-    return direct + ends
-
-
 @functools.lru_cache(maxsize=16)
 def term_variances(term, n, rate, correlation_time=np.nan):
     """Expected squared cosine coefficients j = 1 … n−1 of a term whose coefficient is one."""
@@ -100,7 +92,7 @@ def term_variances(term, n, rate, correlation_time=np.nan):
             return rate**2 * (sine + 4.0 * np.cos(half_angle) ** 2 / n)
         case "K":
             return 1.0 / (rate * sine)
-    return stationary_variances(autocovariance(term, n, rate, correlation_time))
+    return cosine_variances(autocovariance(term, n, rate, correlation_time))
 
 
 def variances(sensor, n, rate):
@@ -230,9 +222,8 @@ def basic_model_limit(sensor, n, rate, power):
             model = basis @ scipy.optimize.nnls(basis * weights[:, None], truth * weights)[0]
         return 0.5 * np.sum(counts * (truth / model - 1.0 - np.log(truth / model)))
 
-    return (
-        solve(lambda x: divergence(x * np.min(noise) / np.median(power))) * np.min(noise) / np.median(power)
-    )
+    unit = np.min(noise) / np.median(power)
+    return solve(lambda x: divergence(x * unit)) * unit
 
 
 def draw_temperature(n, rate, rng):

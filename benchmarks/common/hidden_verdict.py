@@ -10,16 +10,10 @@ import numpy as np
 import allanjax as aj
 from allanjax.critic import Critique, Finding
 from allanjax.record.units import unit_scale
+from benchmarks.common import ours
 from benchmarks.common.hidden_effects import TERMS, Effect, Hidden
 
-BASIC = {
-    "Q": aj.Quantization(),
-    "N": aj.AngleRandomWalk(),
-    "B": aj.BiasInstability(),
-    "K": aj.RateRandomWalk(),
-    "M": aj.Markov(),
-    "R": aj.DriftRamp(),
-}
+BASIC = {letter.replace("q", "M"): term for letter, term in ours.TERMS.items() if letter != "A"}
 #: Parameters that truth and finding have in common.
 PARAMETERS = {
     "sinusoid": ("frequency", "amplitude"),
@@ -70,10 +64,8 @@ def recording_of(hidden: Hidden) -> aj.Recording:
     """The samples and what was recorded with them, in SI; nothing of the truth."""
     units = {"gyro": "rad/s", "accel": "m/s²"}
     given = {f"{k}_unit": unit for k, unit in units.items() if any(x.startswith(k) for x in hidden.names)}
-    auxiliary = hidden.auxiliary
-    return aj.Recording.from_array(
-        hidden.values, hidden.rate, names=hidden.names, auxiliary=auxiliary, **given
-    )
+    given |= {"names": hidden.names, "auxiliary": hidden.auxiliary}
+    return aj.Recording.from_array(hidden.values, hidden.rate, **given)
 
 
 def model_without(hidden: Hidden) -> aj.Model | None:

@@ -20,23 +20,20 @@ TERMS = {
     "A": aj.Sinusoid(),
 }
 TERM_LABELS = {symbol: aj.Model((term,)).term_labels[0] for symbol, term in TERMS.items()}
-LABELS = {
-    "Q": "quantization",
-    "N": "angle_random_walk",
-    "B": "bias_instability",
-    "q": "markov_amplitude",
-    "T": "markov_correlation_time",
-    "K": "rate_random_walk",
-    "R": "drift_ramp",
-    "A": "sinusoid_amplitude",
-    "f": "sinusoid_frequency",
-}
+LABELS = TERM_LABELS | {"q": "markov_amplitude", "T": "markov_correlation_time"}
+LABELS |= {"A": "sinusoid_amplitude", "f": "sinusoid_frequency"}
 FIELDS = ("value", "std", "lower", "upper", "lower_68", "upper_68", "limit", "detected")
 
 
 def model_of(symbols: Iterable[str]) -> aj.Model:
     """The model with these terms."""
     return aj.Model(tuple(TERMS[c] for c in symbols if c not in SHAPES))
+
+
+def true_model(value: dict[str, float]) -> aj.Model:
+    """The model with these values by symbol; a line has none of its phase."""
+    labels = {LABELS[c]: v for c, v in value.items()}
+    return model_of(value).with_values(**labels)
 
 
 def recording_of(x: np.ndarray) -> aj.Recording:

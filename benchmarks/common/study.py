@@ -181,9 +181,8 @@ def run_tasks(function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]
             done(k, function(*tasks[k]))
     else:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        os.environ.setdefault(
-            "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-        )
+        flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+        os.environ.setdefault("XLA_FLAGS", flags)
         with ProcessPoolExecutor(settings.workers, multiprocessing.get_context("spawn")) as pool:
             futures = {pool.submit(function, *tasks[k]): k for k in waiting}
             for future in as_completed(futures):
@@ -212,10 +211,8 @@ def seconds_of(call: Callable[[], Any], repeats: int = 3) -> float:
 def process(code: str, *arguments: object, **environment: str) -> tuple[str, float, float, float]:
     """What Python code prints in a process of its own; its seconds, processor seconds, peak memory [MB]."""
     begun = time.perf_counter()
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    own = subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}, cwd=ROOT
-    )
+    command, around = [sys.executable, "-c", code, *map(str, arguments)], {**os.environ, **environment}
+    own = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=around, cwd=ROOT)
     assert own.stdout is not None
     printed = own.stdout.read()
     _, status, usage = os.wait4(own.pid, 0)
@@ -238,6 +235,10 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
         "| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |"
         for row in [head, rule, *cells]
     )
+
+
+def rms(errors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def share(hits: Any) -> str:

@@ -180,11 +180,9 @@ def exact_bound(case: Case, n: int) -> np.ndarray:
         return toeplitz(2.0 * H[1:-1] - H[2:] - H[:-2])
 
     H, by = derivatives(case, n)
-    factor = cho_factor(differenced(H))
-    m = np.diff(mean_derivatives(case, n), axis=1)
-    return _in_order(
-        case, _information([cho_solve(factor, differenced(d)) for d in by]), m @ cho_solve(factor, m.T)
-    )
+    factor, m = cho_factor(differenced(H)), np.diff(mean_derivatives(case, n), axis=1)
+    information = _information([cho_solve(factor, differenced(d)) for d in by])
+    return _in_order(case, information, m @ cho_solve(factor, m.T))
 
 
 def bound(case: Case, n: int, block: int = FULL_BLOCK) -> np.ndarray:

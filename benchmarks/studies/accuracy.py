@@ -25,17 +25,12 @@ import allanjax as aj
 from benchmarks.common.draws import SCENARIOS, one
 from benchmarks.common.ours import FIELDS, LABELS, columns_of, fit_all, model_of, recording_of
 from benchmarks.common.peers import PEERS
-from benchmarks.common.study import run_tasks, table
+from benchmarks.common.study import rms, run_tasks, table
 from benchmarks.common.truth import SHOWN, T0, Case, bound, exact_bound, simulate
 
 PACKAGES = ("allan-variance",)
-QUICK: dict[str, Any] = {
-    "records": 4,
-    "samples": (1024,),
-    "cases": ("N+K",),
-    "ways": ("allan", "whittle", "exact"),
-    "peers": ("log-log",),
-}
+QUICK: dict[str, Any] = {"records": 4, "samples": (1024,), "cases": ("N+K",), "peers": ("log-log",)}
+QUICK |= {"ways": ("allan", "whittle", "exact")}
 #: Ways to the coefficients: options of `fit`. The exact likelihood is for short records.
 WAYS: dict[str, dict[str, str]] = {
     "allan": {"objective": "allan"},
@@ -87,9 +82,8 @@ def run(
             "coefficient in per cent. p: χ² of the histogram of the truth's ranks among the draws."
         )
         yield own_table(found, mine)
-        short += [
-            f"- {n} samples, {miss}" for c, o in found.items() for way in mine for miss in misses(c, o, way)
-        ]
+        missed = [miss for c, o in found.items() for way in mine for miss in misses(c, o, way)]
+        short += [f"- {n} samples, {miss}" for miss in missed]
     yield (
         f"## Against the targets\n\nCoverage {TARGET_68[0]} to {TARGET_68[1]} and {TARGET_95[0]} to "
         f"{TARGET_95[1]}, RMSE at most {TARGET_RMSE} bounds:\n\n" + ("\n".join(short) or "All met.")
@@ -169,8 +163,7 @@ def own_table(found: dict[str, Outcome], ways: tuple[str, ...]) -> str:
             for way in ways:
                 narrow, wide, z = (x[:, k] for x in judged(o, way))
                 lost = f" ({len(o[way]) - len(z)} without)" if len(z) < len(o[way]) else ""
-                spread = np.sqrt(np.mean(z**2))
-                row.append(f"{narrow.mean():.3f} {wide.mean():.3f} · {z.mean():+.2f} {spread:.2f}{lost}")
+                row.append(f"{narrow.mean():.3f} {wide.mean():.3f} · {z.mean():+.2f} {rms(z):.2f}{lost}")
             if "ranks" in o:
                 ranks = o["ranks"][np.isfinite(o["ranks"][:, k]), k]
                 counts = np.bincount((ranks * BINS // (DRAWS + 1)).astype(int), minlength=BINS)
@@ -190,8 +183,8 @@ def misses(name: str, o: Outcome, way: str) -> list[str]:
         for level, hits, (low, high) in ((68, narrow, TARGET_68), (95, wide, TARGET_95)):
             if not low <= hits[:, k].mean() <= high:
                 found.append(f"{where} {level} % intervals hold {hits[:, k].mean():.3f}")
-        if np.sqrt(np.mean(z[:, k] ** 2)) > TARGET_RMSE:
-            found.append(f"{where} RMSE of {np.sqrt(np.mean(z[:, k] ** 2)):.2f} bounds")
+        if rms(z[:, k]) > TARGET_RMSE:
+            found.append(f"{where} RMSE of {rms(z[:, k]):.2f} bounds")
     return found
 
 
@@ -204,6 +197,6 @@ def beside_peers(case: Case, n: int, records: int, seed: int, peers: tuple[str, 
     rows = []
     for k, c in enumerate(case.truth):
         errors = [(e[np.isfinite(e[:, k]), k] - truth[k]) / scale[k] for e in estimates]
-        cells = [f"{z.mean():+.2f}, {np.sqrt(np.mean(z**2)):.2f}" if len(z) else "–" for z in errors]
+        cells = [f"{z.mean():+.2f}, {rms(z):.2f}" if len(z) else "–" for z in errors]
         rows.append([case.name if k == 0 else "", f"{SHOWN.get(c, c)} = {truth[k]:g}", *cells])
     return rows

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.fft import next_fast_len
 from scipy.stats import t as student
 
 import allanjax as aj
@@ -25,7 +24,9 @@ from allanjax.calibration.orientation import as_orientation
 from allanjax.calibration.result import Position
 from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
 from allanjax.record.axes import Axis
-from benchmarks.common.study import run_tasks, share, table
+from benchmarks.common.hidden_sensors import term_noise
+from benchmarks.common.ours import TERM_LABELS, true_model
+from benchmarks.common.study import rms, run_tasks, share, table
 
 QUICK: dict[str, Any] = {"calibrations": 2}
 RATE, LONG, T, PAUSE, G = 5.0, 14400.0, 600.0, 20.0, 9.8118
@@ -33,9 +34,7 @@ N = 5e-4
 # Units that are fitted together.
 BLOCK = 4
 TERMS = {"random walk": "N + K", "flicker noise": "N + B"}
-UPS = {
-    f"{a} {way}": s * np.eye(3)[i] for i, a in enumerate("xyz") for way, s in (("up", 1.0), ("down", -1.0))
-}
+UPS = {f"{a} {way}": s * np.eye(3)["xyz".index(a)] for a in "xyz" for way, s in (("up", 1), ("down", -1))}
 KINDS = ("bias", "scale factor", "misalignment")
 METHODS = (
     *("calibrate, fit of 4 h", "calibrate, fit of the longest position"),
@@ -48,10 +47,10 @@ def run(*, calibrations: int = 400, seed: int = 261_125) -> Iterator[str]:
     for kind in TERMS:
         tasks = [(kind, seed, k, min(BLOCK, calibrations - k)) for k in range(0, calibrations, BLOCK)]
         ratios, errors, p = (np.concatenate(part) for part in zip(*run_tasks(calibrated, tasks), strict=True))
-        best = [np.sqrt(np.mean(by_kind(errors[:, 0], k) ** 2)) for k in range(3)]
+        best = [rms(by_kind(errors[:, 0], k)) for k in range(3)]
         for m, method in enumerate(METHODS):
             cells = [share(np.abs(by_kind(ratios[:, m], k)) < 1.96) for k in range(3)]
-            rmse = [np.sqrt(np.mean(by_kind(errors[:, m], k) ** 2)) / best[k] for k in range(3)]
+            rmse = [rms(by_kind(errors[:, m], k)) / best[k] for k in range(3)]
             rows.append([kind, method, *cells, " / ".join(f"{x:.2f}" for x in rmse)])
         checks.append([kind, share(p[:, 0] < 0.05), share(p[:, 1] < 0.05)])
     yield f"Share of 95 % intervals that hold the truth, {calibrations} calibrations for each kind of noise:"
@@ -64,12 +63,8 @@ def drift(kind: str, rng: np.random.Generator, n: int) -> np.ndarray:
     """Slow noise of three axes [m/s²], n samples."""
     if kind == "random walk":
         return np.cumsum(4e-6 / np.sqrt(RATE) * rng.standard_normal((n, 3)), axis=0)
-    # B²/(2πf) from a line spectrum of five times the record, of which a part is taken.
-    whole = next_fast_len(5 * n, real=True)
-    f = np.fft.rfftfreq(whole, 1.0 / RATE)
-    amplitude = np.concatenate([[0.0], np.sqrt(1e-8 / (2.0 * np.pi * f[1:]) * RATE * whole / 2.0)])
-    z = rng.standard_normal((3, len(f))) + 1j * rng.standard_normal((3, len(f)))
-    return np.fft.irfft(amplitude * z, whole, axis=1)[:, 2 * n : 3 * n].T
+    # From a line spectrum of some five times the record, of which a part is taken.
+    return 1e-4 * np.stack([term_noise("B", 5 * n // 2, RATE, rng)[n : 2 * n] for _ in range(3)], axis=1)
 
 
 class Unit(NamedTuple):
@@ -89,9 +84,8 @@ def unit_of(kind: str, seed: int, index: int) -> Unit:
     n = still + 5 * step + count
     slow = drift(kind, rng, n)
     noise = slow + N * np.sqrt(RATE) * rng.standard_normal((n, 3))
-    positions = [
-        G * up + b + SN @ (G * up) + noise[still + k * step :][:count] for k, up in enumerate(UPS.values())
-    ]
+    each = (noise[still + k * step :][:count] for k in range(6))
+    positions = [G * up + b + SN @ (G * up) + own for up, own in zip(UPS.values(), each, strict=True)]
     level = b + slow[still:].mean(axis=0)
     means = np.stack([samples.mean(axis=0) for samples in positions])
     return Unit(noise[:still], positions[0], means, np.concatenate([level[:, None], SN], axis=1))
@@ -100,12 +94,7 @@ def unit_of(kind: str, seed: int, index: int) -> Unit:
 def model_of(labels: Sequence[str], values: np.ndarray) -> aj.Model:
     """The model with these fitted values, without the terms that were not found."""
     found = dict(zip(labels, np.nan_to_num(values), strict=True))
-    model = aj.Model(()) + aj.AngleRandomWalk(found["angle_random_walk"])
-    if found.get("rate_random_walk"):
-        model += aj.RateRandomWalk(found["rate_random_walk"])
-    if found.get("bias_instability"):
-        model += aj.BiasInstability(found["bias_instability"])
-    return model
+    return true_model({c: found[label] for c, label in TERM_LABELS.items() if found.get(label)})
 
 
 def calibrated(kind: str, seed: int, first: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 import allanjax as aj
-from benchmarks.common.ours import LABELS, columns_of, fit_all, model_of, recording_of
+from benchmarks.common.ours import LABELS, columns_of, fit_all, model_of, recording_of, true_model
 from benchmarks.common.readings import SLOPES, read_slope
-from benchmarks.common.study import table
+from benchmarks.common.study import rms, table
 from benchmarks.common.truth import RATE, SHOWN, T0, Case, bound, simulate
 
 QUICK: dict[str, Any] = {"records": 2, "samples": 2048, "grades": 1}
@@ -43,11 +43,8 @@ def run(*, records: int = 60, samples: int = 65536, grades: int = 3, seed: int =
         f"{records} records: {1.0 / np.sqrt(2.0 * records):.2f}. In brackets the share that could be read."
     )
     for k, case in enumerate(GRADES[:grades]):
-        relative = bound(case, samples) / np.array(list(case.truth.values()))
-        named = [
-            f"{SHOWN.get(c, c)} = {v:g} (bound {100 * s:.2g} %)"
-            for (c, v), s in zip(case.truth.items(), relative, strict=True)
-        ]
+        bounds = zip(case.truth.items(), bound(case, samples), strict=True)
+        named = [f"{SHOWN.get(c, c)} = {v:g} (bound {100 * s / v:.2g} %)" for (c, v), s in bounds]
         rows = rows_of(case, samples, records, seed + 10 * k)
         yield f"## {case.name}\n\n{table(['method', 'records', *named, 's'], rows)}"
 
@@ -67,9 +64,7 @@ def rows_of(case: Case, n: int, records: int, seed: int) -> list[list[str]]:
             good = np.isfinite(value[:, k])
             error = (value[good, k] - truth[k]) / scale[k]
             read = "" if good.all() else f" ({good.mean():.0%})"
-            cells.append(
-                f"{error.mean():+.1f}, {np.sqrt(np.mean(error**2)):.1f}{read}" if good.any() else "–"
-            )
+            cells.append(f"{error.mean():+.1f}, {rms(error):.1f}{read}" if good.any() else "–")
         rows.append([name, str(own.shape[1]), *cells, f"{seconds:.2g}"])
     return rows
 
@@ -134,12 +129,6 @@ def by_bank(case: Case, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         value = weights @ np.array([list(corner.values()) for corner in corners])
         rows.append([value[k] if c in free else np.nan for k, c in enumerate(case.truth)])
     return np.array(rows)
-
-
-def true_model(value: dict[str, float]) -> aj.Model:
-    terms = {"Q": aj.Quantization, "N": aj.AngleRandomWalk, "B": aj.BiasInstability, "K": aj.RateRandomWalk}
-    parts = [terms[c](value[c]) for c in value if c in terms]
-    return aj.Model((*parts, *([aj.Markov(value["q"], value["T"])] if "q" in value else [])))
 
 
 METHODS: dict[str, Method] = {

@@ -27,10 +27,8 @@ QUICK: dict[str, Any] = {"records": 1, "clean": 0, "samples": 16_384}
 
 def run(*, records: int = 60, clean: int = 100, samples: int = 0, seed: int = 1000) -> Iterator[str]:
     """Samples: of every recording; 0 for 200,000 to 1,000,000."""
-    tasks = [(seed + k, False, samples) for k in range(records)] + [
-        (seed + k, True, samples) for k in range(clean)
-    ]
-    done = run_tasks(judged, tasks)
+    counts = {False: records, True: clean}
+    done = run_tasks(judged, [(seed + k, c, samples) for c, count in counts.items() for k in range(count)])
     yield f"## {records} recordings with effects and {clean} without, seeds from {seed} on"
     yield target_table(done[:records], done[records:])
     yield kinds_table(done[:records])
@@ -66,8 +64,6 @@ def kinds_table(found: list[Outcome]) -> str:
     for kind in KINDS:
         if of := [(n, hits) for o in found for k, n, hits in o.named if k == kind]:
             axes = f"{sum(h for _, h in of)} of {sum(n for n, _ in of)}"
-            whole = [n == h for n, h in of]
-            rows.append(
-                [kind, share(whole), f"{sum(whole)} of {len(of)}", axes, ", ".join(sorted(NAMED[kind]))]
-            )
+            whole, names = [n == h for n, h in of], ", ".join(sorted(NAMED[kind]))
+            rows.append([kind, share(whole), f"{sum(whole)} of {len(of)}", axes, names])
     return table(["kind", "named on all axes", "effects", "axes", "right names"], rows)

@@ -28,16 +28,8 @@ from benchmarks.common.hidden_effects import CAUSES, TERMS, draw
 from benchmarks.common.hidden_verdict import PARAMETERS, compared, model_without, others, recording_of, right
 from benchmarks.common.study import run_tasks, share, table
 
-QUICK: dict[str, Any] = {
-    "records": 1,
-    "clean": 1,
-    "pairs": 0,
-    "sweep": 0,
-    "causes": ("sinusoid", "bias_step"),
-    "multiples": (5.0,),
-    "duration": 160.0,
-    "rate": 50.0,
-}
+QUICK: dict[str, Any] = {"records": 1, "clean": 1, "pairs": 0, "sweep": 0, "duration": 160.0, "rate": 50.0}
+QUICK |= {"causes": ("sinusoid", "bias_step"), "multiples": (5.0,)}
 #: Two effects in one record; basic terms, which a fit must lack to hide them, are not among these.
 OF_PAIRS = 3.0
 SWEPT = ("sinusoid", "bias_step", "warm_up", "temperature", "variance_change")
@@ -77,9 +69,7 @@ def run(
     for multiple in multiples:
         mine = [r for r in rows if r["study"] == "hidden" and r["multiple"] == multiple]
         yield f"## What effects of {multiple:g} times the limit are called\n\n{naming_table(mine, causes)}"
-        yield "Records by what was hidden and what was named, several if several were:\n\n" + matrix_table(
-            mine
-        )
+        yield f"Records by what was hidden and what was named, several if so:\n\n{matrix_table(mine)}"
         yield "Parameters of effects that were rightly named:\n\n" + parameter_table(mine)
     if mine := [r for r in rows if r["study"] == "pairs"]:
         yield "## Two effects at once\n\n" + pairs_text(mine)
@@ -92,17 +82,12 @@ def run(
     if mine := [r for r in rows if not r["cause"]]:
         alarms = [r for r in mine if r["named"]]
         which = Counter(cause for r in alarms for cause in r["named"]).most_common()
-        told = (
-            f" ({', '.join(f'{c} {n}' for c, n in which)}; seeds {[r['seed'] for r in alarms]})"
-            if alarms
-            else ""
-        )
+        causes_told = ", ".join(f"{c} {n}" for c, n in which)
+        told = f" ({causes_told}; seeds {[r['seed'] for r in alarms]})" if alarms else ""
         any_finding = share([bool(r["named"]) for r in mine])
         yield f"## Clean records\n\nAny finding in {any_finding} of {len(mine)}{told}."
-        yield (
-            "P-values, uniform if all is right (`lattice` and `repeated_values` are of counts):\n\n"
-            + p_table(mine)
-        )
+        yield "P-values, uniform if all is right (`lattice` and `repeated_values` are of counts):"
+        yield p_table(mine)
     yield "\n".join(f"- failed: {r['cause'] or 'clean'}, seed {r['seed']}: {r['error']}" for r in failed)
 
 
@@ -155,12 +140,10 @@ def matrix_table(rows: list[Row]) -> str:
     counts: dict[str, Counter[str]] = {}
     for r in rows:
         counts.setdefault(r["cause"], Counter()).update(r["named"] or ["nothing"])
-    columns = (
-        sorted(set().union(*counts.values()), key=[*CAUSES, "unexplained", "nothing"].index) if counts else []
-    )
-    return table(
-        ["hidden \\ named", *columns], [[c, *(n[d] or "" for d in columns)] for c, n in counts.items()]
-    )
+    order = [*CAUSES, "unexplained", "nothing"]
+    columns = sorted({name for named in counts.values() for name in named}, key=order.index)
+    lines = [[c, *(n[d] or "" for d in columns)] for c, n in counts.items()]
+    return table(["hidden \\ named", *columns], lines)
 
 
 def parameter_table(rows: list[Row]) -> str:

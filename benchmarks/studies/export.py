@@ -49,7 +49,5 @@ def keys_of(target: Target) -> str:
     for key in target.noise_keys:
         if key.sensor:
             units.setdefault((key.called.replace("|", "\\|"), key.formula), []).append(key.unit)
-    told = (
-        f"`{name}` = {formula} [{' or '.join(dict.fromkeys(of))}]" for (name, formula), of in units.items()
-    )
-    return "; ".join(told)
+    each = {key: " or ".join(dict.fromkeys(of)) for key, of in units.items()}
+    return "; ".join(f"`{name}` = {formula} [{unit}]" for (name, formula), unit in each.items())

@@ -89,9 +89,8 @@ def run(
             means = np.concatenate(of).mean(axis=0)
             rows.append([" + ".join(map(str, sizes)), sensors, *(f"{x:.3f}" for x in means)])
     head = ["units", "sensors", "groups said", "half a grade marked", "a good unit marked", "bad units found"]
-    yield "## Grades, without `--group` and with it\n\n" + table(
-        [*head, "good, --group", "bad, --group"], rows
-    )
+    yield "## Grades, without `--group` and with it"
+    yield table([*head, "good, --group", "bad, --group"], rows)
     if recordings:
         yield f"## Workers: {recordings} recordings of six axes × {samples:,} samples"
         with tempfile.TemporaryDirectory() as folder:
@@ -178,21 +177,13 @@ def graded(
         of = []
         for group in (None, grade):
             kinds = zip(("gyro", "accel"), parts, strict=False)
-            rows = [
-                row for sensor, part in kinds for row in rows_of(sensor, "angle_random_walk", part, group)
-            ]
-            marks, groups = marked(rows)
+            tables = [rows_of(sensor, "angle_random_walk", part, group) for sensor, part in kinds]
+            marks, groups = marked([row for rows in tables for row in rows])
             of.append((marks.reshape(sensors, len(grade), 3).any(axis=(0, 2)), groups))
         (without, groups), (named, _) = of
         whole = max(without[(grade == g) & good].mean() for g in range(len(sizes)))
-        found[k] = (
-            groups,
-            whole >= 0.5,
-            without[good].any(),
-            without[bad].mean(),
-            named[good].any(),
-            named[bad].mean(),
-        )
+        of_good = without[good].any(), named[good].any()
+        found[k] = groups, whole >= 0.5, of_good[0], without[bad].mean(), of_good[1], named[bad].mean()
     return found
 
 

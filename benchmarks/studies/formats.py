@@ -68,9 +68,8 @@ def bag(kind: str) -> Callable[[Path, np.ndarray], Path]:
         old = kind == "ros1"
         store = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
         path = folder / ("imu.bag" if old else kind)
-        writer = (
-            Writer1(path) if old else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
-        )
+        plugin = None if old else StoragePlugin[kind.upper()]
+        writer = Writer1(path) if old else Writer2(path, version=9, storage_plugin=plugin)
         # The message's number or its encoding; the frame, in ROS 2 with a zero and filled up to eight bytes.
         head, frame = (b"\0\0\0\0", b"imu_link") if old else (b"\0\1\0\0", b"imu_link\0")
         length = len(frame)
@@ -105,9 +104,8 @@ MANY: dict[str, Callable[[Path, np.ndarray], Path]] = {
 
 
 def many_samples(folder: Path, count: int) -> list[list[str]]:
-    values = (
-        np.random.default_rng(0).normal([0, 0, 0, 0, 0, 9.81], 0.01, (count, 6)).astype("f4").astype(float)
-    )
+    values = np.random.default_rng(0).normal([0, 0, 0, 0, 0, 9.81], 0.01, (count, 6))
+    values = values.astype("f4").astype(float)
     rows = []
     for name, write in MANY.items():
         path = write(folder, values)
@@ -117,7 +115,6 @@ def many_samples(folder: Path, count: int) -> list[list[str]]:
         seconds = time.perf_counter() - begun
         np.testing.assert_array_equal(recording[["gyro", "accel"]].values, values)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        rows.append(
-            [name, f"{size / 1e6:.0f}", f"{seconds:.1f}", f"{seconds / count * 1e6:.1f}", f"{peak:.0f}"]
-        )
+        times = f"{seconds:.1f}", f"{seconds / count * 1e6:.1f}"
+        rows.append([name, f"{size / 1e6:.0f}", *times, f"{peak:.0f}"])
     return rows

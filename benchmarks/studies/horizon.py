@@ -55,12 +55,8 @@ def run(
     real: bool = True,
     seed: int = 90210,
 ) -> Iterator[str]:
-    tasks = [
-        (name, seed + 100 * k + j, fitted, tested)
-        for k, name in enumerate(KINDS)
-        if k < kinds
-        for j in range(records)
-    ]
+    seeds = [(name, seed + 100 * k + j) for k, name in enumerate(KINDS) for j in range(records) if k < kinds]
+    tasks = [(*each, fitted, tested) for each in seeds]
     yield "## Simulated sensors\n\n" + told([row for rows in run_tasks(simulated, tasks) for row in rows])
     try:
         units = [(f"adis16405_unit{k}",) for k in (1, 2) if real and data(f"adis16405_unit{k}.parquet")]
@@ -81,10 +77,8 @@ def simulated(name: str, seed: int, fitted: float, tested: float) -> list[Row]:
 
 def measured(unit: str) -> list[Row]:
     recording = aj.read(data(f"{unit}.parquet"), rate=100, gyro_unit="deg/s", accel_unit="g")
-    half, units = recording.n // 2, {"gyro_unit": "rad/s", "accel_unit": "m/s²"}
-    fit = aj.fit(
-        aj.Recording.from_array(recording.values[:half], recording.rate, names=recording.names, **units)
-    )
+    half = recording.n // 2
+    fit = aj.fit(recording.between(0.0, half / recording.rate))
     rows = []
     for k, axis in enumerate(recording.names):
         if fit[axis].measured:

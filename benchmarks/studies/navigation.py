@@ -49,11 +49,8 @@ def run(
     minutes: float = 15.0,
     seed: int = 434_955_521,
 ) -> Iterator[str]:
-    rows = [
-        r
-        for part in run_tasks(growth, [(g, craft, seed + 10_000 * k) for k, g in enumerate(grades)])
-        for r in part
-    ]
+    parts = run_tasks(growth, [(g, craft, seed + 10_000 * k) for k, g in enumerate(grades)])
+    rows = [row for part in parts for row in part]
     scatter = 1.0 / np.sqrt(2.0 * craft)
     ratios = np.array([[float(x) for x in row[2:5]] for row in rows])
     yield f"## Growth of errors, {craft} craft of each grade\n\nBy chance ratios scatter by {scatter:.3f}."
@@ -66,19 +63,12 @@ def run(
     for label in FITS:
         found = run_tasks(held, [(label, hours, seed + 50_000 + k) for k in range(records)])
         for quantity in QUANTITIES:
-            hits = [h[quantity] for h, _ in found if quantity in h]
-            rows.append(
-                [
-                    label,
-                    quantity,
-                    *(share(np.concatenate([h[:, j] for h in hits])) for j in range(len(LATER))),
-                ]
-            )
+            hits = np.concatenate([h[quantity] for h, _ in found if quantity in h])
+            rows.append([label, quantity, *map(share, hits.T)])
         each = np.array([axis for _, told in found for axis in told])
         aligned.append([label, share(each[:, 0]), share(each[:, 1])])
-    yield f"## Intervals, {records} recordings\n\n" + table(
-        ["fit", "error", *(f"{t:g} s" for t in LATER)], rows
-    )
+    yield f"## Intervals, {records} recordings"
+    yield table(["fit", "error", *(f"{t:g} s" for t in LATER)], rows)
     yield table(["fit", "best azimuth", "time for 1.5 times that"], aligned)
     rows, count = [], max(records // 2, 1)
     for j, name in enumerate(FILTERS):
@@ -86,14 +76,11 @@ def run(
         known = [r.bandwidth for r in results if r.bandwidth is not None]
         hits = [b.interval[0] <= 10.0 <= b.interval[1] for b in known]
         mean = f"{np.mean([b.value for b in known]):.2f} Hz" if known else "–"
-        aliased = np.mean([r.aliased for r in results], axis=0)[1:]
-        rows.append(
-            [name, f"{len(known)} of {count}", mean, share(hits), *(f"{100.0 * x:.1f} %" for x in aliased)]
-        )
+        aliased = (f"{100.0 * x:.1f} %" for x in np.mean([r.aliased for r in results], axis=0)[1:])
+        rows.append([name, f"{len(known)} of {count}", mean, share(hits), *aliased])
     told = [f"aliased at {rate:g} Hz" for rate in RATES[1:]]
-    yield f"## Sample rate, {count} records\n\n" + table(
-        ["filter", "found", "bandwidth", "95 % interval holds 10 Hz", *told], rows
-    )
+    yield f"## Sample rate, {count} records"
+    yield table(["filter", "found", "bandwidth", "95 % interval holds 10 Hz", *told], rows)
 
 
 def rotation(angle: np.ndarray) -> np.ndarray:
@@ -162,11 +149,9 @@ def held(label: str, hours: float, seed: int) -> tuple[dict[str, np.ndarray], li
         if own.error.shape == true.shape:
             hits[quantity] = (own.lower <= true) & (true <= own.upper)
     for axis in ("gyro_x", "gyro_y"):
-        result = aj.align(fit, 51.0, 1.5 * best)[axis]
-        ends = [
-            (getattr(result, f"{name}_interval"), getattr(level[axis], name)) for name in ("best", "needed")
-        ]
-        told.append(tuple(low <= true <= high for (low, high), true in ends))
+        result, true = aj.align(fit, 51.0, 1.5 * best)[axis], level[axis]
+        ends = (result.best_interval, true.best), (result.needed_interval, true.needed)
+        told.append(tuple(low <= value <= high for (low, high), value in ends))
     return hits, told
 
 

@@ -66,19 +66,16 @@ def averaged(recording: aj.Recording, size: int) -> aj.Recording:
 
 def objectives(recording: aj.Recording) -> list[list[str]]:
     """One row an axis and coefficient: both estimates, and their difference in standard deviations."""
-    fits = {
-        objective: aj.fit(recording, "N + B + K", objective, as_is=True) for objective in ("allan", "whittle")
-    }
+    fits = [aj.fit(recording, "N + B + K", objective, as_is=True) for objective in ("allan", "whittle")]
     found = []
     for axis in recording.axes:
-        allan, whittle = fits["allan"][axis.name], fits["whittle"][axis.name]
+        allan, whittle = (fit[axis.name] for fit in fits)
         off = f"{100 * allan.discrepancy:.1f}, {100 * whittle.discrepancy:.1f}"
         for label, a in allan.coefficients.items():
             w = whittle[label]
             # The same data: their difference scatters less than either, so this is a lenient scale.
-            apart = (
-                f"{(w.value - a.value) / np.hypot(a.std, w.std):+.2f}" if a.detected and w.detected else "–"
-            )
+            sigmas = (w.value - a.value) / np.hypot(a.std, w.std)
+            apart = f"{sigmas:+.2f}" if a.detected and w.detected else "–"
             shown = [c.in_unit().describe() for c in (a, w)]
             found.append([recording.name, f"{recording.rate:g} Hz", axis.name, a.title, *shown, apart, off])
     return found
@@ -127,6 +124,7 @@ def _line(f: aj.Finding) -> bool:
     return f.cause in ("sinusoid", "resonance") and _frequency(f, 0.45, 0.65) and {*f.axes} >= ACCELEROMETERS
 
 
+EVENTS = ("event", "disturbance", "variance_change", "outliers", "bias_step")
 #: What is known of these sensors.
 KNOWN: dict[str, Callable[[aj.Finding], bool]] = {
     "the accelerometers' line near 0.55 Hz": _line,
@@ -137,9 +135,7 @@ KNOWN: dict[str, Callable[[aj.Finding], bool]] = {
     ),
     "a resonance near 10 Hz": lambda f: f.cause == "resonance" and _frequency(f, 8.0, 12.0),
     "rounding": lambda f: f.cause == "rounding",
-    "events by time": lambda f: (
-        f.cause in ("event", "disturbance", "variance_change", "outliers", "bias_step")
-    ),
+    "events by time": lambda f: f.cause in EVENTS,
 }
 
 

@@ -86,9 +86,8 @@ def selection_table(found: dict[str, Found]) -> str:
     together = np.concatenate([o for o, _ in found.values()])
     for name, (o, spurious) in [*found.items(), ("all", (together, []))]:
         which = ", ".join(f"{c} {spurious.count(c)}" for c in sorted(set(spurious)))
-        rows.append(
-            [name, *(share(o[:, k]) for k in range(len(COLUMNS))), f"{o[:, COUNT].mean():.1f}", which]
-        )
+        shares = map(share, o[:, : len(COLUMNS)].T)
+        rows.append([name, *shares, f"{o[:, COUNT].mean():.1f}", which])
     return table(["true terms", *COLUMNS, "sets not told apart", "spurious (records)"], rows)
 
 

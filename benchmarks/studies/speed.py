@@ -22,14 +22,8 @@ import allanjax as aj
 from benchmarks.common.study import process, seconds_of, table
 
 PACKAGES = ("allantools", "allan-variance", "avar")
-QUICK: dict[str, Any] = {
-    "lengths": (10_000,),
-    "repeats": 1,
-    "likelihood": (2048,),
-    "units": 20,
-    "unit_samples": 2048,
-    "recordings": 0,
-}
+QUICK: dict[str, Any] = {"lengths": (10_000,), "repeats": 1, "likelihood": (2048,), "recordings": 0}
+QUICK |= {"units": 20, "unit_samples": 2048}
 REFERENCE, ONE_PASS = "allantools oadev", "np.sum"
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
 TRUTH = aj.AngleRandomWalk(1e-2) + aj.BiasInstability(4e-3) + aj.RateRandomWalk(7e-4)
@@ -107,21 +101,15 @@ def allan_table(lengths: tuple[int, ...], repeats: int) -> str:
     for n in lengths:
         x = np.random.default_rng(0).normal(size=n)
         # That they compute the same.
-        exact, pyramid = (
-            aj.allan_deviation(x, 1.0, estimator=e).deviation[:, 0] for e in ("exact", "pyramid")
-        )
         theirs = ways()[REFERENCE](x)[1]
-        np.testing.assert_allclose(exact[: len(theirs)], theirs, rtol=1e-8)
-        np.testing.assert_allclose(pyramid[:4], theirs[:4], rtol=1e-8)
+        for estimator, count in (("exact", len(theirs)), ("pyramid", 4)):
+            found = aj.allan_deviation(x, 1.0, estimator=estimator).deviation[:, 0]
+            np.testing.assert_allclose(found[:count], theirs[:count], rtol=1e-8)
         times = in_turn({name: lambda x=x, f=f: f(x) for name, f in ways().items()}, repeats)
         for name, taken in times.items():
             ratios = np.median(times[REFERENCE] / taken), np.median(taken / times[ONE_PASS])
-            told = [
-                f"{1e3 * np.median(taken):.3g}",
-                f"{1e3 * taken.min():.3g}",
-                *(f"{r:.1f}" for r in ratios),
-            ]
-            rows.append([f"{n:,}", name, *told])
+            told = [f"{1e3 * seconds:.3g}" for seconds in (np.median(taken), taken.min())]
+            rows.append([f"{n:,}", name, *told, *(f"{r:.1f}" for r in ratios)])
     return table(["samples", "", "median", "least", f"faster than {REFERENCE} by", "passes of np.sum"], rows)
 
 
@@ -143,11 +131,10 @@ def bulk_rows(n: int, units: int, repeats: int) -> list[list[str]]:
     """Ten records are simulated and repeated to make up the units."""
     parts = [aj.allan_deviation(np.asarray(aj.simulate(TRUTH, n, 100.0, k)), 100.0) for k in range(10)]
     record = np.arange(units) % 10
-    many = {
-        key: np.concatenate([getattr(p, key) for p in parts], axis=1)[:, record]
-        for key in ("deviation", "edf")
-    }
-    curve = dataclasses.replace(parts[0], **many)
+    deviation, edf = (
+        np.concatenate(x, axis=1)[:, record] for x in zip(*((p.deviation, p.edf) for p in parts), strict=True)
+    )
+    curve = dataclasses.replace(parts[0], deviation=deviation, edf=edf)
     terms = aj.AngleRandomWalk(1.0), aj.BiasInstability(1.0), aj.RateRandomWalk(1.0)
     shapes = np.stack([term.allan_variance(curve.cluster_time) for term in terms], axis=1)
     measured = np.log(parts[0].variance[:, 0])
