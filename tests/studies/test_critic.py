@@ -48,7 +48,7 @@ def test_errors_are_as_large_as_is_said(name):
         found = aj.critique(ct.record_of(name, seed).recording())
         for h in ct.hidden_in(name, seed):
             for finding in (f for f in found[h.axis].findings if f.cause == h.cause):
-                for label in {*h.truth} - {"start", "end"}:
+                for label in {*h.truth} - {"start", "end", "fraction"}:
                     e, in_unit = finding.parameters[label], label in ("amplitude", "coefficient")
                     scale = UNITS[h.axis[:-2]][1] if in_unit else 1.0
                     if e.std > 0.0:
