@@ -143,7 +143,7 @@ CONVERTED["150 µg/√Hz --to m/s/√h"] = 150e-6 * 9.80665 * 60.0 / math.sqrt(2
 
 @pytest.mark.parametrize("words", CONVERTED)
 def test_convert(words):
-    source, target = ran("convert", *words.split()).replace("√", "").split(" = ")
+    source, target, *_ = ran("convert", *words.split()).replace("√", "").split(" = ")
     assert source.split()[0].replace(",", "") == words.split()[0]
     assert float(target.split()[0]) == pytest.approx(CONVERTED[words], rel=1e-5)
 

@@ -82,6 +82,7 @@ def test_topics_that_do_not_fit(bag):
     refused(path, f"3 topics|--topic|{front}|/rear/imu (100 messages at 50 Hz, frame 'rear')")
     refused(path, "/front/imu and /rear/imu|--topic", topic="/front/imu,/rear/imu")
     refused(path, "/spare/imu|no messages", topic="/spare/imu")
+    refused(path, "/front/imu,/rear/imu,/spare/imu", topic="/front/imu,/rear/imu,/spare/imu")
     check(aj.read(path, topic="/rear/imu"), VALUES[:100], 50.0)
     gyro = Topic(stamps(), GYRO)
     path = bag("ros1", {"/accel": Topic(stamps(100, 63.0), ACCEL[:100]), "/gyro": gyro})

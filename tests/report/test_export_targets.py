@@ -122,7 +122,7 @@ def test_the_worst_the_mean_and_each():
 def test_what_is_not_there_is_left_out():
     gyros = dataclasses.replace(walking(), results=walking().results[:3])
     text = aj.export(gyros, "kalibr")
-    assert [*read_yaml(text)][:2] == ["gyroscope_noise_density", "gyroscope_random_walk"]
+    assert {name.split("_")[0] for name in read_yaml(text)} == {"gyroscope", "rostopic", "update"}
     assert "accelerometer_noise_density, accelerometer_random_walk left out" in words_of(text)
     (child,) = ET.fromstring(aj.export(gyros, "gz-sim"))
     assert (child.tag, child.find("x/noise").get("type")) == ("angular_velocity", "gaussian")
