@@ -82,3 +82,23 @@ def test_table_3_3():
             assert estimate.value == pytest.approx(expected, rel=1e-3)
             assert round(100.0 * estimate.std / estimate.value, 2) == pytest.approx(accuracy, abs=0.011)
         assert [e.usual_unit for e in found.values()] == ["(deg/h)²", "s"]
+
+
+# First and last ordinate, ordinates averaged, points that gives.
+TABLE_3_4 = [(1, 32, 1, 32)] + [(2**k + 1, 2 ** (k + 1), 2 ** (k - 4), 16) for k in range(5, 15)]
+
+
+def test_table_3_4():
+    """Of 32,768 ordinates, which 65,538 samples have beside those at zero and at the Nyquist frequency."""
+    assert TABLE_3_4[1] == (33, 64, 2, 16)
+    assert TABLE_3_4[-1] == (16385, 32768, 1024, 16)
+    n, rate = 65_538, 100.0
+    found = aj.power_spectrum(np.random.default_rng(0).normal(size=n), rate)
+    last = np.cumsum(found.count)
+    first = last - found.count + 1
+    np.testing.assert_allclose(found.frequency, (first + last) / 2.0 * rate / n, rtol=1e-12)
+    rows = [(first >= low) & (last <= high) for low, high, *_ in TABLE_3_4]
+    for row, (_, _, averaged, points) in zip(rows, TABLE_3_4, strict=True):
+        assert row.sum() == points
+        assert set(found.count[row]) == {averaged}
+    assert np.sum(rows) == len(found.count)
