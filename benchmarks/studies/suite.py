@@ -3,7 +3,7 @@
 The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with them,
 then room by room, then `pytest -m study`, whose tests draw many records, damage files, end workers
 and check the shapes of arrays. Seconds are those of the clock and of the processor, all processes together.
-Tests with an inner name are those that `tests/project/test_public_doors.py` counts.
+Inner names are those that `tests/project/test_public_doors.py` counts.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def timed(clone: Path, words: tuple[str, ...]) -> tuple[float, float, str]:
 
 
 def counted(clone: Path) -> str:
-    """Lines of the tests, and tests that use inner names."""
+    """Lines of the tests, and inner names in them."""
     files = subprocess.run(
         ["git", "ls-files", "tests/*.py"], cwd=clone, capture_output=True, text=True
     ).stdout
@@ -75,4 +75,4 @@ def counted(clone: Path) -> str:
     code = f"import sys; sys.path[:0] = {paths}; from test_public_doors import behind_doors as found"
     code += "; print(len(found()))"
     inner = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
-    return table(("lines of tests", "tests with an inner name"), [(lines, inner)])
+    return table(("lines of tests", "inner names in them"), [(lines, inner)])

@@ -114,17 +114,8 @@ def test_results_of_axes_are_mappings(kind):
         assert all(name in told for name in names)
 
 
-TABLES = {
-    *BY_AXIS,
-    "FleetResult",
-    "Navigation",
-    "Check",
-    "Inspection",
-    "Denoised",
-    "DataSheet",
-    "SensorPreset",
-}
-TABLES |= {"axis of Critique", "axis of Calibration"}
+TABLES = {*BY_AXIS, "FleetResult", "Navigation", "Check", "Inspection", "Denoised", "DataSheet"}
+TABLES |= {"SensorPreset", "axis of Critique", "axis of Calibration"}
 
 
 @pytest.mark.parametrize("kind", ALL)
@@ -168,12 +159,6 @@ def test_what_differs_in_one_number_is_not_equal(what):
     assert (one == other) is (other == one) is False
     assert one != other
     assert len({one, other, copy.deepcopy(one)}) == 2
-
-
-def test_a_model_is_told_as_it_is_written():
-    model = aj.Quantization(2e-6) + aj.BiasInstability(cutoff_frequency=None) + aj.AngleRandomWalk()
-    model += aj.Markov(amplitude=1e-5, correlation_time=3.0).hold("correlation_time")
-    assert eval(repr(model), vars(aj) | {name: getattr(aj, name) for name in aj.__all__}) == model
 
 
 def test_frames_have_the_numbers_of_fits_findings_and_filters():

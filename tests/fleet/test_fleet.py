@@ -132,13 +132,8 @@ def test_each_option_is_part_of_a_results_key(three, cluster, name):
 
 
 # Held, free, started elsewhere; of the first and the second order; with an amplitude held and free; chosen.
-MODELS = [
-    aj.Markov(correlation_time=10.0).hold("correlation_time"),
-    "N=1 deg/sqrt(h) held + B",
-    "N + B",
-    None,
-]
-MODELS += [aj.Markov(correlation_time=10.0), aj.Markov(correlation_time=10.000000001)]
+MODELS = ["N=1 deg/sqrt(h) held + B", "N + B", None, aj.Markov(correlation_time=10.0)]
+MODELS += [aj.Markov(correlation_time=10.000000001), MODELS[-1].hold("correlation_time")]
 MODELS += [aj.LowPass(bandwidth=3.0), aj.LowPass(bandwidth=3.0, order=2)]
 
 

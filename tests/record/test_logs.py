@@ -173,6 +173,25 @@ def test_what_px4_combines_and_integrates(tmp_path):
     refused(write_ulog(path, {("vehicle_imu", 0): rows}), "accel_x|row 9")
 
 
+def test_batches_of_px4(tmp_path):
+    """Of eight samples in arrays of 32, at 122.5 µs where the clock tells 125; a lost batch is a gap."""
+    counts, messages = np.random.default_rng(1).integers(-999, 999, (800, 3)), {}
+    end = (1_000_000 + np.round((8 * np.arange(100) + 7) * 122.5)).astype("u8")
+    about = {"samples": np.full(100, 8, "u1")}
+    about |= {name: np.full(100, value, "f4") for name, value in (("dt", 125.0), ("scale", 0.25))}
+    for name, values in (("gyro", counts), ("accel", counts[::-1])):
+        padded = np.pad(values.reshape(100, 8, 3).astype("i2"), ((0, 0), (0, 24), (0, 0)))
+        axes = {a: padded[:, :, k] for k, a in enumerate("xyz")}
+        batches = structured(timestamp=end + np.uint64(50), timestamp_sample=end, **about, **axes)
+        messages[f"sensor_{name}_fifo", 0] = batches
+    messages["sensor_combined", 0] = combined(np.ones((20, 6), "f4"))
+    recording = aj.read(path := write_ulog(tmp_path / "log.ulg", messages))
+    np.testing.assert_array_equal(recording.values, 0.25 * np.hstack([counts, counts[::-1]]))
+    assert recording.rate == pytest.approx(1e6 / 122.5, rel=3e-4)
+    messages["sensor_gyro_fifo", 0] = np.delete(messages["sensor_gyro_fifo", 0], 40)
+    refused(write_ulog(path, messages), "gap|row 320", topic="sensor_gyro_fifo")
+
+
 def test_logs_of_px4_that_can_not_be_read(tmp_path, monkeypatch):
     path = write_ulog(tmp_path / "log.ulg", {("vehicle_status", 0): combined()})
     refused(path, "SDLOG_PROFILE")

@@ -156,8 +156,7 @@ STAMPS = {
     "%time": (NS, {}),
     "field.header.stamp": (NS + 123, {}),
     "clock": (STEP / RATE, {"time": "clock", "time_unit": "s"}),
-    "stamp.secs|stamp.nsecs": (np.stack(divmod(NS, 10**9), axis=1), {}),
-    "sec|nanosec": (np.stack(divmod(NS, 10**9), axis=1), {}),
+    **dict.fromkeys(("stamp.secs|stamp.nsecs", "sec|nanosec"), (np.stack(divmod(NS, 10**9), axis=1), {})),
 }
 
 

@@ -14,9 +14,9 @@ import pytest
 from altered_fits import with_terms
 from commands import run
 from export_arithmetic import EACH, ONE_TIME, STEPS, WITH_TIME, error_of, predicted, read_python, read_yaml
-from export_sensors import AXES, RATE, model_of, recording, walk, with_one_time
 
 import allanjax as aj
+from benchmarks.common.export_sensors import AXES, RATE, model_of, recording, walk, with_one_time
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

@@ -206,7 +206,7 @@ def more(seed=41):
 
 
 def one_pole():
-    record = bench.truth("one_pole")
+    record = golden.record("one_pole")
     w = np.exp(-2.0 * np.pi * record.truth["gyro_x"].pop("low_pass1_bandwidth") / RATE)
     bandwidth = RATE * np.arccos(2.0 - (w + 1.0 / w) / 2.0) / (2.0 * np.pi)
     effect = Effect("low_pass", ("gyro_x",), {"bandwidth": bandwidth, "order": 1.0})
@@ -236,7 +236,7 @@ MORE = {
     "one_pole": one_pole,
     "basics": basics,
     "markov_fast": lambda: lacking(bench.truth("markov_fast"), "angle_random_walk"),
-    "white": lambda: lacking(golden.basic(78, N, ("gyro_x", crossing(GYRO, Q=2.0))), "quantization"),
+    "white": lambda: lacking(golden.basic(79, N, ("gyro_x", crossing(GYRO, Q=2.0))), "quantization"),
 }
 
 
