@@ -113,8 +113,12 @@ def _of_fit(label, fit):
         yield f"{place}/discrepancy", Number("misfit", result.discrepancy)
         yield f"{place}/chi2", Number("chi2", result.chi2, math.sqrt(2.0 * max(result.dof, 1)))
         yield f"{place}/terms", Number("same", sorted(result.model.term_labels))
-        for name, c in result.coefficients.items():
-            yield from of_estimate(f"{place}/{name}", c)
+        # Which of two like terms is the first, the last bits decide: here the one of the shorter time.
+        found = result.coefficients
+        times = sorted((c.value, x[:8]) for x, c in found.items() if x[8:] == "_correlation_time")
+        rank = {first: f"markov_{k}" for k, (_, first) in enumerate(times, 1)}
+        for name, c in found.items():
+            yield from of_estimate(f"{place}/{rank.get(name[:8], name[:8])}{name[8:]}", c)
 
 
 def of_estimate(place, c):
