@@ -42,9 +42,8 @@ HONEST = {
     ("telegraph", "dwell_time"): (0.75, 1.6),
 }
 RECORDS = ["two_effects", "hum", "telegraph", "temperature", "outliers", "rounded", "one_pole", "more"]
-EFFECTS = [
-    pytest.param(name, h, id=f"{name} {h.cause}") for name in [*RECORDS, *KNOWN] for h in hidden_in(name)
-]
+RECORDS += KNOWN
+EFFECTS = [pytest.param(name, h, id=f"{name} {h.cause}") for name in RECORDS for h in hidden_in(name)]
 
 
 def measured(finding, label, truth, bound, scale):

@@ -131,8 +131,6 @@ def test_missing_samples_widen_what_is_said_of_a_complete_record():
             np.testing.assert_allclose(ends, by * of)
 
 
-# --- Dead axes ----------------------------------------------------------------------------------------------
-
 DEAD = {"accel_x": "constant, 0.25 g throughout", "accel_y": "not a single number"}
 
 

@@ -104,9 +104,6 @@ def test_a_grid_of_times_is_one_set():
     assert found[(NAMES["N"], "markov")] - found[(NAMES["N"],)] == pytest.approx(expected, abs=0.8)
 
 
-# --- The rules ----------------------------------------------------------------------------------------------
-
-
 def named(symbols):
     return tuple(NAMES[symbol] for symbol in symbols)
 
@@ -162,9 +159,6 @@ def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share():
         ({"NK": 1.0, "N": 0.054}, {"K": ""}),
     ):
         assert by_hand(**odds).doubtful() == {NAMES[t]: named(rivals) for t, rivals in doubtful.items()}
-
-
-# --- Rankings of records ------------------------------------------------------------------------------------
 
 
 def test_the_true_set_is_chosen_and_probabilities_follow_the_evidence():
@@ -240,9 +234,6 @@ def test_a_slow_term_that_may_be_another_is_not_called_detected():
                 assert c.rivals == (doubtful.get(c.term, ()) if seen else ())
                 told += bool(c.rivals)
     assert told > 0
-
-
-# --- Averages over sets -------------------------------------------------------------------------------------
 
 
 def test_an_average_over_sets_of_white_noise_is_the_white_noise():

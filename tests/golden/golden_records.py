@@ -68,9 +68,6 @@ class Record:
         return aj.Recording.from_array(values, self.rate, names=list(self.names), name=self.name, **more)
 
 
-# --- Noise: means over the sample interval ------------------------------------------------------------------
-
-
 def white(rng, n, N, rate=RATE):
     return N * np.sqrt(rate) * rng.standard_normal(n)
 

@@ -63,9 +63,8 @@ def changes(before: dict, now: dict) -> list[str]:
             sigma = ""
             if number.kind in ("likely", "fitted", "parameter", "drawn") and before[place][2]:
                 sigma = f", {(number.value - before[place][1]) / before[place][2]:+.2f} σ"
-            lines.append(
-                f"{place}: {before[place][1]} → {number.plain()[1]}{sigma} ({far:.1f} times its limit)"
-            )
+            change = f"{before[place][1]} → {number.plain()[1]}{sigma}"
+            lines.append(f"{place}: {change} ({far:.1f} times its limit)")
     return lines
 
 

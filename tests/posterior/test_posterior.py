@@ -144,9 +144,6 @@ def test_default_priors_are_those_documented(records, posteriors):
     assert priors["markov_correlation_time"] == aj.LogUniform(2.0 / RATE, N / RATE)
 
 
-# --- The density --------------------------------------------------------------------------------------------
-
-
 def same_density(axis, dense, tolerance, count=12):
     """The log-posterior along the chain less the priors is a log-likelihood but for a constant [nats]."""
     steps = np.linspace(0, axis.chain[..., 0].size - 1, count).astype(int)
@@ -269,9 +266,6 @@ def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(object
     std = aj.sample(fit, seed=5, progress=False)["gyro_0"]["N"].std
     assert std == pytest.approx(fit["gyro_0"]["N"].std, rel=0.25)
     assert std > 3.0 * x.std() / np.sqrt(RATE) / np.sqrt(2.0 * 512)
-
-
-# --- Priors and options -------------------------------------------------------------------------------------
 
 
 def test_a_users_prior_is_obeyed(records):

@@ -68,9 +68,6 @@ def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
     return H @ joint @ H.T + space.R[0, 0] * np.eye(n), joint
 
 
-# --- Terms --------------------------------------------------------------------------------------------------
-
-
 def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance of samples of a term that are 0 … n − 1 apart."""
     kind = type(term).__name__
@@ -176,9 +173,6 @@ AT_INSTANTS: dict[str, Callable] = {
     "LowPass": _low_pass,
     "Telegraph": lambda term, t: term.amplitude**2 / 4.0 * np.exp(-2.0 * t / term.dwell_time),
 }
-
-
-# --- Responses ----------------------------------------------------------------------------------------------
 
 
 def pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
