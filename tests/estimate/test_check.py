@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from dense_fits import recording
-from places import DATA
 from scipy.signal import lfilter
 from white_and_walk import bound
 
@@ -114,17 +113,6 @@ def test_the_rate_is_compared_with_the_bandwidth():
     w, z = np.exp(-0.8 * np.pi), np.random.default_rng(3).standard_normal(N)
     x = 1e-4 * lfilter([1.0 - w], [1.0, -w], z)
     assert aj.check(recording(x, RATE))["bandwidth"].verdict == "look"
-
-
-def test_real_sensors_are_not_stopped():
-    path = DATA / "adis16405_unit1.parquet"
-    if not path.exists():
-        pytest.skip(f"the recordings of real sensors are not here: {path}")
-    found = aj.check(aj.read(path, rate=100, gyro_unit="deg/s", accel_unit="g").between(0.0, N / 100.0))
-    assert {line.verdict for line in found.lines} == {"fine", "look"}
-    # A count is 3.33 mg, as in the data sheet.
-    assert "0.00333 g" in found["resolution"].reason
-    assert found["saturation"].verdict == found["repeated samples"].verdict == "fine"
 
 
 def test_lengths_are_those_of_the_cramer_rao_bound():

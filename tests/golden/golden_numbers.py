@@ -22,8 +22,7 @@ CHOSEN = (
     *("small", "quantized", "drifting", "edge", "one_pole", "resonance"),
     *("handled", "lossy", "stretches", "dead", "real_1", "real_2"),
 )
-POSTERIORS = {"walk": ("gyro_y",), "markov_fast": ("gyro_x",), "edge": ("gyro_x",)}
-POSTERIORS["small"] = ("gyro_x", "accel_z")
+POSTERIORS = {"small": ("gyro_x", "accel_z"), "edge": ("gyro_x",)}
 CRITIQUES = (*EFFECTS, *CLEAN)
 RANKED = ("small", "quantized", "markov_fast")
 TARGETS = ("kalibr", "vins-mono", "gtsam")

@@ -11,11 +11,15 @@ import bench
 import golden_numbers
 import numpy as np
 import pytest
-from golden_records import EFFECTS, PLAIN, REAL, RECORDS, SHAPED
+from golden_records import CLEAN, EFFECTS, PLAIN, REAL, RECORDS, SHAPED
 from scipy import stats
 
 GOLDEN = json.loads((Path(__file__).parent / "golden.json").read_text(encoding="utf-8"))["records"]
-EACH = [pytest.param(name, marks=pytest.mark.xdist_group(f"golden {name}")) for name in RECORDS]
+# Records of one kind share their programs: a worker each, and those of real sensors wherever there is time.
+KINDS = dict.fromkeys((*EFFECTS, *CLEAN), "critiques") | {name: name for name in REAL}
+EACH = [
+    pytest.param(name, marks=pytest.mark.xdist_group(f"golden {KINDS.get(name, 'fits')}")) for name in RECORDS
+]
 
 
 def now(name: str) -> dict[str, golden_numbers.Number]:

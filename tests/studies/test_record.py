@@ -1,4 +1,4 @@
-"""A file that was damaged at random, as others are in the study `fuzz`, and memory of chunks."""
+"""A file that was damaged at random, as others are in the study `fuzz`, memory of chunks, real sensors."""
 
 import tracemalloc
 
@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from imu_columns import HEADER
+from places import DATA
 
 import allanjax as aj
 from benchmarks.common.damaged_files import damaged, sample_files
@@ -43,3 +44,15 @@ def test_memory_is_that_of_a_chunk(tmp_path, suffix):
         return most
 
     assert peak(60_000) < peak(20_000) + 10 * 1000 * 3 * 8
+
+
+@pytest.mark.parametrize("unit", [1, 2])
+def test_real_sensors_are_not_stopped(unit):
+    path = DATA / f"adis16405_unit{unit}.parquet"
+    if not path.exists():
+        pytest.skip(f"the recordings of real sensors are not here: {path}")
+    found = aj.check(aj.read(path, rate=100, gyro_unit="deg/s", accel_unit="g"))
+    assert {line.verdict for line in found.lines} == {"fine", "look"}
+    # A count is 3.33 mg, as in the data sheet.
+    assert "0.00333 g" in found["resolution"].reason
+    assert found["saturation"].verdict == found["repeated samples"].verdict == "fine"
