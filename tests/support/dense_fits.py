@@ -178,7 +178,7 @@ class Variances:
 
     @classmethod
     def of_allan(cls, x: np.ndarray, rate: float, sizes: np.ndarray, strides: Any = 1) -> "Variances":
-        """Overlapping Allan variances, of clusters that begin at every so manieth sample."""
+        """Overlapping Allan variances, whose clusters begin at every stride-th sample."""
         forms, n = [], len(x)
         for m, stride in np.broadcast(sizes, strides):
             at = np.arange(n) - np.arange(0, n - 2 * m + 1, stride)[:, None]
