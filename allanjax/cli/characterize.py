@@ -83,7 +83,7 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[Power
         seen = options.inspect(recording)
         spectrum = pool.submit(_spectrum, seen.quiet(recording))
         fit = options.fit(recording, seen)
-        return check_of(recording, seen, fit), spectrum, fit
+        return check_of(recording, seen), spectrum, fit
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":

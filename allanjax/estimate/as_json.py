@@ -50,8 +50,10 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "response": None if fit.template.response is None else _response(fit.template),
         "curve": _curve(fit.curve, fit.axes),
         "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
+        "facts": [fact.to_dict() for fact in fit.facts],
         "warnings": list(fit.warnings),
         "stretch_s": None if fit.stretch is None else list(fit.stretch),
+        "parts_s": [list(part) for part in fit.parts],
         "notes": list(fit.notes),
     }
 
@@ -75,6 +77,7 @@ def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
         "widening": 1.0,
         "measured": False,
         "moving": False,
+        "not_measured": ["dead axes"],
         "misfit": None,
         "coefficients": [],
         "covariance": {"labels": [], "units": [], "values": []},
@@ -105,6 +108,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "widening": result.widening,
         "measured": result.measured,
         "moving": result.moving,
+        "not_measured": list(result.not_measured),
         "misfit": None if result.misfit is None else _misfit(result.misfit),
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {

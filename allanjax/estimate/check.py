@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.tables import html_table, text_table
-from allanjax.base.wording import duration, finite_or_none, plain
-from allanjax.estimate.fit import fit_inspected
+from allanjax.base.wording import duration, finite_or_none
 from allanjax.estimate.needed_length import TARGET, NeededLength, needed_lengths
-from allanjax.estimate.result import Fit
+from allanjax.estimate.rough import rough_fits
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
+from allanjax.inspection.spectral import bandwidth_in, spectrum_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Recording
 
 SCHEMA_VERSION = 1
-# Sample rate over bandwidth: from three to five, after Hou (2004) section 5.3, figure 5.10.
-_LEAST_RATIO, _MOST_RATIO = 3.0, 5.0
+# Fewest samples that say how long to record.
+_FEWEST = 64
 _HEADINGS = ("check", "verdict", "reason")
 _SYMBOLS = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
 
@@ -115,9 +117,9 @@ def check(
 ) -> Check:
     """Say line by line whether a recording is fit for the estimation of noise coefficients.
 
-    Looked at are time stamps, repeated samples, resolution, saturation, dead axes, motion, disturbances,
-    units by their plausibility, temperature, bandwidth, and the length that N, B and K need. For the last two
-    the recording is fitted, as by `fit`.
+    Looked at are time stamps, repeated and interpolated samples, resolution, saturation, dead axes, motion,
+    disturbances, lines, units by their plausibility, temperature, bandwidth, and the length that N, B and K
+    need, for which these are estimated roughly. No structure is searched for: it takes seconds.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
@@ -137,12 +139,7 @@ def check(
     except RecordingError as error:
         name = Path(recording).name if isinstance(recording, str | os.PathLike) else ""
         return unreadable(error, name)
-    seen = inspect(given, vibrating=vibrating)
-    try:
-        fit = fit_inspected(given, seen, None, "allan")
-    except FitError as error:
-        return check_of(given, seen, None, str(error))
-    return check_of(given, seen, fit)
+    return check_of(given, inspect(given, vibrating=vibrating))
 
 
 def unreadable(error: RecordingError, name: str) -> Check:
@@ -152,51 +149,37 @@ def unreadable(error: RecordingError, name: str) -> Check:
     return Check(name, 0, 0.0, (Line(error.about, "stop", str(error)),))
 
 
-def check_of(recording: Recording, seen: Inspection, fit: Fit | None, reason: str = "") -> Check:
-    """Check of a recording that was inspected and fitted; or not fitted, for some reason."""
-    lines = [*lines_of(recording, seen)]
-    lengths: tuple[NeededLength, ...] = ()
-    if fit is None:
-        lines.append(Line("length for N, B and K", "look", f"cannot be said: {reason}"))
-    else:
-        n, rate = fit.curve.n, fit.curve.rate
-        lengths = tuple(length for r in fit.results for length in needed_lengths(r, n, rate))
-        lines.append(_bandwidth(fit))
-        lines += _of_length(seen, fit, lengths)
-    return Check(recording.name, recording.n, recording.rate, tuple(lines), lengths)
+def check_of(recording: Recording, seen: Inspection) -> Check:
+    """Check of a recording that was inspected."""
+    quiet = recording if seen.refusal else seen.quiet(recording)
+    spectrum = spectrum_of(quiet.values, quiet.rate)
+    widths = {name: spectrum and bandwidth_in(spectrum, k) for k, name in enumerate(quiet.names)}
+    lengths = () if seen.refusal or quiet.n < _FEWEST else _lengths(quiet, seen, widths)
+    lines = (*lines_of(recording, seen, widths), *_of_length(seen, lengths))
+    return Check(recording.name, recording.n, recording.rate, lines, lengths)
 
 
-def _bandwidth(fit: Fit) -> Line:
-    """Sample rate compared with the bandwidth of the filters that were found."""
-    name, rate, wanted = "bandwidth", fit.curve.rate, "three to five times the bandwidth is right"
-    measured = [r for r in fit.results if r.measured]
-    if not measured:
-        return Line(name, "look", "cannot be said: the fit is no measurement of this sensor")
-    found = [(r.model.response.half_power, r.axis.name) for r in measured if r.model.response is not None]
-    if not found:
-        return Line(
-            name,
-            "look",
-            f"no filter is seen below {plain(rate / 2.0, 4)} Hz, half the rate: if the sensor has more "
-            f"bandwidth, N has noise from beyond folded into it; {wanted}",
-        )
-    widest, axis = max(found)
-    said = f"{plain(widest, 3)} Hz ({axis}), the rate is {plain(rate / widest, 2)} times that"
-    if rate < _LEAST_RATIO * widest:
-        return Line(name, "look", f"{said}: {wanted}; noise from beyond half the rate is folded into N")
-    if rate > _MOST_RATIO * widest:
-        return Line(name, "fine", f"{said}: more than it takes, {wanted}")
-    return Line(name, "fine", f"{said}: {wanted}")
+def _lengths(
+    quiet: Recording, seen: Inspection, widths: Mapping[str, float | None]
+) -> tuple[NeededLength, ...]:
+    """How long to record for N, B and K of each axis."""
+    # Up to half of the bandwidth a filter passes nearly all.
+    below = np.array([np.inf if width is None else width / 2.0 for width in widths.values()])
+    results = (
+        result.unmeasured(not_measured=why) if (why := seen.why_not(result.axis.name)) else result
+        for result in rough_fits(quiet, below)
+    )
+    return tuple(length for result in results for length in needed_lengths(result, quiet.n, quiet.rate))
 
 
-def _of_length(seen: Inspection, fit: Fit, lengths: Sequence[NeededLength]) -> Iterator[Line]:
+def _of_length(seen: Inspection, lengths: Sequence[NeededLength]) -> Iterator[Line]:
     """Lines on the length that N, B and K need."""
     for label, symbol in _SYMBOLS.items():
         own = [length for length in lengths if length.coefficient.label == label]
         name = f"length for {symbol}"
         if not own:
-            why = next((r.reason for r in fit.results if not r.converged), "the fit has no such term")
-            told = "there are no coefficients, see disturbances" if seen.refusal else why
+            short = f"fewer than {_FEWEST} samples"
+            told = "there are no coefficients, see disturbances" if seen.refusal else short
             yield Line(name, "look", f"cannot be said: {told}")
         elif all(length.known for length in own):
             poorest = max(own, key=lambda length: length.relative_std)

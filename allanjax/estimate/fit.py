@@ -18,7 +18,7 @@ from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension.search import Extension, extended
 from allanjax.estimate.ranking import select_terms
-from allanjax.estimate.result import NEXT, AxisFit, Fit
+from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
 from allanjax.estimate.stretch_fits import fit_stretches, joined, with_quiet_others
 from allanjax.inspection import Inspection, inspect
@@ -261,29 +261,17 @@ def without_coefficients(
 
 
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
-    """A fit completed by its inspection: warnings, stretch, levels; what moved is no measurement."""
-    levels = zip(found.results, seen.mean, seen.rms, strict=True)
-    results = tuple(dataclasses.replace(r, mean=float(m), rms=float(s)) for r, m, s in levels)
-    moving = [seen.axes[k].name for k in seen.moving]
-    results = tuple(
-        r.unmeasured(moving=True) if r.converged and r.axis.name in moving else r for r in results
-    )
+    """A fit completed by its inspection: facts, parts, levels, and what these facts mean for each axis."""
+    rate, results = found.curve.rate, []
+    for r in found.results:
+        k = [axis.name for axis in seen.axes].index(r.axis.name)
+        r = dataclasses.replace(r, mean=float(seen.mean[k]), rms=float(seen.rms[k]))
+        # Rounding adds a twelfth of the square of a step to each sample's variance.
+        r = r.allowing(float(seen.allowance[k]), float(seen.steps[k]) / np.sqrt(12.0 * rate))
+        kinds = seen.why_not(r.axis.name)
+        results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
     return dataclasses.replace(
-        found,
-        results=results,
-        warnings=(*seen.warnings, *far_off(results)),
-        notes=found.notes + seen.notes,
-        stretch=seen.stretch,
-    )
-
-
-def far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
-    """Warning about axes whose model does not follow the curve, with the remedy; none if there are none."""
-    names = [result.axis.name for result in results if result.is_far_off]
-    if not names:
-        return ()
-    return (
-        f"{', '.join(names)}: not a measurement of this sensor, the model does not follow the data: {NEXT}",
+        found, results=tuple(results), facts=seen.facts, parts=seen.parts, notes=found.notes + seen.notes
     )
 
 

@@ -19,6 +19,7 @@ from allanjax.estimate.averaged import Averaged
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit, extended_model, fitted_model
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
+from allanjax.inspection.facts import Fact
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import response_classes, term_classes
@@ -87,8 +88,8 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
         curve=_curve(document, axes),
         results=tuple(_result(a, axis, template, classes) for a, axis in zip(alive, axes, strict=True)),
         notes=tuple(document["notes"]),
-        warnings=tuple(document["warnings"]),
-        stretch=None if document["stretch_s"] is None else tuple(document["stretch_s"]),
+        facts=tuple(map(Fact.from_dict, document["facts"])),
+        parts=tuple((first, last) for first, last in document["parts_s"]),
         objective=document["objective"],
         selection=_selection(name, alive, axes, classes),
         dead=tuple(DeadAxis(_axis(a), a["reason"]) for a in document["axes"] if a["dead"]),
@@ -169,7 +170,7 @@ def _result(
         misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
         mean=_number(a["mean_si"]),
         rms=_number(a["rms_si"]),
-        moving=a["moving"],
+        not_measured=tuple(a["not_measured"]),
         own_template=own,
         plain=plain,
     )

@@ -23,6 +23,7 @@ from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.correction import correction_of, further_terms
 from allanjax.estimate.misfit import Misfit
+from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk
@@ -45,6 +46,16 @@ NEXT = (
 
 # Least share of N that is white noise.
 _LITTLE = 1e-6
+
+
+def _far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
+    """Warning about axes whose model does not follow the curve, with the remedy; none if there are none."""
+    names = [result.axis.name for result in results if result.is_far_off]
+    if not names:
+        return ()
+    return (
+        f"{', '.join(names)}: not a measurement of this sensor, the model does not follow the data: {NEXT}",
+    )
 
 
 def fitted_model(
@@ -85,7 +96,8 @@ class AxisFit(ByValue, AxisEstimates):
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics it was fitted to.
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
-        moving: whether the sensor was not at rest: then no coefficient is a measurement of it either.
+        not_measured: kinds of the facts about the record (`Fit.facts`) for which the axis's coefficients are
+            not a measurement of the sensor, e.g. "at rest" or "saturation".
         own_template: the model that was fitted, where that of the other axes did not follow this one: with
             filter, resonances and lines; by Whittle's likelihood. N is the density at low frequencies, of
             white noise with what resonances with Q < 4 and processes of less than 20 samples have there.
@@ -123,7 +135,7 @@ class AxisFit(ByValue, AxisEstimates):
     spectrum: AxisSpectrum | None = None
     mean: float = np.nan
     rms: float = np.nan
-    moving: bool = False
+    not_measured: tuple[str, ...] = ()
     own_template: Model | None = None
     plain: AxisFit | None = None
     widening: float = 1.0
@@ -134,8 +146,13 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def measured(self) -> bool:
-        """Whether the coefficients are a measurement of the sensor: not in motion, nor of a curve far off."""
-        return self.converged and not self.moving and not self.is_far_off
+        """Whether the coefficients are a measurement of the sensor: neither facts nor its curve forbid it."""
+        return self.converged and not self.not_measured and not self.is_far_off
+
+    @property
+    def moving(self) -> bool:
+        """Whether the sensor was not at rest."""
+        return "at rest" in self.not_measured
 
     @property
     def is_far_off(self) -> bool:
@@ -156,6 +173,32 @@ class AxisFit(ByValue, AxisEstimates):
             _covariance=self._covariance * factor**2,
             plain=None if self.plain is None else self.plain.widened(factor),
             widening=self.widening * factor,
+        )
+
+    def allowing(self, share: float, rounding: float) -> AxisFit:
+        """A copy whose intervals allow for errors of the record.
+
+        Args:
+            share: relative error of the Allan deviation, and so of every amplitude.
+            rounding: density of the noise by rounding [rad/√s or m/s/√s], which may be part of N.
+        """
+
+        def factor(c: Estimate) -> float:
+            if not c.is_amplitude or not c.detected or not c.std > 0.0:
+                return 1.0
+            white = c.term == AngleRandomWalk.name()
+            rounded = c.value - np.sqrt(max(c.value**2 - rounding**2, 0.0)) if white else 0.0
+            return float(np.sqrt(1.0 + ((share * c.value) ** 2 + rounded**2) / c.std**2))
+
+        if not self.converged or share == rounding == 0.0:
+            return self
+        factors = {label: factor(c) for label, c in self._coefficients.items()}
+        by = np.array(list(factors.values()))
+        return dataclasses.replace(
+            self,
+            _coefficients={label: c.widened(factors[label]) for label, c in self._coefficients.items()},
+            _covariance=self._covariance * by[:, None] * by,
+            plain=None if self.plain is None else self.plain.allowing(share, rounding),
         )
 
     @property
@@ -229,8 +272,8 @@ class AxisFit(ByValue, AxisEstimates):
             return (
                 f"not a measurement of this sensor: the model does not follow the data, {self.misfit}; {text}"
             )
-        if self.moving:
-            return f"not a measurement of this sensor: it was not at rest; {text}"
+        if self.not_measured:
+            return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}; {text}"
         return text if self.misfit is None else f"{text}; model incomplete: {self.misfit}"
 
 
@@ -247,8 +290,8 @@ class Fit(ByValue, PerAxis[AxisFit]):
         objective: "allan", "whittle", "wavelet" or "exact".
         selection: the ranking of terms, if the fit chose them itself.
         dead: axes of the recording that have no noise to fit, and why.
-        warnings: what was seen in the recording before the fit, the most important first.
-        stretch: the part of the recording that was used, in s from its first sample; None: all of it.
+        facts: what was found in the recording before the fit, the gravest first.
+        parts: the parts of the recording that were used, in s from its first sample; none for all of it.
     """
 
     CALLED: ClassVar[str] = "the fit"
@@ -263,8 +306,23 @@ class Fit(ByValue, PerAxis[AxisFit]):
     objective: str = "allan"
     selection: TermSelection | None = None
     dead: tuple[DeadAxis, ...] = ()
-    warnings: tuple[str, ...] = ()
-    stretch: tuple[float, float] | None = None
+    facts: tuple[Fact, ...] = ()
+    parts: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user of the coefficients should know, the gravest first."""
+        return (*warnings_of(self.facts), *_far_off(self.results))
+
+    @property
+    def stretch(self) -> tuple[float, float] | None:
+        """The longest part of the recording that was used, in s from its first sample; None: all of it."""
+        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
+
+    @property
+    def not_measured(self) -> dict[str, str]:
+        """Why the coefficients of an axis are not a measurement of the sensor, by the axis's name."""
+        return {r.axis.name: r.verdict() for r in self.results if r.converged and not r.measured}
 
     def as_for(self, axis: str) -> Fit:
         """The fit as it is for one axis, with the model and the objective of that where it has its own."""
@@ -275,7 +333,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """The fit in which axes with a model of their own have the fit of the plain terms."""
         plain = [r if r.plain is None else r.plain for r in self.results]
         levels = zip(plain, self.results, strict=True)
-        results = tuple(dataclasses.replace(p, mean=r.mean, rms=r.rms, moving=r.moving) for p, r in levels)
+        results = tuple(
+            dataclasses.replace(p, mean=r.mean, rms=r.rms, not_measured=r.not_measured) for p, r in levels
+        )
         return dataclasses.replace(self, results=results)
 
     @property

@@ -23,7 +23,7 @@ _ALONE = "coefficients of the longest stretch alone: {why}"
 
 
 def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Recording:
-    """The quiet part of a recording's longest stretch, with the other stretches in which nothing happened."""
+    """The quiet parts of a recording's longest stretch, with other stretches in which nothing happened."""
     if not recording.others:
         return quiet
     names = [axis.name for axis in recording.axes]
@@ -33,7 +33,7 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     notes = quiet.notes
     if touched := len(others) - len(calm):
         notes += (f"{touched} of {len(others) + 1} stretches not used, in which the sensor was touched",)
-    return dataclasses.replace(quiet, others=tuple(calm), notes=notes)
+    return dataclasses.replace(quiet, others=(*quiet.others, *calm), notes=notes)
 
 
 def _calm(stretch: Recording) -> bool:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.estimate.fit import Objective, far_off, fit_inspected, inspected
+from allanjax.estimate.fit import Objective, fit_inspected, inspected
 from allanjax.estimate.result import Fit
 from allanjax.fleet.stream import AllanAccumulator
 from allanjax.inspection import Inspection
@@ -51,8 +51,8 @@ class FitOptions:
         if seen is None or seen.stretch is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
         found = accumulator.fit(self.model, self.objective, as_is=True, vibrating=self.vibrating)
-        warnings = (*seen.warnings, *far_off(found.results))
-        return replace(found, warnings=warnings, notes=found.notes + seen.notes, stretch=seen.stretch)
+        stretch = () if seen.stretch is None else (seen.stretch,)
+        return replace(found, facts=seen.facts, notes=found.notes + seen.notes, parts=stretch)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
         """Inspection of a recording, or of what was accumulated of one, as its fit will see it."""

@@ -47,15 +47,20 @@ class Stretch:
 
     Attributes:
         kind: "silent", "noisier", "quieter", or "moved" if only the mean changes.
-        share: largest excess of the Allan variance that it causes, as a share of it, once that is known.
-        matters: whether that is more than the estimates' own error.
+        shares: of each axis, the largest excess of the Allan variance that it causes, as a share of it.
+        axes: indices of the axes where that is more than the estimates' own error; none until that is known.
     """
 
     first: int
     last: int
     kind: str
-    share: float = 0.0
-    matters: bool = False
+    shares: tuple[float, ...] = ()
+    axes: tuple[int, ...] = ()
+
+    @property
+    def matters(self) -> bool:
+        """Whether it changes an Allan variance by more than the estimate's own error."""
+        return bool(self.axes)
 
 
 def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
@@ -188,15 +193,15 @@ def _merged(found: Sequence[Stretch]) -> list[Stretch]:
 
 def excesses(
     windows: Windows, stretches: Sequence[Stretch]
-) -> tuple[Float[np.ndarray, " stretches"], Float[np.ndarray, " stretches"]]:
-    """Effect of each stretch on the Allan variance, in standard errors and as a share.
+) -> tuple[Float[np.ndarray, "stretches axes"], Float[np.ndarray, "stretches axes"]]:
+    """Effect of each stretch on the Allan variance of each axis, in standard errors and as a share.
 
     Returns:
-        The largest excess, over all cluster times and axes, of the mean square difference (twice the Allan
-        variance) in standard deviations of its estimate; and that excess as a share of the mean square.
+        The largest excess, over all cluster times, of the mean square difference (twice the Allan variance)
+        in standard deviations of its estimate; and that excess as a share of the mean square.
     """
     touched = touched_by(windows, stretches)
-    sigmas, shares = np.zeros(len(stretches)), np.zeros(len(stretches))
+    sigmas, shares = np.zeros((2, len(stretches), windows.mean.shape[1]))
     for square, weight, width in _squares(windows):
         # A place counts as touched if one of its windows is in a stretch.
         seen = np.concatenate([[0], np.cumsum(touched)])
@@ -213,8 +218,7 @@ def excesses(
         gain = (square / level - 1.0) * (weight / weight.sum())[:, None]
         for k, s in enumerate(stretches):
             part = gain[max(s.first - width + 1, 0) : s.last].sum(axis=0)
-            sigmas[k] = max(sigmas[k], float(np.max(abs(part) / error)))
-            shares[k] = max(shares[k], float(np.max(abs(part))))
+            sigmas[k], shares[k] = np.maximum(sigmas[k], abs(part) / error), np.maximum(shares[k], abs(part))
     return sigmas, shares
 
 
@@ -228,13 +232,13 @@ def _squares(
         yield (steps.step**2).T, np.ones(steps.step.shape[1]), 2 * steps.lag
 
 
-def longest_quiet(count: int, stretches: Sequence[Stretch]) -> tuple[int, int]:
-    """Longest run of `count` windows that is outside of all stretches, a window away from each."""
+def quiet_runs(count: int, stretches: Sequence[Stretch]) -> list[tuple[int, int]]:
+    """Runs of `count` windows that are outside of all stretches, a window away from each."""
     edges = [0]
     for s in stretches:
         edges += [max(s.first - 1, 0), min(s.last + 1, count)]
     edges.append(count)
-    return max(zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0])
+    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
 
 def beside(

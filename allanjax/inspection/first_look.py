@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
-from allanjax.base.wording import duration
+from allanjax.base.wording import duration, plain
+from allanjax.inspection.disturbances import Places, Treatment
+from allanjax.inspection.facts import Fact, ordered, warnings_of
+from allanjax.inspection.levels import resolved, saturated
 from allanjax.inspection.motion import motions, rms_within
-from allanjax.inspection.plausible import coarse, implausible
-from allanjax.inspection.quiet import Event, quiet_part
+from allanjax.inspection.plausible import implausible, short
+from allanjax.inspection.quiet import Event, quiet_parts
+from allanjax.inspection.sampling import sampling_facts, temperature_facts
 from allanjax.inspection.scores import mean_squares
+from allanjax.inspection.spectral import spectral_facts
+from allanjax.inspection.spikes import spikes_in
 from allanjax.inspection.windows import Windows
-from allanjax.inspection.words import cannot_cut, grid, refused, said_of_events, said_of_motion, span, unclear
+from allanjax.inspection.words import (
+    amount,
+    cannot_cut,
+    grid,
+    listed,
+    said_of_events,
+    said_of_motion,
+    span,
+)
+from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, Recording
 
-#: Least share of the recording that coefficients may be estimated from: one event leaves half of the
-#: recording wherever it is, two leave a third.
-LEAST_SHARE = 0.3
-# A part that is quieter by this factor, and this share of the recording, may be the sensor at rest.
-_MUCH, _LONG = 1.5, 0.1
-# An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
-_SLIGHT = 0.1
+# An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
+_TRIFLE = 0.005
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,16 +44,17 @@ class Inspection(ByValue):
     Attributes:
         name, rate, n, axes: name, sample rate [Hz], number of samples and axes of the recording.
         mean, rms: mean and rms about it of each axis, over the stretch [rad/s or m/s²].
-        stretch: start and end [s from the first sample] of the part to estimate from; None for all of it.
+        parts: start and end [s from the first sample] of the parts to estimate from, in order; none for all
+            of it.
+        lost: single samples, and stretches on one axis alone, that are drawn given the others, by axis.
         refusal: why coefficients cannot be given; "" if they can.
-        findings: what the user should know, the most important first: the subject of each and a sentence.
-            Subjects are "accel" and "gyro" (units), "rate", "motion", "events", "length", "resolution" and
-            "repeats".
+        facts: what bears on the coefficients, the gravest first.
         notes: sentences of less weight.
-        moving: indices of the axes that are not at rest; one alone may be broken, two are a moving platform,
-            and then all of its axes are.
         events: what happened to the sensor.
-        said: the events that matter, in words.
+        said: the events for which parts are left out, in words.
+        steps: of each axis, the step of its output [rad/s or m/s²]; 0 where none is seen.
+        allowance: of each axis, the relative error of the Allan deviation by what was kept although it is
+            unlike the rest.
     """
 
     name: str
@@ -52,22 +63,38 @@ class Inspection(ByValue):
     axes: tuple[Axis, ...]
     mean: Float[np.ndarray, " axes"]
     rms: Float[np.ndarray, " axes"]
-    stretch: tuple[float, float] | None
+    parts: tuple[tuple[float, float], ...]
+    lost: Places
     refusal: str
-    findings: tuple[tuple[str, str], ...]
+    facts: tuple[Fact, ...]
     notes: tuple[str, ...]
-    moving: tuple[int, ...]
     events: tuple[Event, ...]
     said: str
+    steps: Float[np.ndarray, " axes"]
+    allowance: Float[np.ndarray, " axes"]
+
+    @property
+    def stretch(self) -> tuple[float, float] | None:
+        """Start and end [s] of the longest part to estimate from; None for all of the recording."""
+        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences of the findings."""
-        return tuple(line for _, line in self.findings)
+        """The facts that a user of the coefficients should know, in words."""
+        return warnings_of(self.facts)
 
-    def about(self, subject: str) -> tuple[str, ...]:
-        """Sentences of the findings on one subject."""
-        return tuple(line for of, line in self.findings if of == subject)
+    def about(self, kind: str) -> tuple[str, ...]:
+        """Facts of one kind, in words."""
+        return tuple(fact.text for fact in self.facts if fact.kind == kind)
+
+    def why_not(self, axis: str) -> tuple[str, ...]:
+        """Kinds of the facts for which an axis's coefficients are not a measurement of the sensor."""
+        return tuple(dict.fromkeys(fact.kind for fact in self.facts if fact.grave and axis in fact.axes))
+
+    @property
+    def moving(self) -> tuple[int, ...]:
+        """Indices of the axes that are not at rest."""
+        return tuple(k for k, axis in enumerate(self.axes) if "at rest" in self.why_not(axis.name))
 
     @property
     def at_rest(self) -> bool:
@@ -75,19 +102,33 @@ class Inspection(ByValue):
         return not self.moving
 
     def quiet(self, recording: Recording) -> Recording:
-        """The stretch of the recording that coefficients should be estimated from."""
-        return recording if self.stretch is None else recording.between(*self.stretch)
+        """The recording that coefficients should be estimated from: its longest quiet part, with the others.
+
+        Samples that are `lost` have been drawn given the others.
+        """
+        lost = np.zeros_like(recording.values, bool)
+        for name, places in self.lost.items():
+            for first, last in places:
+                lost[first:last, recording.names.index(name)] = True
+        if self.stretch is None:
+            return _completed(recording, lost)
+        rows = {part: slice(*(round(time * self.rate) for time in part)) for part in self.parts}
+        longest = rows.pop(self.stretch)
+        quiet = recording.between(*self.stretch)
+        kept = [recording.names.index(name) for name in quiet.names]
+        others = [completed(recording.values[part], lost[part])[:, kept] for part in rows.values()]
+        alive = tuple(x for x in others if (np.ptp(x, axis=0) > 0.0).all())
+        return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=alive)
 
     def uncut(self) -> Inspection:
         """This inspection for samples that cannot be cut any more: where a cut is needed, a refusal."""
         if self.stretch is None:
             return self
         refusal = cannot_cut(self.said, span(*self.stretch, grid(self.n / self.rate)), self.stretch)
-        findings = tuple(
-            (about, f"no coefficients: {refusal}" if line.startswith(self.said) else line)
-            for about, line in self.findings
-        )
-        return dataclasses.replace(self, stretch=None, refusal=refusal, findings=findings)
+        facts = [fact for fact in self.facts if not fact.text.startswith(self.said)]
+        names = tuple(axis.name for axis in self.axes)
+        refused = Fact("disturbances", f"no coefficients: {refusal}", names, "not a measurement")
+        return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))
 
     def __str__(self) -> str:
         length = duration(self.n / self.rate)
@@ -103,13 +144,14 @@ class Inspection(ByValue):
 def inspect(
     recording: Recording, *, as_is: bool = False, vibrating: bool = False, may_move: bool = False
 ) -> Inspection:
-    """Check a recording for handling, motion, and implausible units, rate or resolution.
+    """Check a recording for handling, motion, saturation, and implausible units, rate or resolution.
 
     Noise and mean of each window are compared with those of the others, relative to the scatter of most of
     them; so noise of any colour is nothing unusual. Unusual stretches that change the Allan variance at some
-    cluster time by more than its own error are left out: coefficients are estimated from the longest part
-    without them, on all axes, if that is at least 30 % of the recording. Otherwise they are refused, unless
-    the Allan deviation is off by 5 % at most.
+    cluster time by more than its own error are left out on all axes: coefficients are estimated from the
+    parts between them, if these are at least 30 % of the recording. Single samples far from their neighbours,
+    and bursts of noise on one axis alone, are left out on that axis, and drawn given its other samples. A
+    stretch that is less than 1.5 times noisier than the rest stays, and intervals allow for it.
 
     Args:
         recording: the recording.
@@ -119,18 +161,22 @@ def inspect(
             them.
 
     Returns:
-        The stretch to use, and warnings. It takes a tenth of a second for 10⁶ samples of six axes.
+        The parts to use, and facts. It takes a second or two for 10⁶ samples of six axes.
     """
+    values = recording.values
+    drawn = np.zeros_like(values, bool) if recording.missing is None else recording.missing
+    # What is drawn in the place of lost samples is no spike of the sensor's.
+    spikes = [_spikes(x, lost) for x, lost in zip(values.T, drawn.T, strict=True)]
     return look(
-        Windows.of(recording.values),
+        Windows.of(np.column_stack([bridged(x, at) for x, at in zip(values.T, spikes, strict=True)])),
         recording.axes,
         recording.rate,
         name=recording.name,
         as_is=as_is,
         vibrating=vibrating,
         may_move=may_move,
-        values=recording.values,
-        auxiliary=recording.auxiliary,
+        recording=recording,
+        spikes=spikes,
     )
 
 
@@ -143,55 +189,48 @@ def look(
     as_is: bool = False,
     vibrating: bool = False,
     may_move: bool = False,
-    values: Float[np.ndarray, "n axes"] | None = None,
-    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+    recording: Recording | None = None,
+    spikes: Sequence[Bool[np.ndarray, " n"]] = (),
 ) -> Inspection:
     """Inspection of a recording with this rate [Hz] that is known by its windows; see `inspect`.
 
-    `values` and `auxiliary` are its samples and other columns, where they are in memory.
+    `recording` is the recording itself, and `spikes` say which samples of its axes are isolated ones, where
+    it is in memory; the windows are without these.
     """
     windows, n = windows.closed(), windows.n
-    sensors = [axis.sensor for axis in axes]
-    events, begin, end = quiet_part(windows, sensors, may_move)
-    touched, harmless = [e for e in events if e.matters], [e for e in events if not e.matters]
-    quieter = [e for e in touched if e.kind == "quieter" and e.size > _MUCH]
-    unlikely_rest = sum(e.last - e.first for e in quieter) > _LONG * n
-    long_enough = end - begin >= LEAST_SHARE * n and not unlikely_rest
-    cut = bool(touched) and long_enough and not as_is
-    stretch = _rounded(begin, end, n, rate) if cut else None
+    sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
+    events, quiet = quiet_parts(windows, sensors, may_move)
+    treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
+    stretch = max(treatment.parts, key=lambda part: part[1] - part[0], default=None)
     part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, sensors, rate)
     about = {sensors[m.axis] for m in moving}
-    units = implausible(axes, rate, mean, _white(part, rate), auxiliary or {}, about)
+    auxiliary = {} if recording is None else recording.auxiliary
+    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about)
     # In a wrong unit noise looks like motion.
-    moving = [] if vibrating else [m for m in moving if sensors[m.axis] not in units]
-    said = said_of_events(touched, axes, rate, n / rate)
-    refusal, happened = "", ""
-    where = span(begin / rate, end / rate, grid(n / rate))
-    share = sum(e.share for e in touched)
-    if touched and stretch is not None:
-        happened = f"{said}: coefficients are of {span(*stretch, grid(n / rate))}"
-    elif touched and as_is:
-        happened = f"{said}: coefficients are of all of it, as asked"
-    elif touched and not unlikely_rest and share < _SLIGHT:
-        happened = f"{said}: the Allan deviation is {50.0 * share:.1g} % off by it at most"
-    elif touched and moving:
-        # The warning about motion comes first, and is reason enough.
-        happened = f"{said}; the longest part without that is {where}"
-    elif touched:
-        refusal = unclear(said) if unlikely_rest else refused(said, where, LEAST_SHARE)
-        happened = f"no coefficients: {refusal}"
-    motion = said_of_motion(moving, axes) if moving else ""
-    findings = (
-        *units.items(),
-        ("motion", motion),
-        ("events", happened),
-        *coarse(windows, axes, rate, values),
-    )
-    note = said_of_events(harmless, axes, rate, n / rate)
-    shown = {m.axis: m for m in moving}
+    wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
+    moving = [] if vibrating else [m for m in moving if names[m.axis] not in wrong]
+    if shown := tuple(dict.fromkeys(names[m.axis] for m in moving)):
+        # Two axes that show motion mean that all move.
+        concerned = shown if len(shown) == 1 else names
+        facts.append(Fact("at rest", said_of_motion(moving, axes), concerned, "not a measurement"))
+    # The warning about motion comes first, and is reason enough.
+    refusal = "" if as_is or moving else treatment.refusal(axes, rate, n, quiet)
+    facts += treatment.facts(axes, rate, n, as_is, refusal)
+    facts += short(part.n, rate, axes)
+    if recording is None:
+        found, steps = resolved(part, axes, None)
+        facts += found
+    else:
+        found, steps = _of_samples(recording, part, stretch, spikes)
+        facts += found
+    lost = dict(treatment.lost)
+    for axis, at in zip(axes, () if as_is else spikes, strict=False):
+        if at.any():
+            lost[axis.name] = (*lost.get(axis.name, ()), *((int(k), int(k) + 1) for k in np.flatnonzero(at)))
+    note = said_of_events(treatment.harmless, axes, rate, n / rate)
     return Inspection(
         name,
         rate,
@@ -199,23 +238,68 @@ def look(
         tuple(axes),
         mean,
         rms,
-        stretch,
+        treatment.parts,
+        lost,
         refusal,
-        tuple((about, line) for about, line in findings if line),
+        ordered(facts),
         (f"{note}: too little to change a coefficient by more than its error",) if note else (),
-        # Two axes that show motion mean that all move.
-        tuple(range(len(axes)) if len(shown) > 1 else shown),
         events,
-        said,
+        treatment.said(axes, rate, n),
+        steps,
+        treatment.allowance(len(axes)),
     )
 
 
-def _rounded(begin: int, end: int, n: int, rate: float) -> tuple[float, float]:
-    """Start and end [s] of the quiet part, rounded inwards."""
-    step = grid(n / rate)
-    start = np.ceil(begin / rate / step - 1e-9) * step if begin else 0.0
-    stop = np.floor(end / rate / step + 1e-9) * step if end < n else n / rate
-    return round(float(start), 9), round(float(stop), 9)
+def _of_samples(
+    recording: Recording,
+    part: Windows,
+    stretch: tuple[float, float] | None,
+    spikes: Sequence[Bool[np.ndarray, " n"]],
+) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
+    """Facts that the samples themselves show, and the step of each axis."""
+    rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
+    drawn = np.zeros_like(recording.values, bool) if recording.missing is None else recording.missing
+    own = [x[rows][~lost[rows]] for x, lost in zip(recording.values.T, drawn.T, strict=True)]
+    facts, steps = resolved(part, recording.axes, own)
+    held = {name for fact in facts if fact.kind == "repeated samples" or fact.grave for name in fact.axes}
+    facts += saturated(recording.axes, own)
+    whole = np.column_stack([bridged(x, at) for x, at in zip(recording.values.T, spikes, strict=True)])
+    facts += spectral_facts(whole[rows], recording.rate, recording.axes, held)
+    facts += [*sampling_facts(recording), *temperature_facts(recording), *_spike_facts(recording, spikes)]
+    return facts, steps
+
+
+def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Isolated spikes of an axis that change its Allan variance by more than the estimate's own error."""
+    at = spikes_in(x) & ~drawn
+    off = (x - bridged(x, at))[at]
+    noise = np.mean(np.diff(bridged(x, at)) ** 2) / 2.0
+    few = off @ off <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * len(x) * noise
+    return np.zeros_like(at) if few else at
+
+
+def _spike_facts(recording: Recording, spikes: Sequence[Bool[np.ndarray, " n"]]) -> Iterator[Fact]:
+    """Facts about isolated spikes that are left out."""
+    for axis, x, at in zip(recording.axes, recording.values.T, spikes, strict=True):
+        if not at.any():
+            continue
+        places, off = np.flatnonzero(at) / recording.rate, abs(x - bridged(x, at)).max()
+        said = listed([f"{plain(time, 6)} s" for time in places])
+        single = f"{len(places)} single samples" if len(places) > 1 else "a single sample"
+        text = (
+            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {said}: left out, and drawn given "
+            "the others"
+        )
+        spans = tuple((time, time + 1.0 / recording.rate) for time in places.tolist())
+        yield Fact("spikes", text, (axis.name,), "widened", float(off), "", spans)
+
+
+def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Recording:
+    """Recording in which samples that are lost have been drawn given the others."""
+    if not lost.any():
+        return recording
+    missing = lost if recording.missing is None else lost | recording.missing
+    return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
 
 
 def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:

@@ -1,9 +1,17 @@
-"""Levels of an output: the step that all samples are multiples of, and whether it is clipped at its range."""
+"""Levels of an output: the step that samples are multiples of, held samples, and the ends of its range."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
+
+from allanjax.base.wording import plain
+from allanjax.inspection.facts import Fact
+from allanjax.inspection.windows import Windows
+from allanjax.inspection.words import amount
+from allanjax.record.recording import Axis
 
 #: Distance from a multiple of the step, in steps, up to which a sample is on the lattice.
 TOLERANCE = 1e-3
@@ -15,6 +23,15 @@ _FEW = 20000
 _LEAST, _MANY = 4, 100
 # Fewest steps of a rounded output between its extremes for it to have a tail.
 _FEW_LEVELS = 4
+# Samples among which the step is looked for.
+_LOOKED_AT = 1 << 14
+# Share of equal neighbours at which the noise is 0.4 steps of the resolution; with more, it is not seen.
+_HIDDEN = 0.6
+# Share of equal neighbours, beyond those due to the resolution, at which samples must have been held.
+_HELD = 0.1
+# Rms of the noise in steps, below which it is hidden by the rounding, and below which this is worth a word:
+# its own variance of a twelfth is then a third of all, and 2 %.
+_TOO_FEW, _FEW_STEPS = 0.5, 2.0
 
 
 def lattice(x: Float[np.ndarray, " n"]) -> float | None:
@@ -45,3 +62,58 @@ def is_piled_up(raw: Float[np.ndarray, " n"], q: float | None) -> bool:
         return False
     below = int(np.sum(abs(raw - (top - q)) < q / 2.0))
     return at_top > below + 6.0 * np.sqrt(below + 1.0) and at_top >= 5 * _LEAST
+
+
+def resolved(
+    windows: Windows, axes: Sequence[Axis], columns: Sequence[Float[np.ndarray, " recorded"]] | None
+) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
+    """Facts about axes whose noise is coarsely rounded or whose samples are held, and each axis's step.
+
+    Args:
+        windows: of the samples.
+        axes: their axes.
+        columns: the samples of each axis, where they are in memory.
+
+    Returns:
+        The facts; and the step of each axis [rad/s or m/s²], 0 where none is seen.
+    """
+    repeated = np.average(windows.repeated, axis=0, weights=windows.count)
+    rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1) / 2.0)
+    if columns is None:
+        steps = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
+    else:
+        steps = np.array([lattice(x[:_LOOKED_AT]) or 0.0 for x in columns])
+    noise = rms / np.where(steps > 0.0, steps, 1.0)
+    # Share of equal neighbours that rounding makes of Gaussian noise.
+    chance = np.where(noise > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(noise, 1e-12), 0.0) * (steps > 0.0)
+    facts = []
+    for k, axis in enumerate(axes):
+        step, of = amount(steps[k], axis, 3), {"axes": (axis.name,), "size": float(noise[k]), "unit": "steps"}
+        few = f"the noise of {axis.name} is {plain(noise[k], 2)} steps of its output, {step}"
+        if steps[k] > 0.0 and (noise[k] < _TOO_FEW or (repeated[k] > _HIDDEN and chance[k] > _HIDDEN)):
+            text = f"{few}: its coefficients are those of the rounding; take a finer resolution"
+            facts.append(Fact("resolution", text, consequence="not a measurement", **of))
+        elif repeated[k] > _HELD + 2.0 * chance[k]:
+            share = f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before"
+            text = f"{share}: the sensor gives fewer than the rate says, and what is faster is not its own"
+            facts.append(Fact("repeated samples", text, (axis.name,), size=repeated[k], unit="1"))
+        elif steps[k] > 0.0 and noise[k] < _FEW_STEPS:
+            text = f"{few}: rounding is part of what looks like noise, and the intervals of N allow for it"
+            facts.append(Fact("resolution", text, consequence="widened", **of))
+    return facts, steps
+
+
+def saturated(axes: Sequence[Axis], columns: Sequence[Float[np.ndarray, " recorded"]]) -> list[Fact]:
+    """Facts about axes with more samples at their largest or smallest value than a tail would leave there."""
+    facts = []
+    for axis, column in zip(axes, columns, strict=True):
+        for level, side in ((column.max(), 1.0), (column.min(), -1.0)):
+            at = column == level
+            if np.count_nonzero(at) >= _LEAST and is_piled_up(side * column, lattice(column)):
+                share = 100.0 * float(np.mean(at))
+                text = (
+                    f"{axis.name} is at {amount(level, axis, 4)} in {plain(share, 2)} % of the samples: its "
+                    "range ends there; use a wider one, or remove the offset"
+                )
+                facts.append(Fact("saturation", text, (axis.name,), "not a measurement", share, "%"))
+    return facts

@@ -1,4 +1,4 @@
-"""Plausibility of the stated units, sample rate and resolution."""
+"""Plausibility of the stated units, sample rate and length."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.earth import STANDARD_GRAVITY as _G
+from allanjax.inspection.facts import Consequence, Fact
 from allanjax.inspection.motion import AT_REST, DEG
-from allanjax.inspection.windows import Windows
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import parse_sample_unit, unit_scale
 
@@ -40,12 +40,8 @@ _TIMES = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 _SAME_RATE = 0.05
 # Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
 _FLAT = 6.0
-# So few distinct values are too few, counted among the first so many samples.
-_FEW, _COUNTED = 8, 1 << 14
-# Share of equal neighbours at which the noise is 0.4 steps of the resolution; with more, it is not seen.
-_HIDDEN = 0.6
-# Share of equal neighbours, beyond those due to the resolution, at which samples must have been held.
-_HELD = 0.1
+# Samples among which the interval of a column of times is looked for.
+_COUNTED = 1 << 14
 #: Shorter recordings [s] say little of B and K, which show over tens of seconds.
 SHORT = 60.0
 # Fewer samples determine N so poorly that it is worth a warning.
@@ -59,8 +55,8 @@ def implausible(
     white: Float[np.ndarray, "scales axes"],
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     moving: Collection[str] = (),
-) -> dict[str, str]:
-    """Warnings about units or a rate that cannot be right, by subject: "accel", "gyro", "rate".
+) -> list[Fact]:
+    """Facts about units or a rate that cannot be right.
 
     Args:
         axes: axes of the recording.
@@ -71,12 +67,14 @@ def implausible(
         auxiliary: other columns, among which may be one of times.
         moving: sensors that are known not to be at rest.
     """
-    lines = {
-        "accel": _accel(axes, rate, mean, "accel" in moving),
-        "gyro": _gyro(axes, mean, white, "gyro" in moving),
-        "rate": _rate(rate, auxiliary),
-    }
-    return {about: line for about, line in lines.items() if line}
+    grave: Consequence = "not a measurement"
+    own = {sensor: tuple(axis.name for axis in axes if axis.sensor == sensor) for sensor in ("accel", "gyro")}
+    found = [
+        Fact("accel unit", _accel(axes, rate, mean, "accel" in moving), own["accel"], grave),
+        Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving), own["gyro"], grave),
+        Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave),
+    ]
+    return [fact for fact in found if fact.text]
 
 
 def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], moving: bool) -> str:
@@ -168,46 +166,11 @@ def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
     return ""
 
 
-def coarse(
-    windows: Windows, axes: Sequence[Axis], rate: float, values: Float[np.ndarray, "n axes"] | None
-) -> list[tuple[str, str]]:
-    """Warnings about a recording of this rate [Hz] that is too short, too coarse, or has held samples.
-
-    `values` are its samples, where they are in memory. Each comes with its subject: "length", "resolution" or
-    "repeats".
-    """
-    lines, n = [], windows.n
-    if n < _FEW_SAMPLES or n / rate < SHORT:
-        line = f"{n / rate:.3g} s: too short for B and K, which show over tens of seconds and more"
-        if n < _FEW_SAMPLES:
-            line += f"; of {n} samples, N is known to {100.0 / np.sqrt(n):.0f} % at best"
-        lines.append(("length", line))
-    scales = scales_of(axes, rate)
-    repeated = np.average(windows.repeated, axis=0, weights=windows.count)
-    # Share of equal neighbours that rounding makes of Gaussian noise with this rms difference.
-    rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1))
-    chance = windows.resolution / np.where(rms > 0.0, rms, np.inf) / np.sqrt(2.0 * np.pi)
-    for k, axis in enumerate(axes):
-        step = f"{windows.resolution[k] / scales[k]:.3g} {axis.unit}"
-        few = None if values is None else _distinct(values[:, k])
-        if repeated[k] > _HIDDEN and (few is not None or chance[k] > _HIDDEN):
-            values_ = f"has {few} distinct values" if few is not None else "hardly changes"
-            said = f"{axis.name} {values_}: its noise is below its resolution of {step}"
-            lines.append(("resolution", f"{said}, and coefficients are those of the rounding"))
-        elif repeated[k] > _HELD + 2.0 * chance[k]:
-            said = f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before"
-            lines.append(
-                (
-                    "repeats",
-                    f"{said}: the sensor gives fewer than the rate says, and what is faster is not its own",
-                )
-            )
-    return lines
-
-
-def _distinct(column: Float[np.ndarray, " n"]) -> int | None:
-    """Number of distinct values if there are few, else None."""
-    if len(np.unique(column[:_COUNTED])) > _FEW:
-        return None
-    count = len(np.unique(column))
-    return count if count <= 2 * _FEW else None
+def short(n: int, rate: float, axes: Sequence[Axis]) -> list[Fact]:
+    """Fact about a recording of n samples at this rate [Hz] that is short."""
+    if n >= _FEW_SAMPLES and n / rate >= SHORT:
+        return []
+    line = f"{n / rate:.3g} s: too short for B and K, which show over tens of seconds and more"
+    if n < _FEW_SAMPLES:
+        line += f"; of {n} samples, N is known to {100.0 / np.sqrt(n):.0f} % at best"
+    return [Fact("length", line, tuple(axis.name for axis in axes), size=n / rate, unit="s")]

@@ -1,4 +1,4 @@
-"""The longest quiet part of a recording, and the events in the others."""
+"""The quiet parts of a recording, and the events between and within them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.inspection.events import Stretch, beside, excesses, longest_quiet, touched_by, unlike
+from allanjax.inspection.events import Stretch, beside, excesses, quiet_runs, touched_by, unlike
 from allanjax.inspection.windows import Windows
 
 # An event matters if it changes the Allan variance by more than this, in standard deviations of the estimate.
@@ -20,8 +20,10 @@ _TOGETHER, _COUNTS = 2.0, 0.1
 _TRIFLE = 0.005
 # Fewer windows than this are too few to compare with each other.
 _FEWEST = 32
-# Rounds of search, each in the quiet part that the last one left.
+# Rounds of search, each in the quiet parts that the last one left.
 _ROUNDS = 8
+# A stretch whose noise is another by less than this factor is better kept.
+_MUCH_NOISIER = 1.5
 # Ratio of mean square differences up to which the noise is unchanged and only the mean has moved.
 _SAME_NOISE = 1.5
 # Share of the sum of squared differences beyond which a single sample makes the event.
@@ -46,8 +48,8 @@ class Event:
         kind: its kind.
         axis: index of the axis where it is largest.
         size: ratio of the deviations if the noise has changed; else the excursion [rad/s or m/s²].
-        share: largest excess of the Allan variance that it causes, as a share of it.
-        matters: whether that is more than the estimates' own error.
+        shares: of each axis, the largest excess of the Allan variance that it causes, as a share of it.
+        axes: indices of the axes where that is more than the estimates' own error.
     """
 
     first: int
@@ -55,47 +57,96 @@ class Event:
     kind: Kind
     axis: int
     size: float
-    share: float
-    matters: bool
+    shares: tuple[float, ...]
+    axes: tuple[int, ...]
+
+    @property
+    def matters(self) -> bool:
+        """Whether it changes an Allan variance by more than the estimate's own error."""
+        return bool(self.axes)
+
+    @property
+    def is_slight(self) -> bool:
+        """Whether the noise is another, but so little that the samples are better kept than left out."""
+        return self.kind in ("noisier", "quieter") and self.size < _MUCH_NOISIER
+
+    @property
+    def share(self) -> float:
+        """The largest excess of the Allan variance on any axis, as a share of it."""
+        return max(self.shares)
+
+    @property
+    def is_of_one_axis(self) -> bool:
+        """Whether it is on one axis of several, and leaves its mean as it was: no motion of the body."""
+        return len(self.axes) == 1 < len(self.shares) and self.kind not in MOVES
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it has to be cut out on all axes."""
+        return self.matters and not self.is_slight and not self.is_of_one_axis
 
 
 #: Kinds of events that change the mean alone.
 MOVES = ("step", "shift", "warm-up")
 
 
-def quiet_part(
+def quiet_parts(
     windows: Windows, sensors: Sequence[str], may_move: bool = False
-) -> tuple[tuple[Event, ...], int, int]:
-    """Events of a recording in order, and the longest part without those that matter, as sample indices.
+) -> tuple[tuple[Event, ...], tuple[tuple[int, int], ...]]:
+    """Events of a recording in order, and the parts without those that matter, as sample indices.
 
-    The part that is left is searched again: the faint end of an event shows beside quiet windows only. Where
-    the mean may move, as in a model with a step, such moves are no events.
+    Events on one axis alone leave the others' samples as they are, and so do those that are slight. Each part
+    that is left is searched again: the faint end of an event shows beside quiet windows only. Where the mean
+    may move, as in a model with a step, such moves are no events.
     """
-    first, last = 0, len(windows)
-    found: list[Stretch] = []
-    for _ in range(_ROUNDS):
+    pending, parts, found = [(0, len(windows), 0)], [], []
+    while pending:
+        first, last, rounds = pending.pop()
         part = windows.between(first, last)
-        stretches = unlike(part, sensors) if len(part) >= _FEWEST else []
-        if may_move:
-            stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
-        sigmas, shares = excesses(part, stretches)
-        matters = sigmas > (_MATTERS if sigmas.sum() < _TOGETHER else _COUNTS)
-        matters &= shares > _TRIFLE
+        stretches = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
+        events = zip(stretches, _events(part, stretches), strict=True)
+        cuts = [s for s, e in events if e.is_cut]
+        split = bool(cuts) and rounds < _ROUNDS
+        # What is not cut out is found again in a part of this one.
         found += [
-            Stretch(first + s.first, first + s.last, s.kind, float(share), bool(m))
-            for s, share, m in zip(stretches, shares, matters, strict=True)
+            dataclasses.replace(s, first=first + s.first, last=first + s.last)
+            for s in (cuts if split else stretches)
         ]
-        if not matters.any():
-            break
-        a, b = longest_quiet(len(part), [s for s, m in zip(stretches, matters, strict=True) if m])
-        first, last = first + a, first + b
-    joined = _joined(sorted(found, key=lambda s: s.first))
+        if not split:
+            parts.append((first, last))
+            continue
+        runs = quiet_runs(len(part), cuts)
+        longest = max(b - a for a, b in runs) if runs else 0
+        pending += [(first + a, first + b, rounds + 1) for a, b in runs if b - a >= min(_FEWEST, longest)]
     edges = windows.edges
-    events = [
-        Event(int(edges[s.first]), int(edges[s.last]), *_what(windows, s, joined), s.share, s.matters)
-        for s in joined
+    quiet = tuple((int(edges[a]), int(edges[b])) for a, b in sorted(parts))
+    return tuple(_events(windows, _joined(sorted(found, key=lambda s: s.first)))), quiet
+
+
+def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stretch]:
+    """Stretches of a part that are unlike the rest, with the axes where they matter."""
+    stretches = unlike(part, sensors)
+    if may_move:
+        stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
+    sigmas, shares = excesses(part, stretches)
+    limit = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS
+    return [
+        dataclasses.replace(
+            s,
+            shares=tuple(share.tolist()),
+            axes=tuple(np.flatnonzero((sigma > limit) & (share > _TRIFLE)).tolist()),
+        )
+        for s, sigma, share in zip(stretches, sigmas, shares, strict=True)
     ]
-    return tuple(events), int(edges[first]), int(edges[last])
+
+
+def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
+    """Events that the stretches are."""
+    edges = windows.edges
+    return [
+        Event(int(edges[s.first]), int(edges[s.last]), *_what(windows, s, stretches), s.shares, s.axes)
+        for s in stretches
+    ]
 
 
 def _joined(found: Sequence[Stretch]) -> list[Stretch]:
@@ -104,8 +155,9 @@ def _joined(found: Sequence[Stretch]) -> list[Stretch]:
     for s in found:
         o = joined[-1] if joined else None
         if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
-            larger = max((o, s), key=lambda x: x.share)
-            joined[-1] = dataclasses.replace(larger, first=o.first, last=max(o.last, s.last))
+            larger = max((o, s), key=lambda x: max(x.shares))
+            axes = tuple(sorted({*o.axes, *s.axes}))
+            joined[-1] = dataclasses.replace(larger, first=o.first, last=max(o.last, s.last), axes=axes)
         else:
             joined.append(s)
     return joined

@@ -59,21 +59,21 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
     largest = max(events, key=lambda e: abs(e.size))
     axis = axes[largest.axis]
     size = amount(abs(largest.size), axis)
-    listed, are = _listed(spans), "is" if len(spans) == 1 else "are"
+    spans_, are = listed(spans), "is" if len(spans) == 1 else "are"
     if kind in ("noisier", "quieter"):
         # Two digits, or three where it is near one.
         ratio = plain(largest.size, 2 if largest.size >= 2.0 else 3)
-        return f"{listed} {are} {ratio} times {kind} than the rest"
+        return f"{spans_} {are} {ratio} times {kind} than the rest"
     if kind == "silent":
-        return f"{axis.name} does not change at all in {listed}"
+        return f"{axis.name} does not change at all in {spans_}"
     if kind == "warm-up":
         until = spans[-1].split("–")[1]
         return f"a warm-up until {until}, {axis.name} {size} off at first"
     if kind == "shift":
         if len(events) == 1:
-            return f"{axis.name} moves by {size} in {listed}"
-        return f"the mean moves by up to {size} ({axis.name}) in {listed}"
-    middles = _listed([f"{seconds(0.5 * (e.first + e.last) / rate, step)} s" for e in events])
+            return f"{axis.name} moves by {size} in {spans_}"
+        return f"the mean moves by up to {size} ({axis.name}) in {spans_}"
+    middles = listed([f"{seconds(0.5 * (e.first + e.last) / rate, step)} s" for e in events])
     noun, off = ("single value", " off") if kind == "spike" else (kind, "")
     if len(events) > 1:
         return f"{len(events)} {noun}s of up to {size}{off} at {middles} (largest: {axis.name})"
@@ -123,14 +123,14 @@ def cannot_cut(said: str, where: str, stretch: tuple[float, float]) -> str:
     )
 
 
-def amount(value: float, axis: Axis) -> str:
+def amount(value: float, axis: Axis, digits: int = 2) -> str:
     """Rate in the recording's unit, e.g. "0.21 deg/s"."""
     unit, scale = rate_unit_of(axis.unit, axis.sensor)
-    return f"{plain(value / scale, 2)} {unit}"
+    return f"{plain(value / scale, digits)} {unit}"
 
 
-def _listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str], most: int = _NAMED) -> str:
     """Words as a list, e.g. "a, b and c" or "a, b, c and 4 more"."""
-    if len(words) > _NAMED:
-        return f"{', '.join(words[:_NAMED])} and {len(words) - _NAMED} more"
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    if len(words) > most:
+        return f"{', '.join(words[:most])} and {len(words) - most} more"
+    return " and ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)

@@ -23,8 +23,8 @@ from allanjax.base.errors import RecordingError
 from allanjax.base.seeds import seed_of
 from allanjax.base.wording import duration, plain
 
-# Largest share of an axis's samples that is completed.
-_MOST_MISSING = 0.3
+#: Largest share of an axis's samples that is completed.
+MOST_MISSING = 0.3
 # Spectrum and samples in turn: at most so often, until the logarithm of the spectrum, averaged over so many
 # bands, changes by less than this. Behind a filter, the bridges of the first turn are far above it at first.
 _TURNS, _BANDS, _SETTLED = 20, 64, 0.05
@@ -63,9 +63,9 @@ def completed(
     n = len(values)
     for k in np.flatnonzero(missing.any(axis=0)):
         lost = np.flatnonzero(missing[:, k])
-        if len(lost) > _MOST_MISSING * n:
+        if len(lost) > MOST_MISSING * n:
             raise RecordingError(
-                f"{len(lost) / n:.0%} of the samples are missing, and at most {_MOST_MISSING:.0%} are drawn; "
+                f"{len(lost) / n:.0%} of the samples are missing, and at most {MOST_MISSING:.0%} are drawn; "
                 "take the longest stretch without gaps by gaps='segments' (--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])

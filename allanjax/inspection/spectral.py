@@ -1,0 +1,215 @@
+"""What the spectrum of a record shows without a fit: lines, the bandwidth, and interpolated samples."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.fft import irfft, rfft
+
+from allanjax.base.chi_squared import quantile
+from allanjax.base.wording import plain
+from allanjax.inspection.facts import Fact
+from allanjax.inspection.words import listed
+from allanjax.record.recording import Axis
+
+# Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
+_SEGMENT, _FEWEST, _SHORTEST = 4096, 8, 64
+# Bins on either side of a line that its level is compared with: those from beyond the first number up to the
+# second; and the chance of a false line in a spectrum.
+_NEAR, _FAR, _CHANCE = 6, 24, 1e-6
+# Lowest bins: those in which drift is, and those too near zero to be compared with others on both sides.
+_DRIFT, _LOWEST = 3, 12
+# Least share of the power that is a line worth a word.
+_SLIGHT = 1e-3
+# Bands an octave of the bandwidth; its passband lies between these shares of the frequency, and is flat
+# within this factor.
+_BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
+# Interpolated samples: how many are looked at; how far above those around it their line has to be; what
+# share of second differences is zero where the rate is more than twice their own, and where it is twice; what
+# counts as zero; and the largest squares, in medians, so that single spikes do not matter.
+_LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
+
+
+class SpectralLine(NamedTuple):
+    """A peak in a spectrum that is narrower than anything filters or noise terms make.
+
+    Attributes:
+        axis: index of its axis.
+        frequency: its middle [Hz].
+        share: its share of the axis's power, but for drift.
+    """
+
+    axis: int
+    frequency: float
+    share: float
+
+
+class Spectrum(NamedTuple):
+    """Mean of the periodograms of overlapping segments (Welch 1967), with Hann's window.
+
+    Attributes:
+        frequency: of each bin [Hz].
+        level: power of each bin and axis.
+        segments: how many independent ones there are.
+    """
+
+    frequency: Float[np.ndarray, " m"]
+    level: Float[np.ndarray, "m axes"]
+    segments: float
+
+
+def spectral_facts(
+    values: Float[np.ndarray, "n axes"],
+    rate: float,
+    axes: Sequence[Axis],
+    held: Collection[str],
+) -> Iterator[Fact]:
+    """Facts about lines and interpolated samples; `held` are names of axes whose samples repeat."""
+    for sensor in dict.fromkeys(axis.sensor for axis in axes):
+        own = np.array([axis.sensor == sensor and axis.name not in held for axis in axes])
+        native = interpolated_from(values, rate, own)
+        if native is not None:
+            text = (
+                f"the {sensor} samples are interpolated from about {plain(native, 4)} Hz to {rate:g} Hz: "
+                "read the sensor's own samples, at its own rate"
+            )
+            names = tuple(axis.name for axis, of in zip(axes, own, strict=True) if of)
+            yield Fact("interpolation", text, names, "not a measurement", native, "Hz")
+    if (spectrum := spectrum_of(values, rate)) is None:
+        return
+    lines = lines_in(spectrum)
+    for k in dict.fromkeys(line.axis for line in lines):
+        own_lines = [line for line in lines if line.axis == k]
+        said = [f"{plain(x.frequency, 4)} Hz ({plain(100.0 * x.share, 2)} % of its power)" for x in own_lines]
+        text = f"{axes[k].name} vibrates at {listed(said)}"
+        yield Fact("lines", text, (axes[k].name,), size=own_lines[0].frequency, unit="Hz")
+
+
+def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | None:
+    """Spectrum of samples; None of fewer than 512."""
+    size = min(_SEGMENT, 1 << int(np.log2(max(len(values) // _FEWEST, 1))))
+    if size < _SHORTEST:
+        return None
+    window = np.hanning(size + 1)[:-1, None]
+    level, starts = 0.0, range(0, len(values) - size + 1, size // 2)
+    for start in starts:
+        part = values[start : start + size]
+        level = level + np.abs(rfft((part - part.mean(axis=0)) * window, axis=0)) ** 2
+    # Segments that overlap by a half are worth 18/19 as many independent ones.
+    return Spectrum(
+        np.fft.rfftfreq(size, 1.0 / rate), np.asarray(level) / len(starts), 18.0 / 19.0 * len(starts)
+    )
+
+
+def lines_in(spectrum: Spectrum) -> list[SpectralLine]:
+    """Lines of all axes, which may wander by some bins, the strongest of each axis first."""
+    found = []
+    for k, level in enumerate(spectrum.level.T):
+        around = _around(level)
+        many = 2.0 * spectrum.segments
+        # The median of as many bins is known to some ten per cent.
+        limit = 1.2 * float(quantile(1.0 - _CHANCE / len(level), many)) / many
+        above = level > limit * around
+        above[:_LOWEST] = False
+        excess = np.where(above, level - around, 0.0)
+        own = [
+            SpectralLine(k, float(spectrum.frequency[a:b] @ excess[a:b] / excess[a:b].sum()), float(share))
+            for a, b in _runs(above)
+            if (share := excess[a:b].sum() / level[_DRIFT:].sum()) > _SLIGHT
+        ]
+        found += sorted(own, key=lambda line: -line.share)
+    return found
+
+
+def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
+    """Frequency [Hz] above which an axis's spectrum is below half of its passband.
+
+    inf where there is none below half the sample rate; None where drift or a short record hide the passband.
+    """
+    frequency, level = spectrum.frequency[_DRIFT:-1], spectrum.level[_DRIFT:-1, axis]
+    band = np.floor(_BANDS * np.log2(frequency / spectrum.frequency[-1])).astype(int)
+    bands, first = np.unique(band, return_index=True)
+    parts = np.split(np.arange(len(frequency)), first[1:])
+    # Lines are in few bins of a band, and do not move its median.
+    middle = np.array([np.exp(np.mean(np.log(frequency[part]))) for part in parts])
+    power = np.array([np.median(level[part]) for part in parts])
+    crossing = None
+    for k in range(len(bands) - 1, 0, -1):
+        low, high = (share * middle[k] for share in _PASSBAND)
+        inside = power[(middle >= low) & (middle <= high)]
+        if len(inside) < _BANDS:
+            break
+        flat = float(np.median(inside))
+        if power[k] >= 0.5 * flat:
+            if crossing is None:
+                return np.inf if inside.max() < _FLAT * inside.min() else None
+            before, after = (np.log(power[j] / flat) for j in (k, k + 1))
+            share = (np.log(0.5) - before) / (after - before)
+            return float(middle[k] * (middle[k + 1] / middle[k]) ** share)
+        crossing = k
+    return None
+
+
+def interpolated_from(
+    values: Float[np.ndarray, "n axes"], rate: float, eligible: Bool[np.ndarray, " axes"]
+) -> float | None:
+    """Rate [Hz] at which the samples of a sensor were taken before they were interpolated; None if not.
+
+    The variance of interpolated samples is periodic, least halfway between two samples of the sensor, so that
+    the squares of their second differences have a line at the sensor's own rate, or its alias.
+    """
+    if not eligible.any() or len(values) < _SHORTEST * _FEWEST:
+        return None
+    x = values[:_LOOKED_AT, eligible]
+    second = np.diff(x, 2, axis=0)
+    straight = float(np.mean(abs(second) < _ZERO * np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))))
+    total: Float[np.ndarray, " m"] | float = 0.0
+    for own in second.T * np.hanning(len(second)):
+        # A line of the samples has one at twice its frequency in their squares.
+        c = rfft(own)
+        power = abs(c) ** 2
+        c[power > _CLEAR / 4.0 * _around(power)] = 0.0
+        square = irfft(c, len(own)) ** 2
+        square = np.minimum(square, _TAIL * np.median(square))
+        total = total + abs(rfft(square / square.mean() - 1.0)) ** 2
+    total = np.asarray(total)
+    ratio, ends = total / _around(total), max(len(total) // 50, _FAR)
+    ratio[:ends] = 0.0
+    # Of samples with one between two of the sensor's, half of the second differences are zero.
+    ratio[-ends : None if straight < _TWICE else -1] = 0.0
+    k = int(np.argmax(ratio))
+    if ratio[k] < _CLEAR:
+        return None
+    line = k * rate / len(second)
+    return line if straight > _STRAIGHT else rate - line
+
+
+def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """Level beside each bin: the geometric mean of the medians on either side, whatever the slope.
+
+    Bins so near the ends that one side is missing have the other's.
+    """
+    logs = np.log(np.maximum(level, 1e-300))
+    width, ends = _FAR - _NEAR, np.full(_FAR, np.nan)
+    padded = np.concatenate([ends, logs, ends])
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        medians = np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
+        left, right = medians[: len(logs)], medians[_FAR + _NEAR + 1 :][: len(logs)]
+        return np.exp(np.nanmean([left, right], axis=0))
+
+
+def _runs(mask: Bool[np.ndarray, " m"]) -> list[tuple[int, int]]:
+    """First index of each run of true values and the one after its last; runs a bin apart are one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    runs: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if runs and a - runs[-1][1] <= 1:
+            runs[-1] = (runs[-1][0], b)
+        else:
+            runs.append((a, b))
+    return runs
