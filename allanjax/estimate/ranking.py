@@ -139,7 +139,8 @@ def _with_error(
     """
     rows, size, per_octave = list(rows), candidates.size, candidates.bins.per_octave()
     subsets = candidates.subsets()
-    plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets))
+    # Without other terms there is nothing to prefer to a free time.
+    plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets)) if candidates.fixed else subsets
 
     def error_of(k: int) -> float:
         best = max(rows[k], key=lambda row: row.log_evidence)
@@ -153,7 +154,7 @@ def _with_error(
 
     error = np.zeros(len(rows))
     incomplete = [k for k in range(len(rows)) if error_of(k) > 0.0]
-    for k in incomplete:
+    for k in incomplete if candidates.fixed else ():
         rows[k] = [row for row in rows[k] if not len(row.members) or row.members[-1] < len(candidates.fixed)]
     for _ in range(_ROUNDS if incomplete else 0):
         for k in incomplete:

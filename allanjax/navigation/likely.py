@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -178,10 +179,13 @@ def _exact(model: Model) -> Likely:
 def _sampled(posterior: AxisPosterior) -> list[Likely]:
     """Draws of a posterior, those of the same shapes together; terms not sampled are left out."""
     has_shapes = any(not posterior.coefficients[label].is_amplitude for label in posterior.labels)
-    alike: dict[str, list[Likely]] = {}
+    alike: list[list[Likely]] = []
     for likely in map(_exact, posterior.models(_SHAPES if has_shapes else _DRAWS)):
-        alike.setdefault(repr(likely.model), []).append(likely)
-    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in alike.values()]
+        if alike and eqx.tree_equal(alike[-1][0].model, likely.model):
+            alike[-1].append(likely)
+        else:
+            alike.append([likely])
+    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in alike]
 
 
 def one_by_one(model: Model) -> list[Model]:

@@ -144,12 +144,6 @@ class AxisRates(ByValue):
         }
 
 
-def _numbers(estimate: Estimate) -> dict[str, Any]:
-    ends = [finite_or_none(x) for x in estimate.interval]
-    limits = {"upper_limit_95": estimate.upper_limit, "lower_limit_95": estimate.lower_limit}
-    return {"value": estimate.value, "interval_95": ends, "detected": estimate.detected, **limits}
-
-
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class SampleRates(ByValue, PerAxis[AxisRates]):
     """Noise of a recording at several sample rates.

@@ -252,7 +252,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
     def plot(
         self,
         curve: AllanDeviation | Fit | None = None,
-        axes: Sequence[str] | None = None,
+        axes: Sequence[str] | str | None = None,
         path: str | os.PathLike[str] | None = None,
         spectrum: Any = None,
     ) -> Figure:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Complex, Float
 
+from allanjax.base.wording import without_error
 from allanjax.estimate.result import AxisFit
 
 if TYPE_CHECKING:
@@ -65,8 +66,7 @@ def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None
         if c is None or c.term not in _WRITTEN or not c.detected:
             continue
         shown = c.in_unit()
-        value = shown.describe().split(" ± ")[0].removesuffix(" (held)").removeprefix("(")
-        value = value if value.endswith(shown.unit) else f"{value} {shown.unit}"
+        value = f"{without_error(shown.value, shown.std)} {shown.unit}"
         text = _WRITTEN[c.term].format(symbol=c.symbol, value=value)
         own = _pixels(panel, line.get_xydata())
         place = _roomiest(panel, own, len(text), [x for x in others if not np.array_equal(x, own)], taken)
