@@ -31,5 +31,5 @@ def measured_axis(fit: "Fit", name: str, path: Path) -> "AxisFit":
     """The fit of an axis; AllanjaxError if it is no measurement of the sensor."""
     axis = fit[name]
     if not axis.measured:
-        raise AllanjaxError(f"{path}: {name}: {axis.verdict()}")
+        raise AllanjaxError(f"{path}: {name}: {axis.verdict}")
     return axis

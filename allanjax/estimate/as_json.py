@@ -25,8 +25,6 @@ from allanjax.record.recording import DeadAxis
 SCHEMA_VERSION = 1
 #: What stands for an infinite parameter of a model, for which JSON has no number.
 INFINITY = "Infinity"
-# Sets of terms that are less probable are not written.
-_IMPROBABLE = 1e-6
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
@@ -195,19 +193,15 @@ def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
 
 
 def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
-    # With the set of all terms, which says what there was to choose from.
-    whole = max(selection.ranking, key=lambda s: len(s.terms))
-    first = selection.ranking[:3]
-    sets = [s for s in selection.ranking if s in first or s.probability > _IMPROBABLE or s == whole]
     return [
         {
             "terms": list(s.terms),
             "parameters": s.parameters,
             "probability": s.probability,
-            "log_evidence": finite_or_none(s.log_evidence - selection.best.log_evidence),
+            "log_evidence": finite_or_none(s.log_evidence),
             "chosen": s == selection.chosen,
         }
-        for s in sets
+        for s in selection.ranking
     ]
 
 

@@ -86,7 +86,7 @@ def horizon(
     results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
     for result in results:
         if not result.measured:
-            raise FitError(f"{result.axis.name}: {result.verdict()}")
+            raise FitError(f"{result.axis.name}: {result.verdict}")
     if not results:
         raise FitError("no axis has a measurement: the fit says why")
     found = (_of_axis(fit, result, float(seconds), process, probability, seed) for result in results)

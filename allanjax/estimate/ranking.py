@@ -39,6 +39,7 @@ def select_terms(
     recording: RecordingLike,
     candidates: ModelLike | None = None,
     *,
+    axes: Sequence[str] | str | None = None,
     rate: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
@@ -65,6 +66,7 @@ def select_terms(
         recording: what `read` returns, or what else `fit` takes.
         candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
             Markov process.
+        axes: names of the axes; by default all.
         rate, gyro_unit, accel_unit, names: for an array, see `fit`.
 
     Raises:
@@ -73,6 +75,8 @@ def select_terms(
         FitError: a record of fewer than 64 samples.
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    if axes is not None:
+        recording = recording.select(*([axes] if isinstance(axes, str) else axes))
     model = candidates_of(candidates, recording.rate)
     ramps = sorted_terms(model)[2]
     if recording.n < 64:
@@ -195,7 +199,7 @@ def _ranked(
     ranking = sorted(total.items(), key=lambda item: -item[1])
     free = {label: sum(p.free for p in model.parameters if p.term_label == label) for label in labels}
     sets = tuple(
-        TermSet(s, sum(free[label] for label in s), value, float(np.exp(value - norm)))
+        TermSet(s, sum(free[label] for label in s), value - ranking[0][1], float(np.exp(value - norm)))
         for s, value in ranking
     )
     each = [row.log_evidence - np.log(len(by_set[name])) for name, row in zip(names, rows, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import html
 import os
@@ -17,7 +18,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.plain import printable
-from allanjax.base.presented import presented
+from allanjax.base.presented import TextProperty, presented
 from allanjax.base.tables import WIDTH
 from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
@@ -83,7 +84,7 @@ class AxisFit(ByValue, AxisEstimates):
         misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
             If it is excessive no coefficient is a measurement of the sensor (`measured`).
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
-        spectrum: with Whittle's likelihood, the statistics it was fitted to.
+        spectrum: with Whittle's likelihood, the statistics it was fitted to; no file has it: not compared.
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
         moving: whether the sensor was not at rest: then no coefficient is a measurement of it either.
         own_template: the model that was fitted, where that of the other axes did not follow this one: with
@@ -120,13 +121,15 @@ class AxisFit(ByValue, AxisEstimates):
     _model: Model
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
-    spectrum: AxisSpectrum | None = None
+    spectrum: AxisSpectrum | None = dataclasses.field(default=None, compare=False)
     mean: float = np.nan
     rms: float = np.nan
     moving: bool = False
     own_template: Model | None = None
     plain: AxisFit | None = None
     widening: float = 1.0
+    # The fit that it is part of, whose curve its picture has.
+    _fit: ClassVar[Fit | None] = None
 
     def _checked(self) -> None:
         if not self.converged:
@@ -207,9 +210,16 @@ class AxisFit(ByValue, AxisEstimates):
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 
-    def __repr__(self) -> str:
-        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict()}>"
+    def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
+        """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
+        if self._fit is None:
+            raise self.ERROR(f"{self.axis.name}: this result is part of no fit, whose curve a picture needs")
+        return self._fit.plot(self.axis.name, path, ax=ax)
 
+    def __repr__(self) -> str:
+        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict}>"
+
+    @TextProperty
     def level(self) -> str:
         """Mean and rms of the samples in words, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if not known."""
         if not np.isfinite(self.mean):
@@ -219,6 +229,7 @@ class AxisFit(ByValue, AxisEstimates):
             f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
         )
 
+    @TextProperty
     def verdict(self) -> str:
         """One line on how well the model fits."""
         if not self.converged:
@@ -266,10 +277,16 @@ class Fit(ByValue, PerAxis[AxisFit]):
     warnings: tuple[str, ...] = ()
     stretch: tuple[float, float] | None = None
 
+    def __post_init__(self) -> None:
+        for result in self.results:
+            object.__setattr__(result, "_fit", self)
+
     def as_for(self, axis: str) -> Fit:
         """The fit as it is for one axis, with the model and the objective of that where it has its own."""
-        own = self[axis].own_template
-        return self if own is None else dataclasses.replace(self, template=own, objective="whittle")
+        own, results = self[axis].own_template, tuple(map(copy.copy, self.results))
+        if own is None:
+            return self
+        return dataclasses.replace(self, template=own, objective="whittle", results=results)
 
     def without_extensions(self) -> Fit:
         """The fit in which axes with a model of their own have the fit of the plain terms."""
@@ -322,13 +339,18 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """Draw the Allan deviations, the model and its terms; see `plot_allan`."""
         raise NotImplementedError
 
+    @presented
+    def to_dict(self) -> dict[str, Any]:
+        """The fit as plain dictionaries, lists, numbers and strings, as `write_json` writes it."""
+        raise NotImplementedError
+
     def _cells(self) -> list[tuple[str, str, str, str]]:
         """Rows of the printed table: axis, coefficient, value, 95 % interval."""
         cells = []
         for result in self.results:
             if not result.converged:
                 told = any(result.reason in warning for warning in self.warnings)
-                why = "no result: see the warning above" if told else result.verdict()
+                why = "no result: see the warning above" if told else result.verdict
                 cells.append((result.axis.name, "", why, ""))
                 continue
             for c in result.coefficients.values():
@@ -338,10 +360,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
                 known = c.detected and not c.held and np.isfinite(c.std)
                 interval = shown.describe_interval() if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
-            if level := result.level():
+            if level := result.level:
                 cells.append((result.axis.name, "", level, ""))
             cells += [
-                (result.axis.name, "", text, "") for text in (result.correction, result.verdict()) if text
+                (result.axis.name, "", text, "") for text in (result.correction, result.verdict) if text
             ]
         cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
         return cells

@@ -67,7 +67,7 @@ class AxisNoise(NamedTuple):
             each = of_terms(likely.model)
             count = len(each) - likely.limited
             for k, label in enumerate(likely.labels[:count]):
-                title = f"{self.axis.name} {title_of(label, self.axis)}"
+                title = f"{self.axis.name} {title_of(label, self.axis.sensor)}"
                 mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
             found = np.tensordot(likely.power[:, :count], each[:count], axes=1)
             known.setdefault(likely.labels, []).append(found)
@@ -145,7 +145,7 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
             for name in (r.axis.name for r in good)
         }
         notes = tuple(
-            f"{r.axis.name} is left out: {r.verdict()}" for r in data.values() if not r.measured
+            f"{r.axis.name} is left out: {r.verdict}" for r in data.values() if not r.measured
         ) + tuple(f"{dead.axis.name} is left out: {dead.reason}" for dead in data.dead)
         found = {name: AxisNoise(data[name].axis, sets) for name, sets in axes.items()}
         return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, found, notes)

@@ -315,7 +315,7 @@ def _of_axis(
         from_quantization=folded,
         bandwidth=_bandwidth(found),
         quantization=Q,
-        reason="" if found.measured else found.verdict(),
+        reason="" if found.measured else found.verdict,
     )
 
 

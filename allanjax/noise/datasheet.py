@@ -29,7 +29,7 @@ from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import significant
 from allanjax.noise import sheets
-from allanjax.noise.estimate import usual_unit
+from allanjax.noise.estimate import title_of, usual_unit
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
 from allanjax.record.units import (
@@ -112,11 +112,8 @@ class DataSheet(ByValue):
     def _rows(self) -> list[tuple[str, str, str]]:
         rows: list[tuple[str, str, str]] = []
         for sensor, term, value, unit, _ in self._coefficients():
-            name = term.name().replace("_", " ")
-            # As titles of estimates have it.
-            name = name.replace("angle random", "velocity random") if sensor == "accel" else name
-            symbol = term.amplitude_parameter().symbol
-            rows.append((sensor, f"{symbol} {name}", f"{significant(value)} {unit}"))
+            title = f"{term.amplitude_parameter().symbol} {title_of(term.name(), sensor)}"
+            rows.append((sensor, title, f"{significant(value)} {unit}"))
         return rows
 
     def _lines(self) -> list[str]:

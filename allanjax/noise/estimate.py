@@ -89,7 +89,7 @@ class Estimate(ByValue):
     @property
     def title(self) -> str:
         """Name of the quantity for people; an accelerometer's angle random walk is a velocity random walk."""
-        return title_of(self.label, self.axis)
+        return title_of(self.label, self.axis.sensor)
 
     @property
     def si_unit(self) -> str:
@@ -228,7 +228,7 @@ class Estimate(ByValue):
             if self.upper_limit is None:
                 return "not determined: its term is not detectable"
             if self.rivals:
-                names = " or ".join(title_of(name, self.axis) for name in self.rivals)
+                names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
                 return f"not told from {names}, below {amount} (95 %)"
             return f"not detectable, below {amount} (95 %)"
         if self._shape_limit is not None:
@@ -258,7 +258,13 @@ def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
     return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(parameter.kind, "1")
 
 
-def title_of(label: str, axis: Axis) -> str:
-    """A term's or a coefficient's name for people, e.g. "velocity random walk" on an accelerometer."""
+def title_of(label: str, sensor: Sensor) -> str:
+    """A term's or a coefficient's name for people: N of an accelerometer is a velocity random walk.
+
+    Its K is an acceleration random walk. Several labels in one text are named one by one.
+    """
     words = label.replace("_", " ")
-    return words.replace("angle random walk", "velocity random walk") if axis.sensor == "accel" else words
+    if sensor == "accel":
+        words = words.replace("angle random walk", "velocity random walk")
+        words = words.replace("rate random walk", "acceleration random walk")
+    return words

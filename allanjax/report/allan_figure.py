@@ -129,7 +129,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     if fit is None:
         return Panel(name, label, points, draw_slopes, ())
     result = fit.results[k]
-    verdict = KeyEntry(wrapped(result.verdict()))
+    verdict = KeyEntry(wrapped(result.verdict))
     if not result.converged:
         return Panel(name, label, points, draw_slopes, [verdict])
     fit = fit.as_for(name)
@@ -154,7 +154,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
         variance = np.asarray(term.allan_variance(time))
         total += variance
         if label in drawn_terms(result):
-            y, name = np.sqrt(variance) / scale, title_of(label, result.axis)
+            y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, result, label))
     panel.plot(time, np.sqrt(total) / scale, **MODEL)
     return lines

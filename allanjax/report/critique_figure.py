@@ -164,7 +164,7 @@ def _four_panels(critique: Critique, finding: Finding, stages: Sequence[_Stage])
     figure = _new_figure(_SIZE)
     (allan, psd), (effect, text) = figure.subplots(2, 2)
     record = stages[0][0]
-    cause, name = finding.cause.replace("_", " "), record.axis.name
+    cause, name = finding.named(finding.cause), record.axis.name
     several = len(finding.axes) > 1
     _title(
         figure,

@@ -148,7 +148,10 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
     for label, term in zip(result.term_labels, model.seen, strict=True):
-        style: dict[str, Any] = {"label": title_of(label, result.axis), **term_style(fit, result, label)}
+        style: dict[str, Any] = {
+            "label": title_of(label, result.axis.sensor),
+            **term_style(fit, result, label),
+        }
         drawn = label in drawn_terms(result)
         if not term.deterministic:
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
@@ -212,7 +215,7 @@ def _line_of(term: Process) -> list[float]:
 def _fit_entries(fit: Fit, result: AxisFit) -> list[KeyEntry]:
     """Entries of every term with its coefficients."""
     if not result.converged:
-        return [KeyEntry(wrapped(result.verdict()))]
+        return [KeyEntry(wrapped(result.verdict))]
     return term_entries(fit, result, _is_nowhere, " (no density: not drawn)")
 
 

@@ -105,7 +105,8 @@ def _columns(data: Any) -> dict[str, np.ndarray] | None:
         if recognise(label).role == "time":
             times = {label: np.asarray(index)}
     if isinstance(data, Mapping):
-        return {str(label): np.asarray(column) for label, column in data.items()}
+        columns = {str(label): np.asarray(column) for label, column in data.items()}
+        return columns if all(column.ndim for column in columns.values()) else None
     if not hasattr(data, "columns"):
         return None
     return times | {str(label): np.asarray(data[label]) for label in data.columns}

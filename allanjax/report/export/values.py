@@ -12,7 +12,7 @@ from typing import Literal
 
 from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import Estimate, title_of
 from allanjax.record.units import Sensor
 
 #: What becomes of several axes where the target holds one number.
@@ -62,7 +62,7 @@ Quantities = Mapping[str, Number | Missing]
 def usable_axes(fit: Fit, sensor: Sensor) -> tuple[list[AxisFit], list[str]]:
     """Axes of a sensor whose coefficients are measurements; and what is wrong with its others, in words."""
     results = [r for r in fit.results if r.axis.sensor == sensor]
-    wrong = [f"without {r.axis.name}: {r.verdict()}" for r in results if not r.measured]
+    wrong = [f"without {r.axis.name}: {r.verdict}" for r in results if not r.measured]
     wrong += [
         f"without {dead.axis.name}: no result, {dead.reason}"
         for dead in fit.dead
@@ -81,7 +81,7 @@ def quantities(result: AxisFit, duration: float) -> Quantities:
 def _basic(result: AxisFit, symbol: str) -> Number | Missing:
     label = _TERMS[symbol]
     if label not in result.coefficients:
-        words = label.replace("_", " ")
+        words = title_of(label, result.axis.sensor)
         terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
         return Missing(f"no {words} in the fitted model ({terms}); fit one that has the term {symbol}")
     return number(symbol, result.coefficients[label])
