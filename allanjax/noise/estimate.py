@@ -9,6 +9,7 @@ import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.plain import printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
@@ -178,7 +179,16 @@ class Estimate(ByValue):
 
     def describe_interval(self) -> str:
         """The 95 % interval, with as many decimals as the value has, e.g. "0.498 … 0.526"."""
-        return format_interval(*self.interval, self.value, self.std)
+        return format_interval(*self.interval, self.value, self.std if self.is_normal else np.nan)
+
+    @property
+    def is_normal(self) -> bool:
+        """Whether 1σ lies within the 95 % interval and about a quarter of it: else the interval is told."""
+        (low, high), value, std = self.interval, self.value, self.std
+        if not (low < high and std > 0.0):
+            return True
+        within = low <= (max(value - std, 0.0) if value > 0.0 else value - std) and value + std <= high
+        return within and (high - low) < 2.0 * 2.0 * TWO_SIDED_95 * std
 
     def __str__(self) -> str:
         amount = self._amount()
@@ -197,7 +207,8 @@ class Estimate(ByValue):
         return self.upper_limit if self.lower_limit is None else self.lower_limit
 
     def _amount(self) -> str:
-        """The number to be shown, value or limit, with its unit."""
+        """The number to be shown, value or limit, with its unit; the interval where 1σ does not say it."""
+        normal = True
         if self.held:
             number = plain(self.value)
         elif not self.measured:
@@ -211,9 +222,10 @@ class Estimate(ByValue):
         elif self._shape_limit is not None:
             number = significant(self._shape_limit)
         else:
-            number = format_with_error(self.value, self.std)
+            normal = self.is_normal
+            number = format_with_error(self.value, self.std) if normal else significant(self.value)
         amount = number if self.unit == "1" else f"{number} {self.unit}"
-        bare = self.parameter is not None or not self.interval[0] < self.interval[1]
+        bare = (self.parameter is not None and normal) or not self.interval[0] < self.interval[1]
         return amount if bare else f"{amount} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:

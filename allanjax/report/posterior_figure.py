@@ -135,7 +135,7 @@ def _name(m: Estimate) -> str:
 def _heading(m: Estimate) -> str:
     shown = m.in_unit()
     if m.detected:
-        return format_with_error(shown.value, shown.std)
+        return format_with_error(shown.value, shown.std) if shown.is_normal else shown.describe_interval()
     return "not detected" if shown.upper_limit is None else f"below {significant(shown.upper_limit)} (95 %)"
 
 
