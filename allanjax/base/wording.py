@@ -24,7 +24,7 @@ def format_with_error(value: float, std: float) -> str:
 def without_error(value: float, std: float) -> str:
     """Value with the decimals that its standard deviation gives it, e.g. "0.5121" or "1.680e-05"."""
     if not _known(value, std):
-        return plain(value, 6)
+        return plain(value, 4)
     power = _power(max(abs(value), std))
     return _fixed(value, std, power) + (f"e{power:+03d}" if power else "")
 

@@ -56,32 +56,9 @@ def to_dict(fit: Fit) -> dict[str, Any]:
 
 def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
     """Entry of a dead axis, which has no result."""
-    axis = dead.axis
-    return {
-        "name": axis.name,
-        "sensor": axis.sensor,
-        "unit": axis.unit,
-        "mean_si": None,
-        "rms_si": None,
-        "converged": False,
-        "dead": True,
-        "reason": dead.reason,
-        "chi2": None,
-        "dof": 0,
-        "p_value": None,
-        "discrepancy": None,
-        "widening": 1.0,
-        "measured": False,
-        "moving": False,
-        "misfit": None,
-        "coefficients": [],
-        "covariance": {"labels": [], "units": [], "values": []},
-        "selection": None,
-        "selection_discrepancy": None,
-        "selection_averaged": None,
-        "extension": None,
-        "regression": {},
-    }
+    nan, nothing = math.nan, np.zeros((0, 0))
+    none = AxisFit(dead.axis, False, dead.reason, nan, 0, nan, nan, {}, nothing, Model(()))
+    return {**_axis(none, None), "dead": True}
 
 
 def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
@@ -104,6 +81,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "measured": result.measured,
         "moving": result.moving,
         "misfit": None if result.misfit is None else _misfit(result.misfit),
+        "allan_misfit": None if result.allan_misfit is None else _misfit(result.allan_misfit),
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {
             "labels": [c.label for c in coefficients],

@@ -83,6 +83,7 @@ class AxisFit(ByValue, AxisEstimates):
             suffices. Standard deviations and intervals include it.
         misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
             If it is excessive no coefficient is a measurement of the sensor (`measured`).
+        allan_misfit: of a fit of the spectrum, the same of its Allan deviations, if they are off, too.
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics it was fitted to; no file has it: not compared.
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
@@ -121,6 +122,7 @@ class AxisFit(ByValue, AxisEstimates):
     _model: Model
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
+    allan_misfit: Misfit | None = None
     spectrum: AxisSpectrum | None = dataclasses.field(default=None, compare=False)
     mean: float = np.nan
     rms: float = np.nan
@@ -236,13 +238,12 @@ class AxisFit(ByValue, AxisEstimates):
             return f"no result: {self.reason}"
         p = f"p = {self.p_value:.2g}" if self.p_value > 1e-300 else "p < 1e-300"
         text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom ({p})"
+        off = "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
         if self.is_far_off:
-            return (
-                f"not a measurement of this sensor: the model does not follow the data, {self.misfit}; {text}"
-            )
+            return f"not a measurement of this sensor: the model does not follow the data, {off}; {text}"
         if self.moving:
             return f"not a measurement of this sensor: it was not at rest; {text}"
-        return text if self.misfit is None else f"{text}; model incomplete: {self.misfit}"
+        return f"{text}; model incomplete: {off}" if off else text
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
