@@ -38,12 +38,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from allanjax.noise.model import NoiseTerm
 from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
 
 if TYPE_CHECKING:
-    from allanjax.noise.model import Model
+    pass
 
 # Quadrature nodes between two neighbouring kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
@@ -268,10 +267,9 @@ def equivalent_degrees_of_freedom(
     sizes: Int[np.ndarray, " m"],
     kind: str = "allan",
     overlapping: bool = True,
-    model: Model | None = None,
     strides: Int[np.ndarray, " m"] | None = None,
 ) -> Float[np.ndarray, " m"]:
-    """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variance estimates V.
+    """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variances V of white rate noise.
 
     Args:
         n: number of rate samples.
@@ -279,7 +277,6 @@ def equivalent_degrees_of_freedom(
         sizes: cluster sizes in samples.
         kind: "allan", "modified" or "hadamard".
         overlapping: False for clusters that do not overlap.
-        model: the noise model; white rate noise if there is none.
         strides: samples from one start of a cluster to the next, each a divisor of its cluster size; if there
             are none, 1 or, where clusters do not overlap, their size.
 
@@ -292,22 +289,11 @@ def equivalent_degrees_of_freedom(
     M = (n - (reach - 1) * sizes) // strides + 1
     kinks = np.array([*range(reach), *(multiple * reach for multiple in _TAIL)])
     lags = _sum_over_lags(kinks * (sizes // strides)[:, None], np.maximum(M, 1))
-    of_size = list(zip(sizes.tolist(), strides.tolist(), M.tolist(), *lags, strict=True))
-    if model is None:
-        terms: Any = (AngleRandomWalk(1.0),)
-        return np.array([_edf(terms, n, rate, kind, *size) for size in of_size])
-    model.check_complete()
-    terms = model.sampled(rate).terms
-
-    @eqx.filter_jit
-    def all_sizes(terms: Any) -> Array:
-        return jnp.stack([_edf(terms, n, rate, kind, *size) for size in of_size])
-
-    return np.asarray(all_sizes(terms))
+    of_size = zip(sizes.tolist(), strides.tolist(), M.tolist(), *lags, strict=True)
+    return np.array([_edf(n, rate, kind, *size) for size in of_size])
 
 
 def _edf(
-    terms: Any,
     n: int,
     rate: float,
     kind: str,
@@ -316,7 +302,7 @@ def _edf(
     M: int,
     u: Float[np.ndarray, " lags"],
     w: Float[np.ndarray, " lags"],
-) -> Any:
+) -> float:
     """Equivalent degrees of freedom of the estimate at one cluster size m, from lags in strides."""
     alpha = _FILTERS[kind]
     reach = len(alpha)
@@ -331,17 +317,12 @@ def _edf(
         u = u * stride
         inner, share = np.zeros(1), np.ones(1)
 
-    def kernel(term: NoiseTerm) -> Any:
-        lag = u[:, None] + inner
-        steps = np.arange(-reach + 1, reach)
-        G = term.phase_covariance(np.abs(lag[..., None] + steps * m) / rate)
-        return (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
-
-    kernels = [(term.deterministic, kernel(term)) for term in terms]
-    total = sum(k for _, k in kernels)
-    deterministic = sum(k for is_deterministic, k in kernels if is_deterministic)
-    scatter = (w * (M - u / stride) * (total**2 - deterministic**2)).sum()
-    return M**2 * total[0] ** 2 / scatter
+    lag = u[:, None] + inner
+    steps = np.arange(-reach + 1, reach)
+    G = np.asarray(AngleRandomWalk(1.0).phase_covariance(np.abs(lag[..., None] + steps * m) / rate))
+    total = (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
+    scatter = (w * (M - u / stride) * total**2).sum()
+    return float(M**2 * total[0] ** 2 / scatter)
 
 
 def _integers(u: Int[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:

@@ -8,7 +8,7 @@ difference (Allan), the third (Hadamard), or the second averaged over one cluste
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,7 +21,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
-from allanjax.record.axes import names_of
+from allanjax.record.axes import OfAxes
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
@@ -37,7 +37,7 @@ Estimator = Literal["exact", "pyramid"]
 
 
 @dataclass(frozen=True, eq=False)
-class AllanDeviation(ByValue):
+class AllanDeviation(ByValue, OfAxes):
     """Estimated Allan (or modified, or Hadamard) deviation of each axis against the cluster time.
 
     Attributes:
@@ -54,6 +54,8 @@ class AllanDeviation(ByValue):
         axes: the recording's axes, or None for an array.
         others: rate samples of each other stretch whose differences were averaged, too.
     """
+
+    PER_AXIS: ClassVar[tuple[str, ...]] = ("deviation", "edf")
 
     cluster_time: Float[np.ndarray, " m"]
     cluster_size: Int[np.ndarray, " m"]
@@ -160,11 +162,6 @@ class AllanDeviation(ByValue):
         lower = self.deviation * np.sqrt(self.edf / quantile((1 + level) / 2, self.edf))
         upper = self.deviation * np.sqrt(self.edf / quantile((1 - level) / 2, self.edf))
         return lower, upper
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the axes; "0", "1", … for an array."""
-        return names_of(self.axes, self.deviation.shape[1])
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Table with one row a cluster time: each axis's deviation, 68 % interval and degrees of freedom.

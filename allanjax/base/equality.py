@@ -12,15 +12,16 @@ import numpy as np
 class ByValue:
     """Equality of a dataclass by its fields' values, for `@dataclass(frozen=True, eq=False)`.
 
-    The generated equality fails on arrays, and takes two NaN for different. The hash is that of the texts,
-    integers and flags among the fields: hashing arrays would take long.
+    The generated equality fails on arrays, and takes two NaN for different. Fields with `compare=False`
+    do not count. The hash is that of the texts, integers and flags among the fields: hashing arrays would
+    take long.
     """
 
     def __eq__(self, other: object) -> bool:
         return _same_fields(self, other) if type(other) is type(self) else NotImplemented
 
     def __hash__(self) -> int:
-        values = (getattr(self, field.name) for field in dataclasses.fields(cast(Any, self)))
+        values = (getattr(self, field.name) for field in dataclasses.fields(cast(Any, self)) if field.compare)
         return hash((type(self), *(v for v in values if isinstance(v, str | int))))
 
 
@@ -50,7 +51,8 @@ def _same_array(a: np.ndarray, b: np.ndarray) -> bool:
 
 def _same_fields(a: Any, b: Any) -> bool:
     """Whether all fields of two dataclasses of one class are equal."""
-    return all(equal(getattr(a, field.name), getattr(b, field.name)) for field in dataclasses.fields(a))
+    names = [field.name for field in dataclasses.fields(a) if field.compare]
+    return all(equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
 def _read_only(items: dict) -> MappingProxyType:

@@ -8,6 +8,7 @@ libraries take long to load.
 
 import functools
 import importlib
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeVar
 
@@ -26,6 +27,24 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
         return _function(method.__qualname__)(*args, **kwargs)
 
     return call
+
+
+class _Text(str):
+    """Text of a property that was a method: called as that, it warns and returns the text."""
+
+    def __call__(self) -> str:
+        warnings.warn("this text is a property now: leave out the ()", DeprecationWarning, stacklevel=2)
+        return str(self)
+
+
+class TextProperty:
+    """Decorator of a method that returns a text: a property, which may still be called."""
+
+    def __init__(self, method: Callable[[Any], str]) -> None:
+        self._method, self.__doc__ = method, method.__doc__
+
+    def __get__(self, of: Any, owner: type) -> Any:
+        return self if of is None else _Text(self._method(of))
 
 
 def present(functions: Mapping[str, str]) -> None:

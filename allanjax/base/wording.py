@@ -21,6 +21,14 @@ def format_with_error(value: float, std: float) -> str:
     return _with_power(f"{_fixed(value, std, power)} ± {_fixed(std, std, power)}", power)
 
 
+def without_error(value: float, std: float) -> str:
+    """Value with the decimals that its standard deviation gives it, e.g. "0.5121" or "1.680e-05"."""
+    if not _known(value, std):
+        return plain(value, 4)
+    power = _power(max(abs(value), std))
+    return _fixed(value, std, power) + (f"e{power:+03d}" if power else "")
+
+
 def format_interval(lower: float, upper: float, value: float, std: float) -> str:
     """Interval with the decimals that `format_with_error` gives the value, e.g. "0.4985 … 0.5257".
 

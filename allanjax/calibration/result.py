@@ -14,7 +14,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.plain import printable
-from allanjax.base.presented import presented
+from allanjax.base.presented import TextProperty, presented
 from allanjax.base.wording import finite_or_none, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.calibration.orientation import Orientation
@@ -82,6 +82,7 @@ class AxisCalibration(ByValue, AxisEstimates):
     coefficients: Mapping[str, Estimate]
     widening: Mapping[str, float]
 
+    @TextProperty
     def verdict(self) -> str:
         """How much wider intervals are than those of white noise alone."""
         known = [x for x in self.widening.values() if np.isfinite(x)]

@@ -233,7 +233,7 @@ def _noise(
                 "drift that is slower than the noise model's record is told from the scatter of the means "
                 "alone: give the fit of a long recording (fit=, --fit) for narrower intervals"
             )
-    notes += [f"{a.name}: {fit[a.name].verdict()}" for a in axes if not fit[a.name].measured]
+    notes += [f"{a.name}: {fit[a.name].verdict}" for a in axes if not fit[a.name].measured]
     return {a.name: parts_of_fit(fit, a.name) for a in axes}, source
 
 

@@ -2,25 +2,27 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import epilog, failures_told
+from allanjax.cli.saved_fits import Sheet, fit_or_sheet
 from allanjax.report.export.assembly import Axes
 from allanjax.report.export.converting import converted
 from allanjax.report.export.exporting import exported
 from allanjax.report.export.table import TARGETS
 
-if TYPE_CHECKING:
-    from allanjax.estimate.result import Fit
-
-HELP = "Write a result, or another target's file, as an estimator's, autopilot's or simulator's parameters."
+HELP = (
+    "Write a result, a data sheet or another target's file as an estimator's, autopilot's or simulator's "
+    "parameters."
+)
 EPILOG = epilog(
     "allanjax export --list",
     "allanjax export allanjax-results/imu.json --to kalibr -o imu.yaml",
     "allanjax export allanjax-results/imu.json --to vins-mono --rate 200",
+    "allanjax export --sheet BMI088 --to kalibr",
     "allanjax export allanjax-results/imu.json --to gz-sim --axes worst",
     "allanjax export imu.yaml --from kalibr --to vins-mono",
 )
@@ -39,6 +41,7 @@ def command(
         str | None,
         typer.Option("--from", help="The target whose own file it is, to convert it.", metavar="TARGET"),
     ] = None,
+    sheet: Sheet = None,
     axes: Annotated[
         Axes | None,
         typer.Option(
@@ -63,13 +66,13 @@ def command(
             keys = dict.fromkeys(key.called for key in target.noise_keys)
             print(f"{target.name:19} {target.title}: {', '.join(keys)}")
         return
-    if result is None:
-        raise typer.BadParameter("give a result, such as allanjax-results/imu.json", param_hint="RESULT.json")
     if to is None:
         raise typer.BadParameter("give a target of --list, e.g. kalibr", param_hint="--to")
     with failures_told():
         if source is None:
-            made = exported(_loaded(result), to, axes=axes, rate=rate)
+            made = exported(fit_or_sheet(result, sheet), to, axes=axes, rate=rate)
+        elif result is None:
+            raise AllanjaxError("give the file that is to be converted")
         else:
             made = converted(_text(result), source, to, axes=axes, rate=rate, name=str(result))
         if out is None:
@@ -87,18 +90,3 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except ValueError as error:
         raise AllanjaxError(f"{path}: not a text: {error}") from error
-
-
-def _loaded(path: Path) -> "Fit":
-    """The fit in a file; AllanjaxError if it holds several."""
-    from allanjax.estimate.loading import load
-
-    found = load(path)
-    if not isinstance(found, dict):
-        return found
-    if len(found) != 1:
-        raise AllanjaxError(
-            f"{path}: holds {len(found)} fits, {', '.join(found)}; characterize them without --json "
-            "and export one NAME.json each"
-        )
-    return next(iter(found.values()))

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import typer
 
 from allanjax.cli.common import epilog, failures_told, prepare, print_json
-from allanjax.cli.saved_fits import SavedFit, saved_fit
+from allanjax.cli.saved_fits import OptionalFit, Sheet, fit_or_sheet
 
 HELP = (
     "Say which white noise N and random walk K (or Gauss–Markov process) a Kalman filter needs that is "
@@ -15,13 +15,15 @@ HELP = (
 EPILOG = epilog(
     "allanjax horizon allanjax-results/imu.json --horizon 10",
     "allanjax horizon imu.json --horizon 60 --axis gyro_x --probability 0.99",
+    "allanjax horizon --sheet BMI088 --horizon 10",
     "allanjax horizon imu.json --horizon 10 --process markov --json",
 )
 
 
 def command(
-    result: SavedFit,
     seconds: Annotated[float, typer.Option("--horizon", help="Time between corrections in s.")],
+    result: OptionalFit = None,
+    sheet: Sheet = None,
     axis: Annotated[str | None, typer.Option(help="One axis, e.g. gyro_x; by default all.")] = None,
     process: Annotated[
         Literal["walk", "markov"],
@@ -34,7 +36,7 @@ def command(
     from allanjax.estimate.horizon import horizon
 
     with failures_told():
-        fit = saved_fit(result)
+        fit = fit_or_sheet(result, sheet)
         found = horizon(fit, seconds, process=process, axes=axis, probability=probability)
     if as_json:
         print_json(found.to_dict())

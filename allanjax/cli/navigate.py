@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from allanjax.cli.common import epilog, failures_told, prepare, print_json
-from allanjax.cli.saved_fits import SavedFit, saved_fit
+from allanjax.cli.saved_fits import OptionalFit, Sheet, fit_or_sheet
 
 HELP = (
     "Say how fast the errors of attitude, velocity and position grow in a navigator at rest with these "
@@ -15,13 +15,15 @@ HELP = (
 )
 EPILOG = epilog(
     "allanjax navigate allanjax-results/imu.json --latitude 51",
+    "allanjax navigate --sheet BMI088 --latitude 51",
     "allanjax navigate imu.json --latitude 51 --azimuth 0.1deg --out navigation.png",
 )
 
 
 def command(
-    result: SavedFit,
     latitude: Annotated[float, typer.Option(help="Where the sensor stands, in deg.")],
+    result: OptionalFit = None,
+    sheet: Sheet = None,
     azimuth: Annotated[
         str | None, typer.Option(help="Accuracy of the azimuth that is wanted, 1σ, e.g. 0.1deg.")
     ] = None,
@@ -42,7 +44,7 @@ def command(
     from allanjax.navigation.navigator import navigate
 
     with failures_told():
-        fit = saved_fit(result)
+        fit = fit_or_sheet(result, sheet)
         biases: dict[str, Any] = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
         aligned = align(fit, latitude, azimuth, **biases)
         growth = navigate(fit, time, calibration=calibration, schuler=schuler, **biases)

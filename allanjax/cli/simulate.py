@@ -2,12 +2,13 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from allanjax.cli.common import epilog, failures_told, prepare, stage
 from allanjax.cli.options import parsed_model
+from allanjax.cli.saved_fits import Sheet
 from allanjax.record.units import Sensor
 
 HELP = "Simulate a static recording of a known sensor or of noise terms, and write it to a file."
@@ -15,6 +16,7 @@ EPILOG = epilog(
     "allanjax simulate --list",
     "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
     "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
+    "allanjax simulate --sheet BMI088 --rate 200 --out bmi088.csv",
     "allanjax simulate --sensor accel --out a.npz "
     "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
 )
@@ -26,10 +28,11 @@ def command(
         str | None,
         typer.Option(help="Noise terms with their values and units, instead of a sensor; sqrt(h) may be √h."),
     ] = None,
+    sheet: Sheet = None,
     sensor: Annotated[Sensor, typer.Option(help="What the terms are those of.")] = "gyro",
     duration: Annotated[float, typer.Option(help="Length in s.")] = 3600.0,
     rate: Annotated[
-        float, typer.Option(help="Sample rate in Hz, with --terms: sensors have their own.")
+        float, typer.Option(help="Sample rate in Hz, with --terms or --sheet: sensors have their own.")
     ] = 100.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same recording.")] = 0,
     out: Annotated[
@@ -48,8 +51,8 @@ def command(
             rates = ", ".join(f"{rate:g} Hz" for rate in dict.fromkeys(axis.rate for axis in known.axes))
             print(f"{known.name:12} {known.description}; {rates}")
         return
-    if (preset is None) == (terms is None):
-        raise typer.BadParameter("give either a sensor or --terms", param_hint="SENSOR")
+    if [preset, terms, sheet].count(None) != 2:
+        raise typer.BadParameter("give either a sensor, --terms or --sheet", param_hint="SENSOR")
     if out is None:
         raise typer.BadParameter("give a file to write, e.g. imu.csv", param_hint="--out")
     if preset is not None and preset not in SENSORS:
@@ -59,15 +62,16 @@ def command(
         if not 0.0 < value < math.inf:
             raise typer.BadParameter(f"must be positive, not {value:g}", param_hint=name)
     prepare()
+    from allanjax.noise.datasheet import datasheet
     from allanjax.noise.simulate import simulate_recording
     from allanjax.record.io import write
     from allanjax.record.recording import Recording
 
     recordings: tuple[Recording, ...]
     with failures_told(), stage("simulating"):
-        if model is not None:
-            n = round(duration * rate)
-            recordings = (simulate_recording({sensor: model}, n, rate, seed, name=out.stem),)
+        if model is not None or sheet is not None:
+            models: Any = datasheet(str(sheet)) if model is None else {sensor: model}
+            recordings = (simulate_recording(models, round(duration * rate), rate, seed, name=out.stem),)
         else:
             recordings = SENSORS[str(preset)].simulate(duration, seed)
         for recording in recordings:

@@ -210,7 +210,8 @@ def _stages(s: Search) -> tuple[Snapshot, ...]:
 
 def _snapshot(view: View) -> Snapshot:
     noise = view.noise
-    return Snapshot(view.samples, view.variance(), noise.terms, noise.power, noise.shape, view.slope)
+    own = noise.terms, noise.power, noise.shape, view.slope
+    return Snapshot(view.samples, view.variance(), *own, view.imputed)
 
 
 def _compared(

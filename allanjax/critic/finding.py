@@ -11,7 +11,7 @@ import numpy as np
 from allanjax.base.equality import ByValue
 from allanjax.base.presented import presented
 from allanjax.critic.parameters import Detail
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import Estimate, title_of
 
 #: Coefficients by whose change a finding's effect is measured, beside the drift and the Allan deviation.
 MAIN_COEFFICIENTS = ("angle_random_walk", "rate_random_walk")
@@ -149,6 +149,11 @@ class Finding(ByValue):
     def size(self) -> Estimate | None:
         """Parameter that says how large the effect is in its axis: an amplitude, a step, a ratio."""
         return next((self.parameters[label] for label in _SIZES if label in self.parameters), None)
+
+    def named(self, cause: str) -> str:
+        """A cause, its own or a rival's, for people; of accelerometers K is an acceleration random walk."""
+        sensors = {e.axis.sensor for e in self.parameters.values()}
+        return title_of(cause, "accel" if sensors == {"accel"} else "gyro")
 
     @property
     def amplitudes(self) -> dict[str, Estimate]:

@@ -7,10 +7,10 @@ import functools
 import html
 import os
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Bool, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
@@ -41,6 +41,7 @@ class Snapshot(ByValue):
         powers: their squared coefficients (a ramp has none).
         shape: correlation time [s] or exponent of the term that has one, else nan.
         ramp: slope of a drift ramp [rate/s].
+        drawn: samples that are not the sensor's, but drawn given the others.
     """
 
     x: Float[np.ndarray, " n"]
@@ -49,6 +50,7 @@ class Snapshot(ByValue):
     powers: Mapping[str, float]
     shape: float
     ramp: float
+    drawn: Bool[np.ndarray, " n"]
 
     def __repr__(self) -> str:
         return f"<Snapshot: {len(self.x)} samples less what was found; noise {' + '.join(self.terms)}>"
@@ -188,17 +190,20 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def refit(self) -> Fit:
         """Coefficients with intervals, of the samples less what was found in time: see `fit`.
 
-        Outliers, steps, lines and what is rounded are taken out, filter and resonances fitted jointly with
-        the terms. It takes as long as a `fit` of the recording.
+        The model is the one that the critique was given, or else chosen anew. Outliers, steps, lines and what
+        is rounded are taken out, filter and resonances fitted jointly with the terms; intervals are wider for
+        samples that were drawn. It takes as long as a `fit` of the recording.
         """
         from allanjax.estimate.fit import fit
 
-        values = np.column_stack([a.stages[-1].x for a in self.results])
-        axes = tuple(a.axis for a in self.results)
-        found = fit(Recording(values, self.rate, axes, name=self.name, dead=self.dead), as_is=True)
-        # Samples that were drawn are no further knowledge.
-        pairs = zip(found.results, self.fit.results, strict=True)
-        return dataclasses.replace(found, results=tuple(new.widened(old.widening) for new, old in pairs))
+        last, axes = [a.stages[-1] for a in self.results], tuple(a.axis for a in self.results)
+        values, drawn = (np.column_stack(of) for of in zip(*((s.x, s.drawn) for s in last), strict=True))
+        missing = drawn if drawn.any() else None
+        recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
+        if self.fit.chosen:
+            return fit(recording, as_is=True)
+        objective = cast(Any, self.fit.objective)
+        return fit(recording, self.fit.template, objective=objective, as_is=True)
 
     @property
     def gain(self) -> float:

@@ -18,6 +18,7 @@ from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, replay
 from allanjax.critic.view import EVERYTHING, Candidate, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
+from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.completion import in_time
@@ -212,10 +213,11 @@ def _candidates(
 
 def _undecided(candidate: Candidate, view: View) -> str:
     """Note on a candidate that is about as probable as basic terms, if it is unlikely by chance."""
-    instead = [t.replace("_", " ") for t in view.noise.terms if t not in candidate.after.noise.terms]
+    sensor = view.axis.sensor
+    instead = [title_of(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
     if candidate.chance > _CERTAIN or not instead:
         return ""
-    name, odds = candidate.cause.replace("_", " "), np.exp(candidate.gain)
+    name, odds = title_of(candidate.cause, sensor), np.exp(candidate.gain)
     return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
 
 

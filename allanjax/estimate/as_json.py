@@ -25,8 +25,6 @@ from allanjax.record.recording import DeadAxis
 SCHEMA_VERSION = 1
 #: What stands for an infinite parameter of a model, for which JSON has no number.
 INFINITY = "Infinity"
-# Sets of terms that are less probable are not written.
-_IMPROBABLE = 1e-6
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
@@ -60,33 +58,11 @@ def to_dict(fit: Fit) -> dict[str, Any]:
 
 def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
     """Entry of a dead axis, which has no result."""
-    axis = dead.axis
-    return {
-        "name": axis.name,
-        "sensor": axis.sensor,
-        "unit": axis.unit,
-        "mean_si": None,
-        "rms_si": None,
-        "converged": False,
-        "dead": True,
-        "reason": dead.reason,
-        "chi2": None,
-        "dof": 0,
-        "p_value": None,
-        "discrepancy": None,
-        "widening": 1.0,
-        "measured": False,
-        "moving": False,
-        "not_measured": ["dead axes"],
-        "misfit": None,
-        "coefficients": [],
-        "covariance": {"labels": [], "units": [], "values": []},
-        "selection": None,
-        "selection_discrepancy": None,
-        "selection_averaged": None,
-        "extension": None,
-        "regression": {},
-    }
+    nan, nothing = math.nan, np.zeros((0, 0))
+    none = AxisFit(
+        dead.axis, False, dead.reason, nan, 0, nan, nan, {}, nothing, Model(()), not_measured=("dead axes",)
+    )
+    return {**_axis(none, None), "dead": True}
 
 
 def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
@@ -110,6 +86,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "moving": result.moving,
         "not_measured": list(result.not_measured),
         "misfit": None if result.misfit is None else _misfit(result.misfit),
+        "allan_misfit": None if result.allan_misfit is None else _misfit(result.allan_misfit),
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {
             "labels": [c.label for c in coefficients],
@@ -199,19 +176,15 @@ def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
 
 
 def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
-    # With the set of all terms, which says what there was to choose from.
-    whole = max(selection.ranking, key=lambda s: len(s.terms))
-    first = selection.ranking[:3]
-    sets = [s for s in selection.ranking if s in first or s.probability > _IMPROBABLE or s == whole]
     return [
         {
             "terms": list(s.terms),
             "parameters": s.parameters,
             "probability": s.probability,
-            "log_evidence": finite_or_none(s.log_evidence - selection.best.log_evidence),
+            "log_evidence": finite_or_none(s.log_evidence),
             "chosen": s == selection.chosen,
         }
-        for s in sets
+        for s in selection.ranking
     ]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.presented import TextProperty
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.names import called
 from allanjax.record.axes import Axis
@@ -50,6 +51,7 @@ class AxisEstimates:
         @property
         def coefficients(self) -> Mapping[str, Estimate]: ...
 
+    @TextProperty
     def verdict(self) -> str:
         """One line on how far the estimates can be trusted."""
         raise NotImplementedError
@@ -77,4 +79,4 @@ class AxisEstimates:
             names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
         absent = f"; not detectable: {', '.join(names[False])}" if names[False] else ""
         found = ", ".join(names[True]) or "nothing found"
-        return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict()}>"
+        return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"

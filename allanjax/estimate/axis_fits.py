@@ -259,13 +259,16 @@ def with_curve(
     profiled = any(isinstance(term, Transient) for term in template.terms)
     found = []
     for k, result in enumerate(results):
-        misfit = None
-        if result.misfit is not None and result.measured and not (profiled or result.regression):
+        if result.converged and not (profiled or result.regression):
             ratio = curve.deviation[:, k] / np.sqrt(means[k])
             misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
-        # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
-        # excessive.
-        found.append(with_misfit(result, misfit) if misfit is not None and misfit.excessive else result)
+            # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
+            # excessive.
+            if result.misfit is not None and result.measured and misfit.excessive:
+                result = with_misfit(result, misfit)
+            else:
+                result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
+        found.append(result)
     return tuple(found), curve
 
 

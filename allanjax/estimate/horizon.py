@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import get_args
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -20,14 +20,18 @@ from allanjax.estimate.coasting import (
     predicted,
 )
 from allanjax.estimate.horizon_result import EXPONENTS, AxisHorizon, Horizon, Process
-from allanjax.estimate.likely_models import Likely, likely_models
-from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.likely_models import Likely, exact_model, likely_models
+from allanjax.estimate.result import Fit
+from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov
 from allanjax.record.recording import Axis
-from allanjax.record.units import default_coefficient_unit, si_unit
+from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit
 
 _DRAWS = 400
+# Time at rest over which a filter by a data sheet has estimated the bias [s], if the horizon is no longer.
+_AT_REST = 3600.0
 # Memories and correlation times of the Gauss–Markov filters that are compared.
 _MEMORIES, _TIMES = 25, 11
 # Those whose true error is larger than the least by more than this factor are no filters to take.
@@ -40,11 +44,21 @@ _LABELS = {
 }
 
 
+class _Noise(NamedTuple):
+    """Noise of an axis: N and K of the fitted model, SI, and the likely sets of terms."""
+
+    axis: Axis
+    raw: tuple[float, float]
+    model: Model
+    sets: Sequence[Likely]
+
+
 def horizon(
-    fit: Fit,
+    fit: Fit | DataSheet,
     seconds: float,
     *,
     process: Process = "walk",
+    rate: float | None = None,
     axes: Sequence[str] | str | None = None,
     probability: float = 0.95,
     seed: int = 0,
@@ -58,13 +72,15 @@ def horizon(
     data do not tell sets of terms apart, both are averaged over the likely ones.
 
     Args:
-        fit: what `fit` or `load` returned.
+        fit: what `fit` or `load` returned; or a data sheet, taken as exact, with the bias estimated over an
+            hour at rest, or over two horizons if these are longer.
         seconds: time between corrections [s], at least two samples and at most half the record.
         process: what the bias is to the filter: a random walk, or ("markov") a first-order Gauss–Markov
             process, whose correlation time is then found with the pair, among filters whose true error at
             the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
             well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
-        axes: names of axes; by default all that have a measurement.
+        rate: sample rate [Hz] of a data sheet, by default 100 Hz; a fit has its own.
+        axes: names of axes; by default all that have a measurement. Those of a data sheet are its sensors.
         probability: that of the bounds.
         seed: of the draws of the coefficients.
 
@@ -74,7 +90,12 @@ def horizon(
     """
     if process not in get_args(Process):
         raise AllanjaxError(f"process= (--process) must be walk or markov, not {process!r}")
-    rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
+    if isinstance(fit, DataSheet):
+        rate, record = rate or RATE, max(_AT_REST, 2.0 * seconds)
+    elif rate is not None:
+        raise AllanjaxError("a fit has its own rate: leave out rate")
+    else:
+        rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
     if not 2.0 / rate <= seconds <= record / 2.0:
         raise AllanjaxError(
             f"the horizon must be from two samples, {2.0 / rate:g} s, to half the record, "
@@ -83,26 +104,35 @@ def horizon(
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"the probability of a bound must be from 0.5 to below 1, got {probability}")
     asked = [axes] if isinstance(axes, str) else axes
-    results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
-    for result in results:
-        if not result.measured:
-            raise FitError(f"{result.axis.name}: {result.verdict()}")
-    if not results:
+    noises = _noises(fit, asked, seed)
+    if not noises:
         raise FitError("no axis has a measurement: the fit says why")
-    found = (_of_axis(fit, result, float(seconds), process, probability, seed) for result in results)
+    found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
     return Horizon(fit.name, float(seconds), process, probability, tuple(found))
 
 
+def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> list[_Noise]:
+    """Noise of the axes that are asked for, or of all that have a measurement."""
+    if isinstance(fit, DataSheet):
+        sensors = cast(Sequence[Sensor], asked or tuple(fit.models))
+        axes = {s: Axis(s, s, SI[s]["rate"]) for s in sensors}
+        return [_Noise(axes[s], _raw(fit.coefficients(s)), fit[s], [exact_model(fit[s])]) for s in sensors]
+    results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
+    for r in results:
+        if not r.measured:
+            raise FitError(f"{r.axis.name}: {r.verdict}")
+    likely = (likely_models(fit, r.axis.name, _DRAWS, np.random.default_rng(seed)) for r in results)
+    return [_Noise(r.axis, _raw(r.coefficients), r.model, s) for r, s in zip(results, likely, strict=True)]
+
+
 def _of_axis(
-    fit: Fit, result: AxisFit, seconds: float, process: Process, probability: float, seed: int
+    noise: _Noise, seconds: float, process: Process, probability: float, rate: float, record: float
 ) -> AxisHorizon:
-    rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
-    raw_N, raw_K = (_raw(result, name) for name in ("angle_random_walk", "rate_random_walk"))
+    axis, (raw_N, raw_K), _, sets = noise
     raw = Filters.of_walk(
         np.array([np.clip(raw_N / raw_K if raw_K > 0.0 else record, 2 / rate, record)]), rate
     )
-    filters, steps = _filters(result, seconds, process, rate, record), coasting_steps(seconds, rate)
-    sets = likely_models(fit, result.axis.name, _DRAWS, np.random.default_rng(seed))
+    filters, steps = _filters(noise, seconds, process, rate, record), coasting_steps(seconds, rate)
     unit, known, draws, each = _variances(sets, filters, steps, record)
     _, of_raw, _, _ = _variances(sets, raw, steps, record)
     # The prediction is to be right on average over what the coefficients may be.
@@ -117,14 +147,12 @@ def _of_axis(
     bounding, bounding_N = bounding_pair(np.quantile(draws, probability, axis=0), unit)
     time = filters.correlation_time
     return AxisHorizon(
-        axis=result.axis,
+        axis=axis,
         horizon=seconds,
         probability=probability,
-        white=_estimate(result.axis, "white", N, N_drawn),
-        walk=_estimate(result.axis, "walk", N / filters.memory[best], N_drawn / filters.memory[chosen]),
-        correlation_time=(
-            _estimate(result.axis, "time", time[best], time[chosen]) if process == "markov" else None
-        ),
+        white=_estimate(axis, "white", N, N_drawn),
+        walk=_estimate(axis, "walk", N / filters.memory[best], N_drawn / filters.memory[chosen]),
+        correlation_time=(_estimate(axis, "time", time[best], time[chosen]) if process == "markov" else None),
         mismatch=math.sqrt(ratio),
         bounding_white=bounding_N,
         bounding_walk=bounding_N / float(filters.memory[bounding]),
@@ -141,12 +169,12 @@ def _of_axis(
     )
 
 
-def _filters(result: AxisFit, seconds: float, process: Process, rate: float, record: float) -> Filters:
+def _filters(noise: _Noise, seconds: float, process: Process, rate: float, record: float) -> Filters:
     """The filters that are compared; that of the fitted model is one of them."""
-    N, K = (_raw(result, name) for name in ("angle_random_walk", "rate_random_walk"))
+    N, K = noise.raw
     if process == "walk":
         return Filters.of_walk(memories(record, rate, [N / K] if K > 0.0 else []), rate)
-    own = [term for term in result.model.terms if isinstance(term, Markov)]
+    own = [term for term in noise.model.terms if isinstance(term, Markov)]
     times = [float(term.correlation_time) for term in own]
     drives = [K, *(float(term.amplitude) for term in own)]
     memory = memories(record, rate, [N / q for q in drives if q > 0.0], _MEMORIES)
@@ -170,10 +198,10 @@ def _variances(
     return predicted(filters, steps), known, draws, each
 
 
-def _raw(result: AxisFit, label: str) -> float:
-    """A coefficient of the fitted model, SI; zero if that has none."""
-    found = result.coefficients.get(label)
-    return float(found.value) if found is not None and found.value > 0.0 else 0.0
+def _raw(coefficients: Mapping[str, Estimate]) -> tuple[float, float]:
+    """N and K of the fitted model, SI; zero where it has none."""
+    N, K = (coefficients.get(label) for label in ("angle_random_walk", "rate_random_walk"))
+    return 0.0 if N is None else max(N.value, 0.0), 0.0 if K is None else max(K.value, 0.0)
 
 
 def _own_size(N: float, K: float, filters: Filters) -> float:

@@ -107,7 +107,7 @@ class AxisHorizon(ByValue):
 
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
-        told = [f"{title_of(k, self.axis)} {x:.0%}" for k, x in self.shares.items() if x >= _NAMED]
+        told = [f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in self.shares.items() if x >= _NAMED]
         return ", ".join(told)
 
     def _shown(self, name: str, value: float) -> str:

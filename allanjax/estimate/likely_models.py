@@ -43,6 +43,12 @@ class Likely(NamedTuple):
     limited: int
 
 
+def exact_model(model: Model) -> Likely:
+    """A model with its own amplitudes as the only draw."""
+    unit = Model(tuple(t.with_unit_amplitude() for t in model.terms), model.response, model.inside)
+    return Likely(unit, model.term_labels, np.square([[_amplitude(term) for term in model.terms]]), 0)
+
+
 def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
     """Sets of terms with draws shared out by probability; the first is that of the fit."""
     found = fit[axis]

@@ -167,7 +167,8 @@ def _result(
         _covariance=_matrix(a["covariance"]["values"]),
         _model=(fitted_model if own is None else extended_model)(template, coefficients),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
-        misfit=None if a["misfit"] is None else _misfit(a["misfit"]),
+        misfit=_misfit(a["misfit"]),
+        allan_misfit=_misfit(a.get("allan_misfit")),
         mean=_number(a["mean_si"]),
         rms=_number(a["rms_si"]),
         not_measured=tuple(a["not_measured"]),
@@ -200,7 +201,9 @@ def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, source: Literal["f
     )
 
 
-def _misfit(m: Mapping[str, Any]) -> Misfit:
+def _misfit(m: Mapping[str, Any] | None) -> Misfit | None:
+    if m is None:
+        return None
     largest, rms, octave = (_number(m[f"{key}_deviation"]) for key in ("largest", "rms", "octave"))
     return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave, _number(m["scatter"]))
 

@@ -35,6 +35,9 @@ _SURE = 0.997
 _PARTS = 3
 # Deviations from this ratio on are told as a factor.
 _FACTOR = 1.5
+# Root mean square deviations from which on one is mentioned beside another curve's, and where that one has
+# none, so that chance hardly ever does: judgements.
+_NOTABLE, _CLEAR = 0.02, 0.06
 # Scatter that is so large a share of a deviation is told with it.
 _MUCH = 0.3
 
@@ -65,6 +68,10 @@ class Misfit:
     def excessive(self) -> bool:
         """Whether the curve is off by so much that its coefficients are not a measurement."""
         return self.rms > LIMIT or self.sustained > OCTAVE
+
+    def beside(self, other: Misfit | None) -> Misfit | None:
+        """The misfit, if it is worth mentioning beside another curve's, or where that one suffices."""
+        return self if self.rms > (_CLEAR if other is None else _NOTABLE) else None
 
     @property
     def curve(self) -> str:

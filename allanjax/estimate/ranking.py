@@ -39,6 +39,7 @@ def select_terms(
     recording: RecordingLike,
     candidates: ModelLike | None = None,
     *,
+    axes: Sequence[str] | str | None = None,
     rate: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
@@ -65,6 +66,7 @@ def select_terms(
         recording: what `read` returns, or what else `fit` takes.
         candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
             Markov process.
+        axes: names of the axes; by default all.
         rate, gyro_unit, accel_unit, names: for an array, see `fit`.
 
     Raises:
@@ -73,6 +75,8 @@ def select_terms(
         FitError: a record of fewer than 64 samples.
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
+    if axes is not None:
+        recording = recording.select(*([axes] if isinstance(axes, str) else axes))
     model = candidates_of(candidates, recording.rate)
     ramps = sorted_terms(model)[2]
     if recording.n < 64:
@@ -139,7 +143,8 @@ def _with_error(
     """
     rows, size, per_octave = list(rows), candidates.size, candidates.bins.per_octave()
     subsets = candidates.subsets()
-    plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets))
+    # Without other terms there is nothing to prefer to a free time.
+    plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets)) if candidates.fixed else subsets
 
     def error_of(k: int) -> float:
         best = max(rows[k], key=lambda row: row.log_evidence)
@@ -153,7 +158,7 @@ def _with_error(
 
     error = np.zeros(len(rows))
     incomplete = [k for k in range(len(rows)) if error_of(k) > 0.0]
-    for k in incomplete:
+    for k in incomplete if candidates.fixed else ():
         rows[k] = [row for row in rows[k] if not len(row.members) or row.members[-1] < len(candidates.fixed)]
     for _ in range(_ROUNDS if incomplete else 0):
         for k in incomplete:
@@ -194,7 +199,7 @@ def _ranked(
     ranking = sorted(total.items(), key=lambda item: -item[1])
     free = {label: sum(p.free for p in model.parameters if p.term_label == label) for label in labels}
     sets = tuple(
-        TermSet(s, sum(free[label] for label in s), value, float(np.exp(value - norm)))
+        TermSet(s, sum(free[label] for label in s), value - ranking[0][1], float(np.exp(value - norm)))
         for s, value in ranking
     )
     each = [row.log_evidence - np.log(len(by_set[name])) for name, row in zip(names, rows, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import html
 import os
@@ -17,7 +18,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.plain import printable
-from allanjax.base.presented import presented
+from allanjax.base.presented import TextProperty, presented
 from allanjax.base.tables import WIDTH
 from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
@@ -93,8 +94,9 @@ class AxisFit(ByValue, AxisEstimates):
             suffices. Standard deviations and intervals include it.
         misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
             If it is excessive no coefficient is a measurement of the sensor (`measured`).
+        allan_misfit: of a fit of the spectrum, the same of its Allan deviations, if they are off, too.
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
-        spectrum: with Whittle's likelihood, the statistics it was fitted to.
+        spectrum: with Whittle's likelihood, the statistics it was fitted to; no file has it: not compared.
         mean, rms: of the samples [rad/s or m/s²], rms about the mean.
         not_measured: kinds of the facts about the record (`Fit.facts`) for which the axis's coefficients are
             not a measurement of the sensor, e.g. "at rest" or "saturation".
@@ -132,13 +134,16 @@ class AxisFit(ByValue, AxisEstimates):
     _model: Model
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
-    spectrum: AxisSpectrum | None = None
+    allan_misfit: Misfit | None = None
+    spectrum: AxisSpectrum | None = dataclasses.field(default=None, compare=False)
     mean: float = np.nan
     rms: float = np.nan
     not_measured: tuple[str, ...] = ()
     own_template: Model | None = None
     plain: AxisFit | None = None
     widening: float = 1.0
+    # The fit that it is part of, whose curve its picture has.
+    _fit: ClassVar[Fit | None] = None
 
     def _checked(self) -> None:
         if not self.converged:
@@ -250,9 +255,16 @@ class AxisFit(ByValue, AxisEstimates):
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 
-    def __repr__(self) -> str:
-        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict()}>"
+    def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
+        """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
+        if self._fit is None:
+            raise self.ERROR(f"{self.axis.name}: this result is part of no fit, whose curve a picture needs")
+        return self._fit.plot(self.axis.name, path, ax=ax)
 
+    def __repr__(self) -> str:
+        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict}>"
+
+    @TextProperty
     def level(self) -> str:
         """Mean and rms of the samples in words, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if not known."""
         if not np.isfinite(self.mean):
@@ -262,19 +274,19 @@ class AxisFit(ByValue, AxisEstimates):
             f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
         )
 
+    @TextProperty
     def verdict(self) -> str:
         """One line on how well the model fits."""
         if not self.converged:
             return f"no result: {self.reason}"
         p = f"p = {self.p_value:.2g}" if self.p_value > 1e-300 else "p < 1e-300"
         text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom ({p})"
+        off = "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
         if self.is_far_off:
-            return (
-                f"not a measurement of this sensor: the model does not follow the data, {self.misfit}; {text}"
-            )
+            return f"not a measurement of this sensor: the model does not follow the data, {off}; {text}"
         if self.not_measured:
             return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}; {text}"
-        return text if self.misfit is None else f"{text}; model incomplete: {self.misfit}"
+        return f"{text}; model incomplete: {off}" if off else text
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -324,10 +336,16 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """Why the coefficients of an axis are not a measurement of the sensor, by the axis's name."""
         return {r.axis.name: r.verdict() for r in self.results if r.converged and not r.measured}
 
+    def __post_init__(self) -> None:
+        for result in self.results:
+            object.__setattr__(result, "_fit", self)
+
     def as_for(self, axis: str) -> Fit:
         """The fit as it is for one axis, with the model and the objective of that where it has its own."""
-        own = self[axis].own_template
-        return self if own is None else dataclasses.replace(self, template=own, objective="whittle")
+        own, results = self[axis].own_template, tuple(map(copy.copy, self.results))
+        if own is None:
+            return self
+        return dataclasses.replace(self, template=own, objective="whittle", results=results)
 
     def without_extensions(self) -> Fit:
         """The fit in which axes with a model of their own have the fit of the plain terms."""
@@ -382,13 +400,18 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """Draw the Allan deviations, the model and its terms; see `plot_allan`."""
         raise NotImplementedError
 
+    @presented
+    def to_dict(self) -> dict[str, Any]:
+        """The fit as plain dictionaries, lists, numbers and strings, as `write_json` writes it."""
+        raise NotImplementedError
+
     def _cells(self) -> list[tuple[str, str, str, str]]:
         """Rows of the printed table: axis, coefficient, value, 95 % interval."""
         cells = []
         for result in self.results:
             if not result.converged:
                 told = any(result.reason in warning for warning in self.warnings)
-                why = "no result: see the warning above" if told else result.verdict()
+                why = "no result: see the warning above" if told else result.verdict
                 cells.append((result.axis.name, "", why, ""))
                 continue
             for c in result.coefficients.values():
@@ -398,10 +421,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
                 known = c.detected and not c.held and np.isfinite(c.std)
                 interval = shown.describe_interval() if known else ""
                 cells.append((result.axis.name, c.title, shown.describe(), interval))
-            if level := result.level():
+            if level := result.level:
                 cells.append((result.axis.name, "", level, ""))
             cells += [
-                (result.axis.name, "", text, "") for text in (result.correction, result.verdict()) if text
+                (result.axis.name, "", text, "") for text in (result.correction, result.verdict) if text
             ]
         cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
         return cells

@@ -11,6 +11,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
 from allanjax.estimate.averaged import Averaged
+from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class TermSet:
     Attributes:
         terms: names of the terms.
         parameters: number of their free parameters.
-        log_evidence: logarithm of the marginal likelihood of the set [nats], up to a common constant.
+        log_evidence: logarithm of the marginal likelihood of the set over that of the best one [nats].
         probability: posterior probability of the set, with equal prior probabilities of all sets.
     """
 
@@ -141,8 +142,9 @@ class AxisSelection(ByValue):
         """Phrases about what the data leave open beside the chosen set, the most probable first."""
         found = []
         for other in self.indistinguishable:
-            extra = tuple(t.replace("_", " ") for t in other.terms if t not in self.chosen.terms)
-            missing = tuple(t.replace("_", " ") for t in self.chosen.terms if t not in other.terms)
+            sensor, chosen = self.axis.sensor, self.chosen.terms
+            extra = tuple(title_of(t, sensor) for t in other.terms if t not in chosen)
+            missing = tuple(title_of(t, sensor) for t in chosen if t not in other.terms)
             odds = f"{100.0 * self.chosen.probability:.2g} % against {100.0 * other.probability:.2g} %"
             if len(missing) <= 1 and len(extra) <= 1 and missing and extra:
                 found.append(f"{missing[0]} from {extra[0]} ({odds})")
@@ -179,7 +181,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
             for rank, s in enumerate(axis.ranking[: max(3, len(axis.indistinguishable))]):
                 behind = axis.best.log_evidence - s.log_evidence
                 mark = "" if rank == 0 else " (not told apart)" if s in axis.indistinguishable else ""
-                words = f"{s}{mark}".replace("_", " ")
+                words = title_of(f"{s}{mark}", axis.axis.sensor)
                 rows.append((axis.axis.name, words, f"{100 * s.probability:.3g} %", f"{behind:.1f}"))
             if axis.averaged is not None:
                 rows += [(axis.axis.name, words, "", "") for words in axis.averaged.told(axis.axis)]

@@ -13,7 +13,6 @@ from allanjax.fleet.grades import Split, found_split, pooled_values
 from allanjax.fleet.outlying_units import FEWEST_UNITS
 from allanjax.fleet.table import families, mark_outlying
 from allanjax.noise.estimate import title_of
-from allanjax.record.recording import Axis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +57,7 @@ def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
 
 def _told(split: Split, names: Sequence[str], group: str) -> str:
     """Note on the groups that a group falls into."""
-    title = title_of(split.pooled.coefficient, Axis("", split.pooled.sensor, ""))
+    title = title_of(split.pooled.coefficient, split.pooled.sensor)
     parts = []
     for g in range(split.groups):
         units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
@@ -107,7 +106,7 @@ def _alike(table: pd.DataFrame) -> list[str]:
         odd = table["outlying"].to_numpy()[family.rows] & (family.rows >= 0)
         units = [name for name, is_odd in zip(family.recordings, odd.any(axis=1), strict=True) if is_odd]
         if len(units) >= max(FEWEST_UNITS, len(family.recordings) / 8):
-            title = title_of(family.coefficient, Axis("", family.sensor, ""))
+            title = title_of(family.coefficient, family.sensor)
             notes.append(
                 f"{len(units)} of {len(family.recordings)} units are outlying in {family.sensor} {title}: if "
                 "they are of another grade than the others, say so by group= (--group)"
@@ -164,10 +163,16 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         ratios = zip(odd["recording"], odd["value"] / usual.median(), strict=True)
         # Where all others have limits there is no median.
         units = [f"{name} ({significant(ratio, 2)})" if ratio == ratio else name for name, ratio in ratios]
-        title = title_of(first["coefficient"], Axis(first["axis"], first["sensor"], first["unit"]))
+        title = title_of(first["coefficient"], first["sensor"])
         row = (first["axis"], title, first["group"]) if grouped else (first["axis"], title)
         rows.append((*row, f"{len(found)} of {len(of)}", *spread, listed(units)))
-    return (*headings, "detected", "median ± scatter", "5 … 95 %", "outlying (× median)"), rows
+    return (
+        *headings,
+        "detected",
+        "median ± scatter",
+        "5 … 95 %",
+        "outlying, left out of both (× median)",
+    ), rows
 
 
 def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:

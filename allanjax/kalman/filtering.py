@@ -96,16 +96,18 @@ def model_of(models: ModelsLike, axis: Axis) -> Model:
 def missing_of(
     recording: Recording, missing: Bool[np.ndarray, "samples axes"] | Bool[np.ndarray, " samples"] | None
 ) -> Bool[np.ndarray, "samples axes"]:
-    """Samples that a filter does not see: those of the recording, and others."""
+    """Samples that a filter does not see: those of the recording, and others. Not all of an axis."""
     shape = recording.values.shape
     found = np.zeros(shape, bool) if recording.missing is None else recording.missing
-    if missing is None:
-        return found
-    given = np.asarray(missing, bool)
+    given = np.zeros(shape[:1], bool) if missing is None else np.asarray(missing, bool)
     given = given[:, None] if given.ndim == 1 else given
     if given.shape not in (shape, (shape[0], 1)):
-        raise AllanjaxError(f"missing must have the shape {shape} or ({shape[0]},), not {np.shape(missing)}")
-    return found | given
+        raise AllanjaxError(f"missing must have the shape {shape} or ({shape[0]},), not {given.shape}")
+    found = found | given
+    for name, lost in zip(recording.names, found.T, strict=True):
+        if lost.all():
+            raise AllanjaxError(f"{name}: all samples are missing, there is nothing to filter")
+    return found
 
 
 def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
@@ -127,8 +129,6 @@ def _filtered(
     """Result of one axis."""
     axis, z, rate = recording.axes[k], recording.values[:, k], recording.rate
     n, there = len(z), ~missing
-    if not there.any():
-        raise AllanjaxError(f"{axis.name}: all samples are missing, there is nothing to filter")
     of_axis = FilterModel.of(model, rate, n / rate, axis.sensor)
     room, size = room_for([of_axis.space]), of_axis.space.size
     # All states, so that programs are those of their room.

@@ -13,6 +13,7 @@ from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.per_axis import PerAxis
+from allanjax.base.presented import TextProperty
 from allanjax.base.wording import duration, finite_or_none, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, ends, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
@@ -76,6 +77,7 @@ class AxisAlignment(ByValue):
         best = f"{significant(self.best / _DEG)} deg after {duration(self.best_time)}"
         return f"<AxisAlignment {self.axis.name}: best {self.angle} {best}>"
 
+    @TextProperty
     def verdict(self) -> str:
         """Whether and when the wanted error is reached, in words."""
         if self.wanted is None:
@@ -111,7 +113,7 @@ class AxisAlignment(ByValue):
         cells.append(
             (name, "within 1 % of it after averaging for", told, interval(self.best_time_interval, 1.0))
         )
-        if verdict := self.verdict():
+        if verdict := self.verdict:
             cells.append((name, verdict, "", ""))
         return cells
 
@@ -133,7 +135,7 @@ class AxisAlignment(ByValue):
             "falling": self.falling,
             **{name: finite_or_none(getattr(self, name)) for name in names},
             **{name: [finite_or_none(x) for x in getattr(self, name)] for name in pairs},
-            "verdict": self.verdict(),
+            "verdict": self.verdict,
         }
 
 

@@ -22,6 +22,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -85,7 +86,7 @@ class ErrorVariances:
         ]
         whole = np.arange(steps.max() + 1)
         self._lags = np.concatenate([whole, whole + calibration]) / rate
-        self._known: dict[str, np.ndarray] = {}
+        self._known: list[tuple[Model, np.ndarray]] = []
         #: Errors after the steps that a unit bias makes, by order.
         self.of_bias = np.array([bias_response(steps / rate, order, stiffness) for order in orders])
 
@@ -96,14 +97,14 @@ class ErrorVariances:
 
     def _of_term(self, one: Model) -> Float[np.ndarray, "orders t"]:
         """Variances for a model of one term, which other axes and sets of terms may have, too."""
-        if repr(one) not in self._known:
-            # One call, for G is known up to a constant and t² that each call may choose.
-            G = np.asarray(one.sampled(self._rate).phase_covariance(self._lags))
-            near, far = np.split(G, 2)
-            self._known[repr(one)] = np.array(
-                [[_variance(f, near, far) for f in row] for row in self._functionals]
-            )
-        return self._known[repr(one)]
+        for model, variance in self._known:
+            if eqx.tree_equal(model, one):
+                return variance
+        # One call, for G is known up to a constant and t² that each call may choose.
+        near, far = np.split(np.asarray(one.sampled(self._rate).phase_covariance(self._lags)), 2)
+        variance = np.array([[_variance(f, near, far) for f in row] for row in self._functionals])
+        self._known.append((one, variance))
+        return variance
 
 
 def _functional(order: int, n: int, calibration: int, rate: float, stiffness: float) -> _Functional:

@@ -6,12 +6,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.estimate.likely_models import Likely, likely_models
+from allanjax.estimate.likely_models import Likely, exact_model, likely_models
 from allanjax.estimate.result import Fit
+from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
@@ -66,7 +68,7 @@ class AxisNoise(NamedTuple):
             each = of_terms(likely.model)
             count = len(each) - likely.limited
             for k, label in enumerate(likely.labels[:count]):
-                title = f"{self.axis.name} {title_of(label, self.axis)}"
+                title = f"{self.axis.name} {title_of(label, self.axis.sensor)}"
                 mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
             found = np.tensordot(likely.power[:, :count], each[:count], axes=1)
             known.setdefault(likely.labels, []).append(found)
@@ -119,8 +121,8 @@ class Sensors(NamedTuple):
         return next((noise for noise in found if "_" not in noise.axis.name), None)
 
 
-#: What the errors of sensors are told from: a fit, a posterior, or models by the names of axes.
-NoiseLike: TypeAlias = Fit | Posterior | Mapping[str, ModelLike]
+#: What the errors of sensors are told from: a fit, a posterior, a data sheet, or models by axes' names.
+NoiseLike: TypeAlias = Fit | Posterior | DataSheet | Mapping[str, ModelLike]
 
 
 def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
@@ -144,19 +146,24 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
             for name in (r.axis.name for r in good)
         }
         notes = tuple(
-            f"{r.axis.name} is left out: {r.verdict()}" for r in data.values() if not r.measured
+            f"{r.axis.name} is left out: {r.verdict}" for r in data.values() if not r.measured
         ) + tuple(f"{dead.axis.name} is left out: {dead.reason}" for dead in data.dead)
         found = {name: AxisNoise(data[name].axis, sets) for name, sets in axes.items()}
         return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, found, notes)
+    name, notes = "", tuple[str, ...]()
+    if isinstance(data, DataSheet):
+        name, notes, rate = data.name, data.statements, RATE if rate is None else rate
+        data = cast(Mapping[str, ModelLike], data.models)
     if not isinstance(data, Mapping) or not data:
         raise AllanjaxError(
-            "give a fit, a posterior, or models by axis, e.g. "
+            "give a fit, a posterior, a data sheet, or models by axis, e.g. "
             '{"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
         )
     if rate is None or not 0.0 < rate < np.inf:
         raise AllanjaxError(f"models need the sample rate, positive and finite: give rate in Hz, not {rate}")
     models = cast(Mapping[str, ModelLike], data)
-    return Sensors("", float(rate), np.inf, {name: _given(name, model) for name, model in models.items()}, ())
+    given = {axis: _given(axis, model) for axis, model in models.items()}
+    return Sensors(name, float(rate), np.inf, given, notes)
 
 
 def _given(name: str, model: ModelLike) -> AxisNoise:
@@ -165,23 +172,19 @@ def _given(name: str, model: ModelLike) -> AxisNoise:
         raise AllanjaxError(f"{name!r} is no axis of a gyro or an accelerometer; use names such as gyro_x")
     found = as_model(model, [column])
     found.check_complete()
-    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [_exact(found)])
-
-
-def _exact(model: Model) -> Likely:
-    """A model with its own amplitudes as the only draw."""
-    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
-    unit = Model(tuple(t.with_unit_amplitude() for t in model.terms), model.response, model.inside)
-    return Likely(unit, model.term_labels, np.square(amplitude)[None, :], 0)
+    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [exact_model(found)])
 
 
 def _sampled(posterior: AxisPosterior) -> list[Likely]:
     """Draws of a posterior, those of the same shapes together; terms not sampled are left out."""
     has_shapes = any(not posterior.coefficients[label].is_amplitude for label in posterior.labels)
-    alike: dict[str, list[Likely]] = {}
-    for likely in map(_exact, posterior.models(_SHAPES if has_shapes else _DRAWS)):
-        alike.setdefault(repr(likely.model), []).append(likely)
-    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in alike.values()]
+    alike: list[list[Likely]] = []
+    for likely in map(exact_model, posterior.models(_SHAPES if has_shapes else _DRAWS)):
+        if alike and eqx.tree_equal(alike[-1][0].model, likely.model):
+            alike[-1].append(likely)
+        else:
+            alike.append([likely])
+    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in alike]
 
 
 def one_by_one(model: Model) -> list[Model]:

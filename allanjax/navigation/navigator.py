@@ -56,10 +56,10 @@ def navigate(
     Args:
         data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and,
             where the data do not tell sets of terms apart, an average over the likely ones and intervals that
-            hold for each of them; a posterior, for intervals by its draws; or models by the names of axes,
-            taken as exact.
+            hold for each of them; a posterior, for intervals by its draws; or a data sheet or models by the
+            names of axes, taken as exact.
         times: when to tell the errors [s]; by default from 1 s to 1,000 s.
-        rate: sample rate [Hz] of models.
+        rate: sample rate [Hz] of models; of a data sheet 100 Hz, if none is given.
         calibration: time at rest before the start [s].
         gyro_bias, accel_bias: standard deviation of biases that the calibration leaves besides noise, e.g.
             from turn-on to turn-on where it was done before; rad/s and m/s², or a text such as "0.2 deg/h".

@@ -144,12 +144,6 @@ class AxisRates(ByValue):
         }
 
 
-def _numbers(estimate: Estimate) -> dict[str, Any]:
-    ends = [finite_or_none(x) for x in estimate.interval]
-    limits = {"upper_limit_95": estimate.upper_limit, "lower_limit_95": estimate.lower_limit}
-    return {"value": estimate.value, "interval_95": ends, "detected": estimate.detected, **limits}
-
-
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class SampleRates(ByValue, PerAxis[AxisRates]):
     """Noise of a recording at several sample rates.
@@ -321,7 +315,7 @@ def _of_axis(
         from_quantization=folded,
         bandwidth=_bandwidth(found),
         quantization=Q,
-        reason="" if found.measured else found.verdict(),
+        reason="" if found.measured else found.verdict,
     )
 
 

@@ -20,7 +20,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,13 @@ from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import significant
 from allanjax.noise import sheets
-from allanjax.noise.estimate import usual_unit
-from allanjax.noise.model import Model, NoiseTerm
+from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
+from allanjax.record.axes import Axis
 from allanjax.record.units import (
     SENSORS,
+    SI,
     Sensor,
     convert,
     default_coefficient_unit,
@@ -42,6 +44,15 @@ from allanjax.record.units import (
     si_unit,
 )
 
+#: Terms that every sensor has, and what is said where a sheet does not have one.
+USUAL = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
+NOT_GIVEN = "not given"
+REMEDY = (
+    "measure it: record the sensor at rest (allanjax check says how long) and characterize that recording; "
+    "until then the value is yours to choose"
+)
+#: Sample rate [Hz] at which a sheet's noise is taken where none is given: little of it depends on the rate.
+RATE = 100.0
 #: Least Allan deviation of flicker noise over B.
 MINIMUM = math.sqrt(2.0 * math.log(2.0) / math.pi)
 # Equivalent noise bandwidth of a filter of one pole over its −3 dB bandwidth.
@@ -91,8 +102,10 @@ class DataSheet(ByValue):
     def to_dict(self) -> dict[str, Any]:
         """The coefficients as plain dictionaries, for JSON."""
         coefficients = [
-            {"sensor": sensor, "coefficient": term.name(), "value": value, "unit": unit, "si": si}
-            for sensor, term, value, unit, si in self._coefficients()
+            {"sensor": sensor, "coefficient": c.label, "value": x.value, "unit": x.unit, "si": c.value}
+            for sensor in self.models
+            for c in self.coefficients(sensor).values()
+            for x in (c.in_unit(),)
         ]
         return {
             "name": self.name,
@@ -101,22 +114,31 @@ class DataSheet(ByValue):
             "statements": list(self.statements),
         }
 
-    def _coefficients(self) -> Iterable[tuple[Sensor, NoiseTerm, float, str, float]]:
-        """Each coefficient: its sensor and term, its value in the usual unit, that unit, and the SI value."""
-        for sensor, model in self.models.items():
-            for term in model:
-                p = term.amplitude_parameter()
-                si, unit = float(getattr(term, p.name)), usual_unit(p, sensor)
-                yield sensor, term, convert(si, _si_of(sensor, p.time_exponent), unit), unit, si
+    def coefficients(self, sensor: Sensor) -> dict[str, Estimate]:
+        """What the figures of a sensor give by label, in SI: values without an interval."""
+        axis, model = Axis(sensor, sensor, SI[sensor]["rate"]), self[sensor]
+        found = {}
+        for p in model.parameters:
+            if p.parameter.is_amplitude:
+                value = float(model.values[p.label] or 0.0)
+                known: dict[str, Any] = {"label": p.label, "term": p.term_label, "parameter": p.parameter}
+                ends = (value, value)
+                found[p.label] = Estimate(
+                    axis=axis, value=value, std=0.0, interval=ends, interval_68=ends, held=True, **known
+                )
+        return found
+
+    def of_axes(self) -> dict[str, Model]:
+        """The model of each of three axes of each sensor, by name: `gyro_x` to `accel_z`."""
+        return {f"{sensor}_{letter}": model for sensor, model in self.models.items() for letter in "xyz"}
 
     def _rows(self) -> list[tuple[str, str, str]]:
         rows: list[tuple[str, str, str]] = []
-        for sensor, term, value, unit, _ in self._coefficients():
-            name = term.name().replace("_", " ")
-            # As titles of estimates have it.
-            name = name.replace("angle random", "velocity random") if sensor == "accel" else name
-            symbol = term.amplitude_parameter().symbol
-            rows.append((sensor, f"{symbol} {name}", f"{significant(value)} {unit}"))
+        for sensor, model in self.models.items():
+            given = [(c, c.in_unit()) for c in self.coefficients(sensor).values()]
+            rows += [(sensor, f"{c.symbol} {c.title}", f"{significant(x.value)} {x.unit}") for c, x in given]
+            lacking = [label for label in USUAL if label not in model.term_labels]
+            rows += [(sensor, f"{USUAL[label]} {title_of(label, sensor)}", NOT_GIVEN) for label in lacking]
         return rows
 
     def _lines(self) -> list[str]:
@@ -173,9 +195,12 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
         raise AllanjaxError(f"{where}: {found}; there may be name, source, [gyro] and [accel]")
     sheets = {sensor: _Sheet(sensor, document[sensor], f"{where}: [{sensor}]") for sensor in present}
     models = {sensor: sheet.model() for sensor, sheet in sheets.items()}
-    statements = tuple(f"{sensor}: {line}" for sensor, sheet in sheets.items() for line in sheet.statements)
+    statements = [f"{sensor}: {line}" for sensor, sheet in sheets.items() for line in sheet.statements]
+    for sensor, model in models.items():
+        lacking = [symbol for label, symbol in USUAL.items() if label not in model.term_labels]
+        statements += [f"{sensor}: {' and '.join(lacking)} {NOT_GIVEN}; {REMEDY}"] if lacking else []
     return DataSheet(
-        str(document.get("name", "")),
+        str(document.get("name", "" if isinstance(source, Mapping) else Path(source).stem)),
         str(document.get("source", "")),
         models,
         tuple(dict.fromkeys(statements)),

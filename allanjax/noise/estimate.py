@@ -9,6 +9,7 @@ import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.plain import printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
@@ -89,7 +90,7 @@ class Estimate(ByValue):
     @property
     def title(self) -> str:
         """Name of the quantity for people; an accelerometer's angle random walk is a velocity random walk."""
-        return title_of(self.label, self.axis)
+        return title_of(self.label, self.axis.sensor)
 
     @property
     def si_unit(self) -> str:
@@ -178,7 +179,16 @@ class Estimate(ByValue):
 
     def describe_interval(self) -> str:
         """The 95 % interval, with as many decimals as the value has, e.g. "0.498 … 0.526"."""
-        return format_interval(*self.interval, self.value, self.std)
+        return format_interval(*self.interval, self.value, self.std if self.is_normal else np.nan)
+
+    @property
+    def is_normal(self) -> bool:
+        """Whether 1σ lies within the 95 % interval and about a quarter of it: else the interval is told."""
+        (low, high), value, std = self.interval, self.value, self.std
+        if not (low < high and std > 0.0):
+            return True
+        within = low <= (max(value - std, 0.0) if value > 0.0 else value - std) and value + std <= high
+        return within and (high - low) < 2.0 * 2.0 * TWO_SIDED_95 * std
 
     def __str__(self) -> str:
         amount = self._amount()
@@ -197,7 +207,8 @@ class Estimate(ByValue):
         return self.upper_limit if self.lower_limit is None else self.lower_limit
 
     def _amount(self) -> str:
-        """The number to be shown, value or limit, with its unit."""
+        """The number to be shown, value or limit, with its unit; the interval where 1σ does not say it."""
+        normal = True
         if self.held:
             number = plain(self.value)
         elif not self.measured:
@@ -211,9 +222,10 @@ class Estimate(ByValue):
         elif self._shape_limit is not None:
             number = significant(self._shape_limit)
         else:
-            number = format_with_error(self.value, self.std)
+            normal = self.is_normal
+            number = format_with_error(self.value, self.std) if normal else significant(self.value)
         amount = number if self.unit == "1" else f"{number} {self.unit}"
-        bare = self.parameter is not None or not self.interval[0] < self.interval[1]
+        bare = (self.parameter is not None and normal) or not self.interval[0] < self.interval[1]
         return amount if bare else f"{amount} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:
@@ -228,7 +240,7 @@ class Estimate(ByValue):
             if self.upper_limit is None:
                 return "not determined: its term is not detectable"
             if self.rivals:
-                names = " or ".join(title_of(name, self.axis) for name in self.rivals)
+                names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
                 return f"not told from {names}, below {amount} (95 %)"
             return f"not detectable, below {amount} (95 %)"
         if self._shape_limit is not None:
@@ -258,7 +270,13 @@ def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
     return {"time": "s", "frequency": "Hz", "line": "Hz"}.get(parameter.kind, "1")
 
 
-def title_of(label: str, axis: Axis) -> str:
-    """A term's or a coefficient's name for people, e.g. "velocity random walk" on an accelerometer."""
+def title_of(label: str, sensor: Sensor) -> str:
+    """A term's or a coefficient's name for people: N of an accelerometer is a velocity random walk.
+
+    Its K is an acceleration random walk. Several labels in one text are named one by one.
+    """
     words = label.replace("_", " ")
-    return words.replace("angle random walk", "velocity random walk") if axis.sensor == "accel" else words
+    if sensor == "accel":
+        words = words.replace("angle random walk", "velocity random walk")
+        words = words.replace("rate random walk", "acceleration random walk")
+    return words

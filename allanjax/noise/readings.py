@@ -38,7 +38,7 @@ class AxisReadings(ByValue):
         """Rows of the printed table."""
         found = []
         for label, estimate in self.estimates.items():
-            title = title_of(label, self.axis)
+            title = title_of(label, self.axis.sensor)
             if estimate is None:
                 found.append((self.axis.name, title, "", f"none: {self.reasons.get(label, '')}"))
                 continue

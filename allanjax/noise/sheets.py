@@ -23,8 +23,9 @@ def find(name: str) -> Mapping[str, Any] | None:
 
 def closest(name: str) -> str:
     """Words on the names that are there, the most similar ones first."""
-    known = {_plain(there): there for there in sheets()}
-    near = [known[match] for match in difflib.get_close_matches(_plain(name), known, cutoff=0.8)]
+    known, own = {_plain(there): there for there in sheets()}, _plain(name)
+    near = [there for plain, there in known.items() if own and plain.startswith(own)]
+    near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
     return (f"did you mean {' or '.join(near)}? " if near else "") + f"there are {', '.join(sheets())}"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.columns import recognise
@@ -38,13 +39,17 @@ def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> 
         raise AllanjaxError(f"the number of samples must be a positive integer, not {n}")
     if not 0.0 < rate < math.inf:
         raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
+    if isinstance(model, DataSheet):
+        raise AllanjaxError(
+            'simulate_recording(sheet, …) takes a data sheet; here give one model, sheet["gyro"]'
+        )
     model = as_model(model)
     model.check_complete()
     return _draw(_with_traced_values(model.sampled(float(rate))), as_key(key), int(n), float(rate))
 
 
 def simulate_recording(
-    models: Mapping[str, ModelLike],
+    models: Mapping[str, ModelLike] | DataSheet,
     n: int,
     rate: float,
     key: PRNGKeyArray | int,
@@ -58,7 +63,8 @@ def simulate_recording(
     """Simulated recording of n samples, one column per model, the axes independent of each other.
 
     Args:
-        models: axis name (`gyro_x`, `accel_z`, …) to model, every parameter with a value.
+        models: axis name (`gyro_x`, `accel_z`, …) to model, every parameter with a value; or a data sheet, of
+            which each sensor has three axes.
         n: number of samples.
         rate: sample rate [Hz].
         key: a JAX random key, or an integer to make one of.
@@ -73,6 +79,7 @@ def simulate_recording(
         RecordingError: a name that is no axis, fewer than 16 samples, or a channel of another length.
         UnitError: a unit that does not fit the sensor.
     """
+    models = models.of_axes() if isinstance(models, DataSheet) else models
     if not models:
         raise AllanjaxError('no axis to simulate; give models, e.g. {"gyro_x": AngleRandomWalk(1e-4)}')
     bias = bias or {}

@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import presented
+from allanjax.base.presented import TextProperty, presented
 from allanjax.base.wording import duration
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.result import Fit
@@ -102,6 +102,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         matrix = np.corrcoef(self.draws.T).reshape(2 * (len(self.labels),))
         return pd.DataFrame(matrix, index=self.labels, columns=self.labels)
 
+    @TextProperty
     def verdict(self) -> str:
         """One line on the convergence of the chain."""
         state = "converged" if self.converged else "NOT CONVERGED"
@@ -252,7 +253,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
     def plot(
         self,
         curve: AllanDeviation | Fit | None = None,
-        axes: Sequence[str] | None = None,
+        axes: Sequence[str] | str | None = None,
         path: str | os.PathLike[str] | None = None,
         spectrum: Any = None,
     ) -> Figure:
@@ -273,5 +274,5 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
                 known = m.detected and not m.held
                 interval = shown.describe_interval() if known else ""
                 rows.append((result.axis.name, m.title, shown.describe(), interval))
-            rows.append((result.axis.name, "", result.verdict(), ""))
+            rows.append((result.axis.name, "", result.verdict, ""))
         return rows

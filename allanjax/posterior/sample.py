@@ -69,7 +69,7 @@ def sample(
             raise FitError(f"{name}: no posterior, {fit[name].reason}; name the other axes in axes=[…]")
         if not fit[name].measured:
             raise FitError(
-                f"{name}: no posterior, {fit[name].verdict()}; allanjax.critique looks for the cause; "
+                f"{name}: no posterior, {fit[name].verdict}; allanjax.critique looks for the cause; "
                 "name the other axes in axes=[…]"
             )
     convergence = Convergence(max_steps, min_length, max_change, max_r_hat)

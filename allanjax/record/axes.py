@@ -1,12 +1,13 @@
 """Axes of a recording: their columns and units, and those that are dead."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.base.errors import UnitError
+from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.record.columns import Column
 from allanjax.record.units import SampleUnit, Sensor, parse_sample_unit
 from allanjax.record.validation import Source
@@ -64,6 +65,38 @@ def axes_of(
         if unit.quantity == "increment":
             increments.append(column.name)
     return tuple(axes), (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
+
+
+class OfAxes:
+    """Base of curves with a column an axis: they iterate over names, by which they have the axes' curves.
+
+    Attributes:
+        axes: the recording's axes, or None for an array.
+    """
+
+    #: Fields that have a column or an entry an axis.
+    PER_AXIS: ClassVar[tuple[str, ...]] = ()
+
+    axes: tuple[Axis, ...] | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes; "0", "1", … for an array."""
+        return names_of(self.axes, getattr(self, self.PER_AXIS[0]).shape[1])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __getitem__(self, axis: str) -> Self:
+        """The curve of one axis, e.g. `curve["gyro_x"]`."""
+        if axis not in self.names:
+            raise AllanjaxError(f"there is no axis {axis!r}; there are {', '.join(self.names)}")
+        k = self.names.index(axis)
+        own: dict[str, Any] = {"axes": None if self.axes is None else (self.axes[k],)}
+        for name in self.PER_AXIS:
+            value = getattr(self, name)
+            own[name] = value[:, [k]] if isinstance(value, np.ndarray) else (value[k],)
+        return replace(cast(Any, self), **own)
 
 
 def names_of(axes: Sequence[Axis] | None, count: int) -> tuple[str, ...]:

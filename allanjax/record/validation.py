@@ -47,6 +47,21 @@ def check_rate(rate: float, source: Source) -> float:
     return float(rate)
 
 
+def as_columns(values: Float[np.ndarray, "..."], source: Source) -> Float[np.ndarray, "samples axes"]:
+    """Samples as a table of one column an axis; RecordingError for another shape, or one transposed."""
+    table = values[:, None] if values.ndim == 1 else values
+    if table.ndim != 2 or table.shape[1] == 0:
+        raise source.error(
+            f"values must have the shape [samples] or [samples, axes], not {values.shape}; reshape them to "
+            "one column an axis"
+        )
+    if table.shape[0] < table.shape[1]:
+        raise source.error(
+            f"values of shape {values.shape} seem transposed; pass values.T, one column an axis"
+        )
+    return table
+
+
 def check_length(samples: int, source: Source) -> None:
     """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples."""
     if samples < MIN_SAMPLES:

@@ -19,6 +19,7 @@ present(
         "Finding.__repr__": "allanjax.report.critique_story.finding_repr",
         "Finding.__str__": "allanjax.report.critique_story.finding_text",
         "Fit.plot": "allanjax.report.allan_figure.plot_allan",
+        "Fit.to_dict": "allanjax.estimate.as_json.to_dict",
         "FleetResult.plot": "allanjax.report.fleet_figure.plot_fleet_result",
         "Navigation.plot": "allanjax.report.navigation_figure.plot_navigation",
         "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",

@@ -5,22 +5,25 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration
+from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import title_of
 from allanjax.noise.process import Process
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import Sensor
 from allanjax.report.figure import (
     CLUSTER_TIME,
     COLOURS,
+    DASHES,
     MODEL,
     KeyEntry,
     Points,
@@ -42,7 +45,9 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 #: What can be drawn as an Allan deviation.
-Drawable: TypeAlias = Fit | AllanDeviation | Recording
+Drawable: TypeAlias = Fit | AllanDeviation | Recording | DataSheet
+# Cluster times of a data sheet's picture [s].
+_TIMES_OF_SHEET = np.geomspace(0.01, 1e4, 200)
 # Markers that tell curves apart in black and white.
 _MARKERS = "os^Dv*"
 
@@ -64,8 +69,8 @@ def plot_allan(
     another, those of axes of one name in one panel, with their models but not the terms.
 
     Args:
-        data: what `fit` or `allan_deviation` returns, or a recording; or several of them, e.g. two units, or
-            one before and after.
+        data: what `fit` or `allan_deviation` returns, a recording, or a data sheet; or several of the first
+            three, e.g. two units, or one before and after: what several have measured is drawn once.
         axes: names of the axes to draw, e.g. `["gyro_x", "gyro_z"]`; all of them by default. For the curve of
             an array: `["0", "1", ...]`.
         path: a file to save the picture to, by its suffix .png, .svg or .pdf.
@@ -80,6 +85,10 @@ def plot_allan(
     """
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
+    if isinstance(data, DataSheet):
+        frame = Frame(data.name, "by its data sheet", CLUSTER_TIME, True, False, has_points=False)
+        rows = rows_of([*data.models], None, axes)
+        return frame.draw([[_panel_of_sheet(data, list(data.models)[k])] for k in rows[0]], path, ax)
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = _fit_and_curve(data)
@@ -101,7 +110,7 @@ def _fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
         return None, data
     raise AllanjaxError(
         f"cannot draw {type(data).__name__} as an Allan deviation: give a fit, what allan_deviation returns, "
-        "or a recording"
+        "or a recording; a data sheet is drawn by itself"
     )
 
 
@@ -129,7 +138,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     if fit is None:
         return Panel(name, label, points, draw_slopes, ())
     result = fit.results[k]
-    verdict = KeyEntry(wrapped(result.verdict()))
+    verdict = KeyEntry(wrapped(result.verdict))
     if not result.converged:
         return Panel(name, label, points, draw_slopes, [verdict])
     fit = fit.as_for(name)
@@ -138,7 +147,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     def draw(panel: Axes) -> None:
         lines = _draw_model(panel, fit, result, scale)
         draw_slopes(panel)
-        write_values(panel, result, lines)
+        write_values(panel, result.coefficients, lines)
 
     return Panel(name, label, points, draw, [*entries, verdict], _residual(fit, k))
 
@@ -154,7 +163,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
         variance = np.asarray(term.allan_variance(time))
         total += variance
         if label in drawn_terms(result):
-            y, name = np.sqrt(variance) / scale, title_of(label, result.axis)
+            y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, result, label))
     panel.plot(time, np.sqrt(total) / scale, **MODEL)
     return lines
@@ -174,6 +183,33 @@ def _is_transient(term: Process) -> bool:
     return isinstance(term, Transient)
 
 
+def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
+    """Expected Allan deviation of a sensor by its data sheet, and that of its terms."""
+    coefficients, model = sheet.coefficients(sensor), sheet[sensor]
+    axis = next(iter(coefficients.values())).axis
+    unit, scale = unit_of(axis)
+    time = _TIMES_OF_SHEET
+    curves = [np.sqrt(np.asarray(term.allan_variance(time))) / scale for term in model.terms]
+    total, hidden = np.sqrt(np.sum(np.square(curves), axis=0)), {"fmt": "none"}
+    styles = [{"color": COLOURS[k], "linestyle": DASHES[k], "linewidth": 1.3} for k in range(len(curves))]
+
+    def draw(panel: Axes) -> None:
+        lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
+        panel.plot(time, total, **MODEL)
+        draw_slopes(panel)
+        write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)))
+
+    key = [
+        KeyEntry(wrapped(f"{c.title} {c.symbol} = {without_error(x.value, x.std)} {x.unit}"), look)
+        for c, look in zip(coefficients.values(), styles, strict=True)
+        for x in (c.in_unit(),)
+    ]
+    own = [line.removeprefix(f"{sensor}: ") for line in sheet.statements if line.startswith(f"{sensor}: ")]
+    key += [KeyEntry(wrapped(line)) for line in own]
+    points = Points(time, total, np.zeros((2, len(time))), style=hidden)
+    return Panel(sensor, label_in("Allan deviation", unit), [points], draw, key)
+
+
 # --- Several ------------------------------------------------------------------------------------------------
 
 
@@ -185,6 +221,12 @@ class _Curve(NamedTuple):
     curve: AllanDeviation
     colour: str
     marker: str
+    dashes: Any
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Style of its model."""
+        return {"color": self.colour, "linestyle": self.dashes, "linewidth": 1.2}
 
     def result(self, name: str) -> AxisFit | None:
         """Fit of the axis of this name, if it has a result."""
@@ -240,19 +282,19 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
             if c.fit is not None and c.result(name) is not None:
                 time = _times_to_draw(c.curve)
                 y = c.fit.model_deviation(name, time) / scale
-                panel.plot(time, y, color=c.colour, linewidth=1.2, label=f"{c.label}: model", zorder=2.5)
-        draw_slopes(panel)
+                panel.plot(time, y, label=f"{c.label}: model", zorder=2.5, **c.line)
         if has_legend:
-            panel.legend(handles=panel.containers[-len(curves) :], frameon=False)
+            panel.legend(frameon=False)
+        draw_slopes(panel)
 
-    points = [
-        dataclasses.replace(
-            allan_points(c.curve, c.curve.names.index(name), scale),
-            label=c.label,
-            style={"color": c.colour, "fmt": c.marker},
-        )
-        for c in curves
-    ]
+    # What was measured once is drawn once, or the last would hide the others.
+    points = []
+    for c in curves:
+        same = [o for o in curves if np.array_equal(o.curve[name].deviation, c.curve[name].deviation)]
+        if c is same[0]:
+            own = {"color": c.colour, "fmt": c.marker} if len(same) == 1 else {}
+            label = ", ".join(o.label for o in same)
+            points.append(dataclasses.replace(allan_points(c.curve[name], 0, scale), label=label, style=own))
     label = label_in(_kind_of(curves[0].curve), unit)
     return Panel(name, label, points, draw, [_entry(c, name) for c in curves])
 
@@ -270,7 +312,7 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     # Two of one name would look like one.
     own = own if len(set(own)) == len(own) else [str(k) for k in range(1, len(own) + 1)]
     return [
-        _Curve(str(label), fit, curve, COLOURS[k % len(COLOURS)], _MARKERS[k % len(_MARKERS)])
+        _Curve(str(label), fit, curve, COLOURS[k % 6], _MARKERS[k % 6], ("-", *DASHES)[k % 6])
         for k, (label, (fit, curve)) in enumerate(zip(labels or own, pairs, strict=True))
     ]
 
@@ -284,5 +326,4 @@ def _entry(c: _Curve, name: str) -> KeyEntry:
         found = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
         values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in found)
         text += f": {values or 'nothing detected'}"
-    style = {"color": c.colour, "marker": c.marker, "markevery": [1], "markersize": 3.5, "linewidth": 1.2}
-    return KeyEntry(wrapped(text), style)
+    return KeyEntry(wrapped(text), {**c.line, "marker": c.marker, "markevery": [1], "markersize": 3.5})

@@ -27,26 +27,30 @@ from allanjax.report.critique_story import UNEXPLAINED, changes, format_remainde
 from allanjax.report.critique_words import significance, what, wrap
 from allanjax.report.figure import (
     CLUSTER_TIME,
+    COLOURS,
     DOTS,
+    FONT_SIZE,
     FREQUENCY,
     POINTS,
     add_grid,
     facts_of,
+    label_in,
     literal,
+    mark_2_and_5,
     save,
     style,
     unit_of,
+    write_title,
 )
 from allanjax.spectrum.psd import density_unit
 
-_BEFORE, _AFTER = "#D55E00", "#0072B2"
-_SPAN = "#E69F00"
+_AFTER, _SPAN, _BEFORE = COLOURS[0], COLOURS[1], COLOURS[3]
 # Style of a band in which simulations or an effect lie.
 _BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.0}
 # A record, what is said of it, its colour and its marker.
 _Stage = tuple[StageResiduals, str, str, str]
-# Width and height of a figure [inches], and characters in a line of its text.
-_SIZE = (10.0, 7.0)
+# Width and height of a figure and height of its title [inches], and characters in a line of its text.
+_SIZE, _HEADING = (10.0, 7.0), 0.65
 _COLUMNS = 66
 # Points that a series is thinned to.
 _POINTS = 600
@@ -145,7 +149,7 @@ def _of_shared(critique: Critique, finding: Finding) -> Figure:
     """Figure of a finding that axes share, with the curves of the first axis."""
     records = [_record(critique, critique[name], -1) for name in finding.axes]
     figure, allan, effect = _four_panels(critique, finding, [(records[0], "", _AFTER, "o")])
-    allan.set_title(finding.axes[0], fontsize=8.5, loc="left")
+    allan.set_title(finding.axes[0], fontweight="bold", loc="left")
     _draw_correlation(effect, records)
     return figure
 
@@ -164,7 +168,7 @@ def _four_panels(critique: Critique, finding: Finding, stages: Sequence[_Stage])
     figure = _new_figure(_SIZE)
     (allan, psd), (effect, text) = figure.subplots(2, 2)
     record = stages[0][0]
-    cause, name = finding.cause.replace("_", " "), record.axis.name
+    cause, name = finding.named(finding.cause), record.axis.name
     several = len(finding.axes) > 1
     _title(
         figure,
@@ -179,14 +183,15 @@ def _four_panels(critique: Critique, finding: Finding, stages: Sequence[_Stage])
 
 def _new_figure(size: tuple[float, float]) -> Figure:
     """Figure that pyplot knows nothing of."""
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size)
+    figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - _HEADING / size[1]))
     FigureCanvasAgg(figure)
     return figure
 
 
 def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals) -> None:
     name = f"{critique.name}, {text}" if critique.name else text
-    figure.suptitle(f"{literal(name)}\n{facts_of(record.n, critique.rate)}", x=0.01, ha="left", fontsize=11)
+    write_title(figure, 0.12, name, facts_of(record.n, critique.rate))
 
 
 def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -> None:
@@ -209,13 +214,14 @@ def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -
     median = np.concatenate(medians)
     panels[1].set_ylim(max(low, median.min() / _BELOW), min(high, median.max() * _ABOVE))
     for panel, (unit, _), (x_label, y_label) in zip(panels, units, names, strict=True):
-        panel.set(xscale="log", yscale="log", xlabel=x_label, ylabel=f"{y_label} [{unit}]")
-        add_grid(panel)
+        panel.set(xscale="log", yscale="log", xlabel=x_label, ylabel=label_in(y_label, unit))
+        mark_2_and_5(panel.xaxis, panel.yaxis)
         _add_legend(panel)
 
 
 def _add_legend(panel: Axes) -> None:
-    panel.legend(frameon=False, fontsize=7.5)
+    add_grid(panel)
+    panel.legend(frameon=False, fontsize=FONT_SIZE - 1.0)
 
 
 def _around(span: tuple[float, float], whole: float, least: float = 0.0) -> tuple[float, float]:
@@ -258,7 +264,7 @@ def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, f
         panel.plot(t, record.whitened[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
     else:
         _shade(panel, finding.span, duration)
-    _finish(panel, "whitened residual [σ]")
+    _finish(panel, label_in("whitened residual", "σ"))
 
 
 def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -271,7 +277,7 @@ def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, f
     panel.fill_between(time, 1.0 - spread, 1.0 + spread, **band)
     panel.plot(time, rms, label="measured", **DOTS)
     _shade(panel, finding.span, record.n / record.rate)
-    _finish(panel, "rms of whitened residuals [σ]")
+    _finish(panel, label_in("rms of whitened residuals", "σ"))
 
 
 def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -285,7 +291,7 @@ def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, fi
     y = (x[first : first + length] - x.mean()) / scale
     panel.step(time, y, where="mid", color="0.75", linewidth=0.7)
     panel.plot(time, y, label="samples as recorded", **DOTS)
-    _finish(panel, f"samples − mean [{unit}]")
+    _finish(panel, label_in("samples − mean", unit))
 
 
 def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -299,7 +305,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     some = np.arange(before.n)[:: max(before.n // 5000, 1)]
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")
     quantity = "rate" if before.axis.sensor == "gyro" else "acceleration"
-    _finish(panel, f"{quantity} − mean [{unit}]")
+    _finish(panel, label_in(f"{quantity} − mean", unit))
 
 
 def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:

@@ -128,7 +128,7 @@ def paragraph(finding: Finding) -> str:
     """Description of a finding: what was wrong, the cause, how large it is, the remainder, gain, rivals."""
     if finding.cause == "unexplained":
         return f"unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
-    cause = ", ".join([finding.cause.replace("_", " "), *parameters(finding)])
+    cause = ", ".join([finding.named(finding.cause), *parameters(finding)])
     several = len(finding.axes) > 1 and finding.members
     if finding.members and finding.amplitudes:
         cause += f"; {amplitudes(finding)}"
@@ -141,7 +141,7 @@ def paragraph(finding: Finding) -> str:
         text = f"{where}{describe(pair[0])}. Cause: {cause}. "
         text += f"After{f' in {finding.shown}' if several else ''}: {format_remainder(*pair)}; {gain}."
     if finding.rivals:
-        rivals = ", ".join(f"{r.cause.replace('_', ' ')} (1 : {r.odds:,.2g})" for r in finding.rivals)
+        rivals = ", ".join(f"{finding.named(r.cause)} (1 : {r.odds:,.2g})" for r in finding.rivals)
         text += f" Rivals: {rivals}."
     return text
 

@@ -48,7 +48,7 @@ def in_one_line(finding: Finding, axis: Axis, width: int) -> str:
 
 def title(finding: Finding) -> str:
     """Cause and place of a finding, e.g. "sinusoid 0.5355 Hz (and harmonics 2, 3)"."""
-    words = [finding.cause.replace("_", " ")]
+    words = [finding.named(finding.cause)]
     if "start" in finding.parameters and "end" in finding.parameters:
         start, end = (plain(finding.parameters[name].value, 4) for name in ("start", "end"))
         words.append(f"from {start} to {end} s")
@@ -98,7 +98,7 @@ def coefficient(c: CoefficientChange, axis: Axis) -> str:
     """Change of a coefficient in words, e.g. "angle random walk 2.53 → 1.46 deg/√h"."""
     before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
     change = f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
-    return f"{title_of(c.label, axis)} {change}"
+    return f"{title_of(c.label, axis.sensor)} {change}"
 
 
 def _each(finding: Finding) -> str:

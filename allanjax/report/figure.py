@@ -219,7 +219,7 @@ def term_entries(
         if term in result.further:
             continue
         found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
-        amplitude, name = found[0], title_of(term, result.axis)
+        amplitude, name = found[0], title_of(term, result.axis.sensor)
         if amplitude.detected and len(found) > 1:
             text = f"{name}: " + ", ".join(f"{c.symbol} = {c.describe()}" for c in found)
         else:
@@ -234,7 +234,7 @@ def term_entries(
     elif (response := fit.template.response) is not None:
         own = [c.in_unit() for c in result.coefficients.values() if c.term == response.name()]
         values = ", ".join(f"{c.symbol} = {c.describe()}" for c in own)
-        entries.append(KeyEntry(wrapped(f"{title_of(response.name(), result.axis)}: {values}"), None))
+        entries.append(KeyEntry(wrapped(f"{title_of(response.name(), result.axis.sensor)}: {values}"), None))
     return entries
 
 

@@ -73,7 +73,7 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
         table = result.to_dataframe().replace([np.inf, -np.inf], np.nan)
         for row, c in zip(table.to_dict("records"), result.coefficients.values(), strict=True):
             flags = {name: str(getattr(c, name)).lower() for name in ("detected", "held", "measured")}
-            rows.append({**row, **flags, "reason": "" if c.measured else result.verdict()})
+            rows.append({**row, **flags, "reason": "" if c.measured else result.verdict})
     rows += [{"axis": dead.axis.name, "reason": dead.reason} for dead in fit.dead]
     _write_csv(path, _COEFFICIENT_COLUMNS, rows)
 

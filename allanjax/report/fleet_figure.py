@@ -20,7 +20,6 @@ from allanjax.base.wording import plain
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
-from allanjax.record.recording import Axis
 from allanjax.report.figure import (
     COLOURS,
     POINTS,
@@ -173,7 +172,7 @@ def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str]) -> None:
     """Draw a coefficient of one kind of sensor."""
     coefficient, sensor, unit = of[["coefficient", "sensor", "unit"]].iloc[0]
     axes = list(of["axis"].unique())
-    title = title_of(coefficient, Axis(axes[0], sensor, unit))
+    title = title_of(coefficient, sensor)
     panel.set_title(f"{SENSORS[sensor]}: {title}", loc="left", fontweight="bold")
     panel.set_ylabel(title if unit == "1" else f"{title} [{unit}]")
     panel.set_xticks(range(len(axes)), axes)

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
 from allanjax.record.recording import Axis
 from allanjax.report.figure import (
     FONT_SIZE,
     MODEL,
-    POINTS,
     SENSORS,
     KeyEntry,
     Points,
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.85, 0.2, 0.9, 0.1
 _PANEL_WIDTH, _PANEL_HEIGHT, _STRIP_HEIGHT = 4.1, 2.5, 0.8
 _HEADING, _GAP, _X_LABEL, _LINE, _BELOW = 0.3, 0.25, 0.45, 0.155, 0.15
-# Residuals beyond so many per cent are marked at the edge, so that a line does not hide all else.
-_WIDEST = 100.0
 #: Estimates with a larger relative error do not set the scale of the residuals: a judgement.
 PRECISE = 0.2
 
@@ -91,6 +89,7 @@ class Frame:
         x_label: label of the horizontal scales.
         has_model: whether a model is drawn.
         has_strip: whether a strip of residuals is below each panel.
+        has_points: whether anything was measured.
     """
 
     title: str
@@ -98,6 +97,7 @@ class Frame:
     x_label: str
     has_model: bool
     has_strip: bool
+    has_points: bool = True
 
     def draw(
         self, rows: Sequence[Sequence[Panel]], path: str | os.PathLike[str] | None, ax: Axes | None
@@ -161,7 +161,7 @@ class Frame:
         most = int(figure.get_figwidth() * 8)
         title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
         write_title(figure, _LEFT, title, self.facts)
-        handles = [points_entry("measured, 68 % interval")]
+        handles = [points_entry("measured, 68 % interval")] if self.has_points else []
         if self.has_model:
             handles.append(Line2D([], [], **{**MODEL, "label": "model, sum of its terms"}))
         add_legend(figure, handles, "upper left", _LEFT, 0.65, ncols=2)
@@ -191,32 +191,35 @@ def rows_of(
 
 
 def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]) -> None:
-    """Draw the strips, in the same scale along the row."""
-    reach = 2.0
-    for r in residuals:
-        if r is not None:
-            widest = abs(r.points.y[r.precise]).max(initial=0.0)
-            reach = max(reach, min(1.2 * widest, _WIDEST), 120.0 * r.off)
+    """Draw the strips, in the same scale along the row: linear for precise values, logarithmic beyond."""
+    from matplotlib.ticker import NullLocator
+
+    there = [r for r in residuals if r is not None]
+    precise = [abs(r.points.y[r.precise]).max(initial=100.0 * r.off) for r in there]
+    reach = _round(max([2.0, *precise]))
+    ends = [end for r in there for end in (r.points.y.min(), r.points.y.max())]
+    high, low = _round(max([reach, *ends])), -min(_round(max([reach, *(-end for end in ends)])), 100.0)
+    # The ends of the linear part, where their labels are clear of the others.
+    inner = [end for end, of in ((-reach, low), (reach, high)) if of / end >= 3.0]
     for strip, r in zip(strips, residuals, strict=True):
-        strip.set_ylim(-reach, reach)
+        strip.set_yscale("symlog", linthresh=reach)
+        strip.set_ylim(1.1 * low, 1.1 * high)
+        strip.set_yticks([low, *inner, 0.0, high])
+        strip.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
+        strip.yaxis.set_minor_locator(NullLocator())
         if r is None:
             strip.text(0.5, 0.5, "no result", transform=strip.transAxes, ha="center", va="center")
             continue
-        x, value, off = r.points.x, r.points.y, 100.0 * r.off
         strip.axhline(0.0, color="black", linewidth=1.0)
-        if off > 0.0:
-            strip.axhspan(-off, off, color="0.88", zorder=0)
-        strip.errorbar(x, value, r.points.spread, label="residual", **marks(2.2))
-        for marker, end, beyond in (("^", reach, value > reach), ("v", -reach, value < -reach)):
-            strip.plot(
-                x[beyond],
-                np.full(beyond.sum(), end),
-                marker,
-                color=POINTS,
-                markersize=3.5,
-                clip_on=False,
-                label="beyond the strip",
-            )
+        if r.off > 0.0:
+            strip.axhspan(-100.0 * r.off, 100.0 * r.off, color="0.88", zorder=0)
+        strip.errorbar(r.points.x, r.points.y, r.points.spread, label="residual", **marks(2.2))
+
+
+def _round(x: float) -> float:
+    """The next of 1, 2, 3, 5, 7, 10, … from x on."""
+    power = 10.0 ** np.floor(np.log10(x))
+    return float(next(m * power for m in (1.0, 2.0, 3.0, 5.0, 7.0, 10.0) if m * power >= x))
 
 
 def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
-from allanjax.estimate.result import AxisFit
+from allanjax.base.wording import without_error
+from allanjax.noise.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,20 +18,13 @@ if TYPE_CHECKING:
 SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
 """Slopes of quantization, angle random walk, bias instability, rate random walk and ramp, as written."""
 
-# Terms whose coefficient is written on its line, and the text.
-_WRITTEN = {
-    "angle_random_walk": "{symbol} = {value}",
-    "bias_instability": "0.664 {symbol}, {symbol} = {value}",
-    "rate_random_walk": "{symbol} = {value}",
-}
+# Terms whose coefficient is written on its line, and what of the coefficient the line's height is.
+_WRITTEN = {"angle_random_walk": "", "bias_instability": "0.664 B, ", "rate_random_walk": ""}
 _FAINT, _FAINT_TEXT, _SIZE = "0.78", "0.55", 6.5
-# Mean width of a character, height of a line, and distance of a text from its line, over the font's size.
-_WIDTH, _HEIGHT, _AWAY = 0.56, 1.0, 0.95
-# Places along a line that are tried.
-_PLACES = 60
-# Points of the screen, x + iy, and the lower left and upper right corner of a box.
-_Pixels = Complex[np.ndarray, " _"]
-_Box = tuple[complex, complex]
+# Half the mean width of a character, and distance of a text from its line, over the font's size.
+_HALF_WIDTH, _AWAY = 0.3, 0.95
+# Places along a line that are tried, and what must be free around a text [pixels].
+_PLACES, _FREE = 60, 3.0
 
 
 def draw_slopes(panel: Axes) -> None:
@@ -49,90 +43,66 @@ def draw_slopes(panel: Axes) -> None:
         panel.text(10.0 ** (x0 + end), 10.0 ** (y0 + slope * end), name, ha="center", va="center", **style)
 
 
-def write_values(panel: Axes, result: AxisFit, drawn: dict[str, Line2D]) -> None:
-    """Write N, B and K with their units on the lines `drawn` of their terms, where there is most room."""
+def write_values(panel: Axes, coefficients: Mapping[str, Estimate], drawn: Mapping[str, Line2D]) -> None:
+    """Write N, B and K with their units on the lines `drawn` of their terms, where that hides least."""
     from matplotlib.patheffects import withStroke
 
-    others = [_pixels(panel, line.get_xydata()) for line in panel.get_lines() if line.get_zorder() > 1.0]
-    # Error bars, as a few points of each.
+    outline = [withStroke(linewidth=1.5, foreground="white")]
+    look: dict[str, Any] = {
+        "fontsize": _SIZE,
+        "rotation_mode": "anchor",
+        "path_effects": outline,
+        "zorder": 4,
+    }
+    lines = {line: _pixels(panel, line.get_xydata()) for line in panel.get_lines() if line.get_zorder() > 1.0}
     bars = [bar for of in panel.collections if hasattr(of, "get_segments") for bar in of.get_segments()]
-    ends = [_pixels(panel, np.maximum(bar, 1e-300)) for bar in bars]
-    others += [np.linspace(pair[0], pair[1], 7) for pair in ends if len(pair) == 2]
-    written = [text.get_window_extent() for text in panel.texts]
-    taken = [(complex(*box.p0), complex(*box.p1)) for box in written]
+    taken = [_pixels(panel, np.linspace(bar[0], bar[-1], 7)) for bar in bars]
     for label, line in drawn.items():
-        c = result.coefficients.get(label)
+        c = coefficients.get(label)
         if c is None or c.term not in _WRITTEN or not c.detected:
             continue
         shown = c.in_unit()
-        value = shown.describe().split(" ± ")[0].removesuffix(" (held)").removeprefix("(")
-        value = value if value.endswith(shown.unit) else f"{value} {shown.unit}"
-        text = _WRITTEN[c.term].format(symbol=c.symbol, value=value)
-        own = _pixels(panel, line.get_xydata())
-        place = _roomiest(panel, own, len(text), [x for x in others if not np.array_equal(x, own)], taken)
-        if place is None:
+        text = f"{_WRITTEN[c.term]}{c.symbol} = {without_error(shown.value, shown.std)} {shown.unit}"
+        others = np.concatenate([*taken, *(own for other, own in lines.items() if other is not line)])
+        if (found := _place(panel, lines[line], len(text), others)) is None:
             continue
-        middle, angle, box = place
+        middle, angle, box = found
         x, y = panel.transData.inverted().transform((middle.real, middle.imag))
-        panel.text(
-            x,
-            y,
-            text,
-            color=line.get_color(),
-            fontsize=_SIZE,
-            rotation=angle,
-            rotation_mode="anchor",
-            ha="center",
-            va="center",
-            zorder=4.0,
-            path_effects=[withStroke(linewidth=1.5, foreground="white")],
-        )
+        at: dict[str, Any] = {"rotation": angle, "ha": "center", "va": "center"}
+        panel.text(x, y, text, color=line.get_color(), **at, **look)
         taken.append(box)
 
 
-def _pixels(panel: Axes, points: Any) -> _Pixels:
+def _pixels(panel: Axes, points: Any) -> Complex[np.ndarray, " _"]:
     """Points on the screen, x + iy in pixels, without those that are not on a logarithmic scale."""
     xy = np.asarray(points, float)
     return panel.transData.transform(xy[(xy > 0.0).all(axis=1)]) @ (1.0, 1.0j)
 
 
-def _roomiest(
-    panel: Axes, line: _Pixels, letters: int, others: Sequence[_Pixels], taken: Sequence[_Box]
-) -> tuple[complex, float, _Box] | None:
-    """Middle, angle [deg] and corners of the place beside a line that is farthest from everything else.
+def _place(
+    panel: Axes, line: Complex[np.ndarray, " _"], letters: int, others: Complex[np.ndarray, " _"]
+) -> tuple[complex, float, Complex[np.ndarray, " _"]] | None:
+    """Middle, angle [deg] and points of a text beside a line, where fewest of the others' points are.
 
-    None if there is no place inside the panel that another text has not taken.
+    None if there is no place inside the panel.
     """
-    from scipy.spatial import KDTree
-
-    if len(line) < 2 or not others:
-        return None
     size = _SIZE * panel.figure.dpi / 72.0
-    half = 0.5 * _WIDTH * letters * size
-    lower, upper = complex(*panel.bbox.p0) + 4.0 + 4.0j, complex(*panel.bbox.p1) - 4.0 - 4.0j
-    # Places along the line, at equal distances on the screen, on either side of it, near and not so near.
+    half = _HALF_WIDTH * letters * size
+    u, v = np.meshgrid(np.linspace(-half, half, 25), np.linspace(-0.5, 0.5, 3) * size)
+    lower, upper = complex(*panel.bbox.p0), complex(*panel.bbox.p1)
     along = np.concatenate([[0.0], np.cumsum(abs(np.diff(line)))])
-    at = np.linspace(0.0, along[-1], _PLACES)
-    points, starts, ends = (np.interp(s, along, line) for s in (at, at - half, at + half))
-    direction = np.tile((ends - starts) / np.maximum(abs(ends - starts), 1e-9), 4)
-    away = np.repeat([_AWAY, -_AWAY, 1.7 * _AWAY, -1.7 * _AWAY], _PLACES) * size
-    middle = np.tile(points, 4) + away * 1.0j * direction
-    # A grid of points of each text's box.
-    u, v = np.meshgrid(np.linspace(-half, half, 9), np.linspace(-0.5, 0.5, 3) * _HEIGHT * size)
-    grid = middle[:, None] + direction[:, None] * (u + 1.0j * v).ravel()
-    low, high = (end(grid.real, axis=1) + 1.0j * end(grid.imag, axis=1) for end in (np.min, np.max))
-    fits = _parts(low - lower, upper - high).min(axis=0) > 0.0
-    for a, b in taken:
-        fits &= _parts(a - high, low - b).max(axis=0) > 2.0
-    if not fits.any():
-        return None
-    obstacles = np.concatenate(others)
-    obstacles = obstacles[_parts(obstacles - lower, upper - obstacles).min(axis=0) > -50.0]
-    distance, _ = KDTree(_parts(obstacles).T).query(_parts(grid[fits]).T)
-    best = np.flatnonzero(fits)[np.argmax(distance.min(axis=0))]
-    return middle[best], np.degrees(np.angle(direction[best])), (low[best], high[best])
-
-
-def _parts(*z: Complex[np.ndarray, ...]) -> Float[np.ndarray, ...]:
-    """Real and imaginary parts, one after the other."""
-    return np.stack([part for x in z for part in (x.real, x.imag)])
+    best: tuple[float, Any] = (np.inf, None)
+    for at in np.linspace(half, along[-1] - half, _PLACES) if along[-1] > 2.0 * half else ():
+        start, point, end = (complex(np.interp(at + s, along, line)) for s in (-half, 0.0, half))
+        turn = (end - start) / abs(end - start)
+        for away in (_AWAY, -_AWAY):
+            middle = point + away * size * 1.0j * turn
+            box = middle + turn * (u + 1.0j * v).ravel()
+            gaps = np.concatenate([box - lower, upper - box])
+            near = (others - middle) / turn
+            hits = np.sum((abs(near.real) < half + _FREE) & (abs(near.imag) < 0.5 * size + _FREE))
+            # Of places that are alike, the one in the middle.
+            badness = float(hits) + abs(at / along[-1] - 0.5)
+            if min(gaps.real.min(), gaps.imag.min()) > _FREE and badness < best[0]:
+                best = badness, (middle, float(np.degrees(np.angle(turn))), box)
+    return best[1]

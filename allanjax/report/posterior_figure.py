@@ -42,6 +42,7 @@ from allanjax.report.figure import (
     unit_of,
     write_title,
 )
+from allanjax.report.frame import rows_of
 from allanjax.spectrum.psd import density_unit
 
 _COLOUR = COLOURS[0]
@@ -134,7 +135,7 @@ def _name(m: Estimate) -> str:
 def _heading(m: Estimate) -> str:
     shown = m.in_unit()
     if m.detected:
-        return format_with_error(shown.value, shown.std)
+        return format_with_error(shown.value, shown.std) if shown.is_normal else shown.describe_interval()
     return "not detected" if shown.upper_limit is None else f"below {significant(shown.upper_limit)} (95 %)"
 
 
@@ -185,7 +186,7 @@ def _draw_pair(panel: Axes, x: _Draws, y: _Draws, x_ends: _Ends, y_ends: _Ends) 
 def plot_posterior(
     posterior: Posterior,
     curve: AllanDeviation | Fit | None = None,
-    axes: Sequence[str] | None = None,
+    axes: Sequence[str] | str | None = None,
     path: str | os.PathLike[str] | None = None,
     spectrum: Any = None,
 ) -> Figure:
@@ -208,9 +209,7 @@ def plot_posterior(
     Raises:
         AllanjaxError: there is no such axis.
     """
-    if axes is not None and not axes:
-        raise AllanjaxError(f"name at least one axis to plot of {', '.join(posterior.axes)}")
-    chosen = [posterior[name] for name in (posterior.axes if axes is None else axes)]
+    chosen = [posterior.results[k] for k in rows_of(posterior.axes, None, axes)[0]]
     measured = posterior.fit.curve if curve is None else curve.curve if isinstance(curve, Fit) else curve
     width = _LEFT + 2.0 * _PANEL_WIDTH + _GAP + _RIGHT
     height = _TOP + len(chosen) * _PANEL_HEIGHT + (len(chosen) - 1) * _ROW_GAP + _BOTTOM

@@ -53,11 +53,11 @@ def plot_psd(
 ) -> Figure:
     """Draw one-sided power spectral density against frequency, gyros above accelerometers.
 
-    Points are the estimates, averaged after Hou (2004) table 3.4, with their 68 % intervals; the grey band is
-    the flat part from which N below the panel follows by eq. (3.41). For a fit, the black line is the density
-    that samples of the model have, aliases included; broken lines are its terms as in `plot_allan`, a
-    vertical line is a sinusoid, and a strip shows measured over model minus one, averaged to four points an
-    octave. A drift ramp has no density.
+    Points are the estimates, averaged after Hou (2004) table 3.4, with their 68 % intervals. Without a fit,
+    the grey band is the flat part from which N below the panel follows by eq. (3.41). With one, the black
+    line is the density that samples of the model have, aliases included; broken lines are its terms as in
+    `plot_allan`, a vertical line is a sinusoid, and a strip shows measured over model minus one, averaged to
+    four points an octave. A drift ramp has no density.
     Densities are in (deg/h)²/Hz and µg²/Hz.
 
     Args:
@@ -81,8 +81,8 @@ def plot_psd(
     facts = facts_of(spectrum.n, spectrum.rate)
     frame = Frame(title, facts, FREQUENCY, has_fit, has_fit)
     rows = rows_of(spectrum.names, spectrum.axes, axes)
-    # In axes of the caller's there is no key to say what the band is.
-    has_band = ax is None and spectrum.axes is not None
+    # In axes of the caller's there is no key to say what the band is; a fit has an N of its own.
+    has_band = ax is None and spectrum.axes is not None and fit is None
     return frame.draw([[_panel(spectrum, fit, k, has_band) for k in row] for row in rows], path, ax)
 
 
@@ -148,7 +148,10 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
     for label, term in zip(result.term_labels, model.seen, strict=True):
-        style: dict[str, Any] = {"label": title_of(label, result.axis), **term_style(fit, result, label)}
+        style: dict[str, Any] = {
+            "label": title_of(label, result.axis.sensor),
+            **term_style(fit, result, label),
+        }
         drawn = label in drawn_terms(result)
         if not term.deterministic:
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
@@ -212,7 +215,7 @@ def _line_of(term: Process) -> list[float]:
 def _fit_entries(fit: Fit, result: AxisFit) -> list[KeyEntry]:
     """Entries of every term with its coefficients."""
     if not result.converged:
-        return [KeyEntry(wrapped(result.verdict()))]
+        return [KeyEntry(wrapped(result.verdict))]
     return term_entries(fit, result, _is_nowhere, " (no density: not drawn)")
 
 

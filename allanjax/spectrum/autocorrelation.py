@@ -17,7 +17,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -31,7 +31,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.modelled import Modelling, models_of
 from allanjax.noise.readings import AxisReadings, Readings
-from allanjax.record.axes import names_of
+from allanjax.record.axes import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -49,7 +49,7 @@ _ENDED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Autocorrelation(ByValue):
+class Autocorrelation(ByValue, OfAxes):
     """Estimated autocorrelation of each axis, mean subtracted, against the lag.
 
     Attributes:
@@ -63,6 +63,8 @@ class Autocorrelation(ByValue):
         axes: the recording's axes, or None for an array.
     """
 
+    PER_AXIS: ClassVar[tuple[str, ...]] = ("value", "standard_error", "remarks")
+
     lag: Float[np.ndarray, " m"]
     value: Float[np.ndarray, "m axes"]
     standard_error: Float[np.ndarray, "m axes"]
@@ -70,11 +72,6 @@ class Autocorrelation(ByValue):
     n: int
     rate: float
     axes: tuple[Axis, ...] | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the axes; "0", "1", … for an array."""
-        return names_of(self.axes, self.value.shape[1])
 
     def markov(self) -> Readings:
         """Variance σ² and correlation time 1/β of a Gauss–Markov process (3.30), as the thesis reads them.

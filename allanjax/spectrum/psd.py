@@ -9,7 +9,7 @@ a ramp or a strong line can bury the floor. The cost of the window: neighbouring
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
@@ -20,7 +20,7 @@ from allanjax.base.presented import presented
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.readings import AxisReadings, Readings
 from allanjax.noise.terms import AngleRandomWalk
-from allanjax.record.axes import names_of
+from allanjax.record.axes import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -78,7 +78,7 @@ def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
 
 
 @dataclass(frozen=True, eq=False)
-class PowerSpectrum(ByValue):
+class PowerSpectrum(ByValue, OfAxes):
     """Estimated one-sided power spectral density of each axis against frequency.
 
     Attributes:
@@ -95,6 +95,8 @@ class PowerSpectrum(ByValue):
         axes: the recording's axes, or None for an array.
     """
 
+    PER_AXIS: ClassVar[tuple[str, ...]] = ("density",)
+
     frequency: Float[np.ndarray, " m"]
     density: Float[np.ndarray, "m axes"]
     count: Int[np.ndarray, " m"]
@@ -106,11 +108,6 @@ class PowerSpectrum(ByValue):
     window: str = "hann"
     segments: int = 1
     axes: tuple[Axis, ...] | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the axes; "0", "1", … for an array."""
-        return names_of(self.axes, self.density.shape[1])
 
     @property
     def standard_error(self) -> Float[np.ndarray, "m axes"]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -26,7 +26,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import AngleRandomWalk
-from allanjax.record.axes import names_of
+from allanjax.record.axes import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.validation import Source, check_values
@@ -45,7 +45,7 @@ _CAPACITY = 24
 
 
 @dataclass(frozen=True, eq=False)
-class WaveletVariance(ByValue):
+class WaveletVariance(ByValue, OfAxes):
     """Estimated wavelet variance of each axis by level.
 
     Attributes:
@@ -60,6 +60,8 @@ class WaveletVariance(ByValue):
         axes: the recording's axes, or None for an array.
     """
 
+    PER_AXIS: ClassVar[tuple[str, ...]] = ("variance", "edf")
+
     level: Int[np.ndarray, " m"]
     variance: Float[np.ndarray, "m axes"]
     count: Int[np.ndarray, " m"]
@@ -68,11 +70,6 @@ class WaveletVariance(ByValue):
     rate: float
     wavelet: str = "haar"
     axes: tuple[Axis, ...] | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the axes; "0", "1", … for an array."""
-        return names_of(self.axes, self.variance.shape[1])
 
     @property
     def scale(self) -> Float[np.ndarray, " m"]:

@@ -336,9 +336,13 @@ def test_noise_below_the_resolution_and_samples_that_are_held():
         for k, fact in enumerate(fact for fact in seen.facts if fact.kind == "resolution"):
             assert fact.axes == (NAMES[k],)
             # The rms of differences of rounded noise, over the root of two, in steps.
-            assert fact.size == pytest.approx(np.diff(x[:, k]).std() / np.sqrt(2.0) / SIGMA[k] / steps, rel=0.01)
+            assert fact.size == pytest.approx(
+                np.diff(x[:, k]).std() / np.sqrt(2.0) / SIGMA[k] / steps, rel=0.01
+            )
     # Of 15 neighbours in a block of 16, eight are equal if each sample comes twice.
     for held, share in ((2, 53), (4, 80), (1, 0)):
-        found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about("repeated samples")
+        found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about(
+            "repeated samples"
+        )
         assert len(found) == (6 if share else 0)
         assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))

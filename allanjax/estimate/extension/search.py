@@ -78,12 +78,12 @@ def extended(
         return None
     inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]
     model = extended_model(template.model, result.coefficients, inactive)
-    if result.misfit is not None:
-        deviation = np.sqrt(np.asarray(model.sampled(rate).allan_variance(curve.cluster_time)))
-        ratio = curve.deviation[:, k] / deviation
-        if misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s").excessive:
-            return None
+    deviation = np.sqrt(np.asarray(model.sampled(rate).allan_variance(curve.cluster_time)))
+    misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / deviation, curve.edf[:, k], "s")
+    if result.misfit is not None and misfit.excessive:
+        return None
     result = dataclasses.replace(result, own_template=template.model, plain=plain, _model=model)
+    result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
     return Extension(result, selection)
 
 

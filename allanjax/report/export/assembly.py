@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
@@ -13,12 +12,10 @@ from allanjax.base.wording import significant
 from allanjax.record.units import Sensor
 from allanjax.report.export.syntax import Entry, written
 from allanjax.report.export.targets import Key, Target, Text
-from allanjax.report.export.values import Missing, Number, OneOf, Quantities, together
+from allanjax.report.export.values import CALLED, Missing, Number, OneOf, Quantities, together
 
 #: What is written of several axes: each where the target holds three, the worst, or the mean.
 Axes = Literal["each", "worst", "mean"]
-
-_CALLED: dict[Sensor, str] = {"gyro": "gyro", "accel": "accelerometer"}
 
 
 class Exported(NamedTuple):
@@ -52,6 +49,17 @@ def checked_rate(rate: float) -> float:
     return float(rate)
 
 
+def rate_of_target(to: Target, rate: float | None, own: float | None) -> float:
+    """Rate of a target's steps [Hz]: the one given, unless it has its own, or that of the source.
+
+    It is nan if it is not known and no noise depends on it.
+    """
+    found = rate if rate is not None and to.rate is None else to.rate if to.rate is not None else own
+    if found is None and any("r" in key.names for key in to.noise_keys if key.sensor):
+        raise AllanjaxError(f"{to.title} takes the rate of the IMU, which is not known: give rate= (--rate)")
+    return math.nan if found is None else checked_rate(found)
+
+
 def assembled(
     to: Target,
     sensors: Mapping[Sensor, SensorNoise],
@@ -72,6 +80,7 @@ def assembled(
     """
     if to.one_time:
         sensors = _with_one_time(sensors)
+    needs_rate = math.isfinite(rate) and any("r" in key.names for key in to.noise_keys)
     entries: list[Entry] = []
     without: dict[str, list[str]] = {}
     for key in to.keys:
@@ -88,7 +97,7 @@ def assembled(
     lines = [
         *head,
         f"follows {to.source}",
-        *([f"r = {significant(rate, 6)} Hz, {to.rate_name}"] if needs_rate(to) else []),
+        *([f"r = {significant(rate, 6)} Hz, {to.rate_name}"] if needs_rate else []),
         "N, K: densities, two-sided, in SI",
         *to.notes,
         *wrong,
@@ -96,11 +105,6 @@ def assembled(
         *left_out,
     ]
     return Exported(written(to, lines, entries), (*wrong, *left_out))
-
-
-def needs_rate(to: Target) -> bool:
-    """Whether a formula of the target has its rate r."""
-    return any("r" in re.findall(r"\w+", key.formula) for key in to.noise_keys)
 
 
 class _LeftOutError(Exception):
@@ -136,10 +140,12 @@ def _entry(
 ) -> Entry:
     """The line of a key; _LeftOutError says why there is none."""
     if key.sensor is None:
+        if "r" in key.names and math.isnan(rate):
+            raise _LeftOutError("the rate of the IMU is not known: give rate= (--rate)")
         return Entry(key.name, key.value({}, rate), (f"= {key.formula} [{key.unit}]",))
     s = sensors[key.sensor]
     if not s.axes:
-        raise _LeftOutError(f"there is no {_CALLED[key.sensor]} with a result; take a recording that has one")
+        raise _LeftOutError(f"there is no {CALLED[key.sensor]} with a result; take a recording that has one")
     found, lacking = [], []
     for name, of in zip(s.names, s.axes, strict=True):
         own = {symbol: of[symbol] for symbol in key.symbols}

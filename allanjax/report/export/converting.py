@@ -15,12 +15,12 @@ from allanjax.report.export.assembly import (
     assembled,
     checked_axes,
     checked_rate,
-    needs_rate,
+    rate_of_target,
 )
 from allanjax.report.export.reading import by_axis, values_in
 from allanjax.report.export.table import TARGETS
 from allanjax.report.export.targets import Key, Target, target_of
-from allanjax.report.export.values import LONG, Missing, Number, Quantities
+from allanjax.report.export.values import Number, Quantities, completed
 
 _UNITS: dict[Sensor, dict[str, str]] = {
     "gyro": {"N": "rad/√s", "K": "rad/s/√s", "q": "rad/s/√s", "B": "rad/s", "T": "s"},
@@ -64,11 +64,8 @@ def converted(
     if not any(s.axes for s in sensors.values()):
         keys = ", ".join(dict.fromkeys(key.called for key in from_.noise_keys if key.sensor))
         raise AllanjaxError(f"{name or 'the text'}: not a file of {from_.title}: none of {keys} is in it")
-    r = rate if rate is not None and to.rate is None else to.rate if to.rate is not None else own
-    if r is None and needs_rate(to):
-        raise AllanjaxError(f"{to.title} takes the rate of the IMU, which is not in the file: give --rate")
     head = f"{to.title}: converted by allanjax from {name or 'a file'} of {from_.title}, not from a recording"
-    return assembled(to, sensors, axes, checked_rate(r if r is not None else 1.0), [head])
+    return assembled(to, sensors, axes, rate_of_target(to, rate, own), [head])
 
 
 def _rate_of(from_: Target, values: Mapping[str, tuple[float, ...]], rate: float | None) -> float | None:
@@ -77,15 +74,11 @@ def _rate_of(from_: Target, values: Mapping[str, tuple[float, ...]], rate: float
         return from_.rate
     own = [values[key.name][0] for key in from_.noise_keys if key.formula == "r" and key.name in values]
     found = rate if rate is not None else own[0] if own else None
-    if found is None and any("r" in _names(key) for key in from_.noise_keys if key.sensor):
+    if found is None and any("r" in key.names for key in from_.noise_keys if key.sensor):
         raise AllanjaxError(
             f"values of {from_.title} are per step, and its file does not have the rate: give --rate"
         )
     return None if found is None else checked_rate(found)
-
-
-def _names(key: Key) -> set[str]:
-    return {name for name in "NKqTBr" if name in key.formula.replace("sqrt", "")}
 
 
 def _noise(
@@ -117,9 +110,9 @@ def _number(
     """The quantity that a value of the file is of."""
     if not 0.0 < value < math.inf:
         raise AllanjaxError(f"{key.called} is {value:g}, which no noise has; give a positive value")
-    symbol = "q" if {"q", "T"} <= _names(key) else next(s for s in "NKqBT" if s in _names(key))
+    symbol = "q" if {"q", "T"} <= key.names else next(s for s in "NKqBT" if s in key.names)
     others = {s: n.value for s, n in known.items() if s != symbol}
-    if "T" in _names(key) - {symbol} and "T" not in others:
+    if "T" in key.names - {symbol} and "T" not in others:
         raise AllanjaxError(f"{key.called} needs the correlation time, which is not in it")
     unit = _UNITS[sensor][symbol]
     x = key.solved(value, symbol, others, rate if rate is not None else 1.0)
@@ -129,15 +122,5 @@ def _number(
 
 def _quantities(from_: Target, of: Mapping[str, Number]) -> Quantities:
     """All quantities of an axis: those of the file, a walk also as what drives a bias."""
-    why = Missing(f"a file of {from_.title} does not hold it")
-    found: dict[str, Number | Missing] = {symbol: of.get(symbol, why) for symbol in "NKqTB"}
-    walk = found["K"]
-    if isinstance(walk, Number):
-        found["q"] = Number("q", walk.value, f"q = K: {walk.said}", walk.unit, axis=walk.axis, label="K")
-        said = f"T = {significant(LONG, 5)} s: the bias is a walk, for much less than T"
-        found["T"] = Number("T", LONG, said, "s", axis=walk.axis)
-    elif isinstance(found["q"], Number):
-        found["K"] = Missing(
-            f"the bias of {from_.title} is a Markov process, which is no walk beyond its correlation time"
-        )
-    return found
+    no_walk = f"the bias of {from_.title} is a Markov process, which is no walk beyond its correlation time"
+    return completed(of, f"is not in a file of {from_.title}", no_walk)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from allanjax.base.errors import FitError
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import Estimate
 from allanjax.record.units import SENSORS, Sensor
 from allanjax.report.export.assembly import (
@@ -17,14 +18,15 @@ from allanjax.report.export.assembly import (
     assembled,
     checked_axes,
     checked_rate,
+    rate_of_target,
 )
 from allanjax.report.export.table import TARGETS
 from allanjax.report.export.targets import Target, target_of
-from allanjax.report.export.values import Number, Quantities, quantities, usable_axes
+from allanjax.report.export.values import Number, Quantities, of_sheet, quantities, usable_axes
 
 
 def export(
-    fit: Fit,
+    fit: Fit | DataSheet,
     target: str,
     *,
     axes: Axes | None = None,
@@ -38,12 +40,13 @@ def export(
     cannot hold is said and left out. The text is ASCII; comments of JSON are in "_comment".
 
     Args:
-        fit: the fit of a recording, from `fit` or `load`.
+        fit: the fit of a recording, from `fit` or `load`; or a data sheet, whose K, which data sheets do not
+            have, is left out with the remedy.
         target: its name, e.g. "kalibr", "vins-mono", "gz-sim"; `allanjax export --list` lists all.
         axes: what becomes of several axes: "worst" is the largest value, "mean" the mean, "each" one for
             each axis, for targets that hold three; by default "each" for these and "worst" for others.
         rate: rate of the target's steps or samples [Hz]; by default that of the recording (of an autopilot
-            that of its filter).
+            that of its filter). A data sheet has none.
         path: file to write the text to.
 
     Raises:
@@ -56,10 +59,18 @@ def export(
     return text
 
 
-def exported(fit: Fit, target: str, *, axes: Axes | None = None, rate: float | None = None) -> Exported:
+def exported(
+    fit: Fit | DataSheet, target: str, *, axes: Axes | None = None, rate: float | None = None
+) -> Exported:
     """What `export` writes, and what had to be left out of it."""
     to = target_of(target, TARGETS)
     checked_axes(to, axes)
+    if isinstance(fit, DataSheet):
+        of = {s: SensorNoise((s,), (of_sheet(fit, s),)) for s in fit.models}
+        of = {s: of.get(s, SensorNoise((), ())) for s in SENSORS}
+        head = f"{to.title}: noise of {fit.name or 'a sensor'} by its data sheet, not from a recording"
+        source = [f"data sheet: {fit.source}"] if fit.source else []
+        return assembled(to, of, axes, rate_of_target(to, rate, None), [head, *source, *fit.statements])
     r = checked_rate(rate if rate is not None else to.rate if to.rate is not None else fit.curve.rate)
     results = {sensor: usable_axes(fit, sensor) for sensor in SENSORS}
     if not any(usable for usable, _ in results.values()):

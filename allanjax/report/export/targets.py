@@ -61,9 +61,14 @@ class Key:
         return self.name.rpartition("/")[2].replace("{}", "...")
 
     @property
+    def names(self) -> set[str]:
+        """Names in its formula: quantities, the rate r, functions."""
+        return set(re.findall(r"[A-Za-z]+", self.formula))
+
+    @property
     def symbols(self) -> tuple[str, ...]:
         """Quantities of the fit that are needed; with a correlation time the density that it belongs to."""
-        names = set(re.findall(r"[A-Za-z]+", self.formula)) & _SYMBOLS
+        names = self.names & _SYMBOLS
         return tuple(sorted(names | ({"q"} if "T" in names else set())))
 
     def value(self, quantities: Mapping[str, float], rate: float) -> float:

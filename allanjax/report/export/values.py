@@ -12,9 +12,12 @@ from typing import Literal
 
 from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.datasheet import NOT_GIVEN, REMEDY, DataSheet
+from allanjax.noise.estimate import Estimate, title_of
 from allanjax.record.units import Sensor
 
+#: A sensor in words.
+CALLED: dict[Sensor, str] = {"gyro": "gyro", "accel": "accelerometer"}
 #: What becomes of several axes where the target holds one number.
 OneOf = Literal["worst", "mean"]
 
@@ -59,10 +62,43 @@ class Missing:
 Quantities = Mapping[str, Number | Missing]
 
 
+def completed(of: Mapping[str, Number], why: str, no_walk: str = "") -> Quantities:
+    """All quantities of an axis of which some are given: a walk is also what drives a bias.
+
+    `why` says after its symbol why one is missing, and `no_walk` why there is no K beside a Markov process.
+    """
+    found: dict[str, Number | Missing] = {s: of.get(s) or Missing(f"{s} {why}") for s in "NKqTB"}
+    walk = found["K"]
+    if isinstance(walk, Number):
+        found["q"], found["T"] = _driven_by(walk, LONG)
+    elif isinstance(found["q"], Number):
+        found["K"] = Missing(no_walk)
+    else:
+        found["q"] = found["T"] = walk
+    return found
+
+
+def of_sheet(sheet: DataSheet, sensor: Sensor) -> Quantities:
+    """N, K, B, q and T of a sensor by its data sheet."""
+    given: dict[str, Number] = {}
+    for c in sheet.coefficients(sensor).values():
+        shown, amount = c.in_unit(), f"{significant(c.value, 5)} {c.si_unit}"
+        said = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
+        given[c.symbol] = Number(c.symbol, c.value, said, c.si_unit, axis=sensor, label=c.label)
+    return completed(given, f"of the {CALLED[sensor]} is {NOT_GIVEN} by the data sheet; {REMEDY}")
+
+
+def _driven_by(walk: Number, T: float) -> tuple[Number, Number]:
+    """Density q that drives a bias that is a walk, and the correlation time [s] that it is given."""
+    q = dataclasses.replace(walk, symbol="q", said=f"q = K: {walk.said}")
+    said = f"T = {significant(T, 5)} s: no Markov process but a walk, which the bias is for much less than T"
+    return q, Number("T", T, said, "s", axis=walk.axis)
+
+
 def usable_axes(fit: Fit, sensor: Sensor) -> tuple[list[AxisFit], list[str]]:
     """Axes of a sensor whose coefficients are measurements; and what is wrong with its others, in words."""
     results = [r for r in fit.results if r.axis.sensor == sensor]
-    wrong = [f"without {r.axis.name}: {r.verdict()}" for r in results if not r.measured]
+    wrong = [f"without {r.axis.name}: {r.verdict}" for r in results if not r.measured]
     wrong += [
         f"without {dead.axis.name}: no result, {dead.reason}"
         for dead in fit.dead
@@ -81,7 +117,7 @@ def quantities(result: AxisFit, duration: float) -> Quantities:
 def _basic(result: AxisFit, symbol: str) -> Number | Missing:
     label = _TERMS[symbol]
     if label not in result.coefficients:
-        words = label.replace("_", " ")
+        words = title_of(label, result.axis.sensor)
         terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
         return Missing(f"no {words} in the fitted model ({terms}); fit one that has the term {symbol}")
     return number(symbol, result.coefficients[label])
@@ -135,10 +171,7 @@ def _drive(
             return q, Number("T", time.value, said, "s", axis=name, label=time.label)
     if isinstance(walk, Missing):
         return walk, walk
-    T = max(duration, LONG)
-    q = dataclasses.replace(walk, symbol="q", said=f"q = K: {walk.said}")
-    said = f"T = {significant(T, 5)} s: no Markov process but a walk, which the bias is for much less than T"
-    return q, Number("T", T, said, "s", axis=name)
+    return _driven_by(walk, max(duration, LONG))
 
 
 def together(
