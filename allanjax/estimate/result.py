@@ -334,7 +334,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
     @property
     def not_measured(self) -> dict[str, str]:
         """Why the coefficients of an axis are not a measurement of the sensor, by the axis's name."""
-        return {r.axis.name: r.verdict() for r in self.results if r.converged and not r.measured}
+        return {r.axis.name: r.verdict for r in self.results if r.converged and not r.measured}
 
     def __post_init__(self) -> None:
         for result in self.results:
