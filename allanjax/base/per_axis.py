@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.tables import html_table, text_table
+from allanjax.base.plain import printable
+from allanjax.base.tables import WIDTH, html_table, text_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,6 +48,11 @@ class PerAxis(Mapping[str, _T]):
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     results: tuple[_T, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before reading the numbers, in words."""
+        return ()
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -87,10 +95,14 @@ class PerAxis(Mapping[str, _T]):
         raise NotImplementedError
 
     def __str__(self) -> str:
-        return text_table(self._title(), self.HEADINGS, self._cells(), right=self.RIGHT)
+        # Broken here, for they stand outside of the table.
+        told = [textwrap.fill(f"warning: {w}", WIDTH, subsequent_indent="  ") for w in self.warnings]
+        table = text_table(self._title(), self.HEADINGS, self._cells(), right=self.RIGHT)
+        return "\n".join([*map(printable, told), table])
 
     def __repr__(self) -> str:
         return str(self)
 
     def _repr_html_(self) -> str:
-        return html_table(self._title(), self.HEADINGS, self._cells())
+        told = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
+        return told + html_table(self._title(), self.HEADINGS, self._cells())

@@ -68,6 +68,7 @@ def command(
         first = [] if check is None else [f"check: {check.summary()}"]
         told = "\n".join([*first, str(fit), *(f"note: {note}" for note in fit.notes)])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
+        missing += [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
         return Outcome(told, with_check(fit, check), paths, missing)
 
     work_through(files, out, as_json, work, lambda fits, _: {"schema_version": SCHEMA_VERSION, "fits": fits})

@@ -31,6 +31,14 @@ EPILOG = epilog(
 def command(
     files: Files,
     reading: ReadOptions,
+    vibrating: Annotated[
+        bool,
+        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
+    ] = False,
+    refit: Annotated[
+        bool,
+        typer.Option("--refit", help="Print the coefficients of the samples less what was found, too."),
+    ] = False,
     out: Out = None,
     as_json: Annotated[
         bool,
@@ -44,10 +52,12 @@ def command(
     from allanjax.report.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        found = _read_and_criticize(file, reading)
+        found = _read_and_criticize(file, reading, vibrating)
         paths = [] if directory is None else _write(found, directory, file)
         missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in found.dead]
-        return Outcome(str(found), to_dict(found), paths, missing)
+        missing += [f"{axis}: {why}" for axis, why in found.fit.not_measured.items()]
+        told = f"{found}\n\n{found.refit()}" if refit else str(found)
+        return Outcome(told, to_dict(found), paths, missing)
 
     def document(critiques: list[dict[str, Any]], count: int) -> dict[str, Any]:
         if count == len(critiques) == 1:
@@ -57,13 +67,13 @@ def command(
     work_through(files, out, as_json, work, document)
 
 
-def _read_and_criticize(file: Input, reading: ReadOptions) -> "Critique":
+def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "Critique":
     with stage(f"{file.label}: loading allanjax"):
         from allanjax.critic.critique import critique
     with stage(f"{file.label}: reading"):
         recording = read_recording(file.path, reading, file.label)
     with fitting(file, recording) as tell:
-        return critique(recording, progress=lambda text: tell(f"{file.label}: {text}"))
+        return critique(recording, vibrating=vibrating, progress=lambda text: tell(f"{file.label}: {text}"))
 
 
 def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:

@@ -56,6 +56,9 @@ def command(
             "and of autopilots that of their filter."
         ),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Export what is not a measurement of the sensor, too.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="File to write; by default the standard output.")
     ] = None,
@@ -70,7 +73,7 @@ def command(
         raise typer.BadParameter("give a target of --list, e.g. kalibr", param_hint="--to")
     with failures_told():
         if source is None:
-            made = exported(fit_or_sheet(result, sheet), to, axes=axes, rate=rate)
+            made = exported(fit_or_sheet(result, sheet), to, axes=axes, rate=rate, force=force)
         elif result is None:
             raise AllanjaxError("give the file that is to be converted")
         else:

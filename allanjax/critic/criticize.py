@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.wording import finite_or_none
+from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes import CAUSES
 from allanjax.critic.causes.common_mode import NAME, common_mode
@@ -35,8 +35,10 @@ from allanjax.critic.search import (
 )
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
-from allanjax.estimate.fit import fit as fit_recording
+from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
+from allanjax.inspection import Inspection, inspect
+from allanjax.inspection.facts import Fact
 from allanjax.record.recording import Recording
 
 # Statistics that compare with other channels: what they show has its cause in these.
@@ -57,6 +59,7 @@ def criticize(
     given: Fit | None,
     causes: Sequence[Cause] | None,
     false_alarms: float,
+    vibrating: bool,
     progress: Callable[[str], None] | None,
 ) -> Critique:
     """Criticize a recording; the arguments are those of `critique`.
@@ -65,10 +68,11 @@ def criticize(
     """
     causes = CAUSES if causes is None else causes
     tell = progress or (lambda text: None)
+    recording, seen = _undisturbed(recording, vibrating)
     _check(recording, given, false_alarms)
     per_axis = false_alarms / len(recording.axes)
 
-    searches, fit = _searches(recording, given, causes, per_axis, tell)
+    searches, fit = _searches(recording, seen, given, causes, per_axis, tell)
     tell("comparing measurement and simulation")
     stages = [_stages(s) for s in searches]
 
@@ -115,13 +119,28 @@ def criticize(
     notes = [*fit.notes]
     notes += [f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence" for r in unfitted]
     notes += [note for s in searches for note in s.notes]
-    return Critique(
-        recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead, fit.warnings
-    )
+    return Critique(recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead)
+
+
+def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Inspection]:
+    """The recording without what disturbs its beginning and end, and the facts about it.
+
+    What happens between is for the critique to name.
+    """
+    seen = inspect(recording, vibrating=vibrating, may_move=True)
+    facts = [fact for fact in seen.facts if fact.kind not in ("disturbances", "spikes") or seen.refusal]
+    whole = 0.0, recording.duration
+    start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
+    if (start, stop) != whole:
+        text = f"{seen.said}: the critique is of {plain(start)} to {plain(stop)} s"
+        facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
+        recording = recording.between(start, stop)
+    return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
 
 
 def _searches(
     recording: Recording,
+    seen: Inspection,
     given: Fit | None,
     causes: Sequence[Cause],
     false_alarms: float,
@@ -143,7 +162,7 @@ def _searches(
     # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
     # search needs no fit: it is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
-        fitting = pool.submit(lambda: _baseline(recording, tell) if given is None else given)
+        fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
         drafts = list(pool.map(searched, range(len(recording.axes))))
         places = [places_in(draft.end, draft.steps) for draft in drafts]
         searches = list(pool.map(concluding, range(len(recording.axes))))
@@ -190,15 +209,15 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
             raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
 
 
-def _baseline(recording: Recording, tell: Callable[[str], None]) -> Fit:
+def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None]) -> Fit:
     """Fit of the Allan variances, or of the spectrum where that does not converge."""
     tell("fitting the noise model")
     # What was done to the recording is what is looked for.
-    fit = fit_recording(recording, as_is=True, plain=True)
+    fit = fit_inspected(recording, seen, None, "allan", plain=True, as_is=True)
     if all(result.converged for result in fit.results):
         return fit
     # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
-    return fit_recording(recording, objective="whittle", as_is=True, plain=True)
+    return fit_inspected(recording, seen, None, "whittle", plain=True, as_is=True)
 
 
 def _stages(s: Search) -> tuple[Snapshot, ...]:

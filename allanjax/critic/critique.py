@@ -19,6 +19,7 @@ def critique(
     *,
     causes: Sequence[Cause] | None = None,
     false_alarms: float = FALSE_ALARMS,
+    vibrating: bool = False,
     progress: Callable[[str], None] | None = None,
     rate: float | None = None,
     gyro_unit: str | None = None,
@@ -32,7 +33,8 @@ def critique(
     filter for it. Competing explanations, among them other basic noise terms, are compared by their evidence.
     The best one is accepted if it is significant and predicts data that it was not estimated from; it is
     subtracted, and the search begins anew. Earlier findings are refitted conditional on it where that
-    matters, and dropped where nothing is left of them. See `allanjax.critic` for writing a cause of your own.
+    matters, and dropped where nothing is left of them. What disturbs the beginning and the end of the
+    recording is left out, see `inspect`. See `allanjax.critic` for writing a cause of your own.
 
     Args:
         recording: what `read` returns, or what else `allanjax.fit` takes.
@@ -41,6 +43,7 @@ def critique(
         causes: what to look for; by default `allanjax.critic.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding; it is shared by its
             axes. Basic terms that a given model lacks come on top, as often again (`critic.policy`).
+        vibrating: whether the platform moves or vibrates, and is to: it is not tested for rest.
         progress: called with a text that says what is being done.
         rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.
         gaps: what to do about missing samples, as in `read`; of an array those that are nan.
@@ -57,4 +60,4 @@ def critique(
     # Sooner than a fit would, so that it does not happen while axes are criticized.
     release_programs(0.5)
 
-    return criticize(recording, fit, causes, false_alarms, progress)
+    return criticize(recording, fit, causes, false_alarms, vibrating, progress)

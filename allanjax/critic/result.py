@@ -117,7 +117,6 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         shared_findings: findings that concern several axes.
         notes: remarks for the user.
         dead: axes of the recording that have no noise to compare, and why.
-        warnings: warnings about the recording as a whole; see `Fit.warnings`.
     """
 
     CALLED: ClassVar[str] = "the critique"
@@ -129,7 +128,11 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     shared_findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
-    warnings: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user of the critique should know of the recording as a whole; see `Fit.warnings`."""
+        return self.fit.warnings
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:

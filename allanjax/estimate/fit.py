@@ -17,7 +17,7 @@ from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, fit
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension.search import Extension, extended
-from allanjax.estimate.ranking import select_terms
+from allanjax.estimate.ranking import ranked
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection
 from allanjax.estimate.stretch_fits import fit_stretches, joined, with_quiet_others
@@ -171,7 +171,7 @@ def _fitted(
     if objective == "exact":
         check_exact(None if model is None else model_to_fit(model, recording.axes, True), recording)
     release_programs(0.75)
-    selection = select_terms(recording) if model is None else None
+    selection = ranked(recording) if model is None else None
     template, active = terms_to_fit(model, selection, recording.axes, objective)
     octaves = objective == "wavelet" and wavelet == "haar"
     curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,11 +16,12 @@ from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import TermSubset, term_pairs, without_ramp
 from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
+from allanjax.inspection import inspect
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.recording import Axis
+from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import (
     Bins,
     SpectralStatistics,
@@ -60,7 +62,7 @@ def select_terms(
     Two Markov processes are compared, too, if the candidates have two (`"N + B + K + markov + markov"`),
     beside the sets that one of them brings near the best. What all sets say together, coefficients and drift
     averaged by their probabilities, is the `averaged` of each axis's result. Of a recording in stretches the
-    evidence is that of all together.
+    evidence is that of all together. What `inspect` finds unlike the rest is left out, as by `fit`.
 
     Args:
         recording: what `read` returns, or what else `fit` takes.
@@ -77,6 +79,13 @@ def select_terms(
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
     if axes is not None:
         recording = recording.select(*([axes] if isinstance(axes, str) else axes))
+    seen = inspect(recording)
+    quiet = recording if seen.refusal else seen.quiet(recording)
+    return dataclasses.replace(ranked(quiet, candidates), facts=seen.facts)
+
+
+def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSelection:
+    """Ranking of the terms of all of a recording; see `select_terms`."""
     model = candidates_of(candidates, recording.rate)
     ramps = sorted_terms(model)[2]
     if recording.n < 64:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import html
 import os
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -17,9 +15,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.plain import printable
 from allanjax.base.presented import TextProperty, presented
-from allanjax.base.tables import WIDTH
 from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.correction import correction_of, further_terms
@@ -434,12 +430,3 @@ class Fit(ByValue, PerAxis[AxisFit]):
         name = f"{self.name}: " if self.name else ""
         others = self.curve.others_told()
         return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length}){others}"
-
-    def __str__(self) -> str:
-        # Broken here, for they stand outside of the table.
-        warnings = [textwrap.fill(f"warning: {w}", WIDTH, subsequent_indent="  ") for w in self.warnings]
-        return "\n".join([*map(printable, warnings), super().__str__()])
-
-    def _repr_html_(self) -> str:
-        warnings = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
-        return warnings + super()._repr_html_()

@@ -11,6 +11,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.per_axis import PerAxis
 from allanjax.estimate.averaged import Averaged
+from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import title_of
 from allanjax.record.recording import Axis
 
@@ -162,6 +163,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     Attributes:
         name: name of the recording.
         results: rankings of the axes.
+        facts: what was found in the recording before, the gravest first.
     """
 
     CALLED: ClassVar[str] = "the selection"
@@ -171,6 +173,12 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
 
     name: str
     results: tuple[AxisSelection, ...]
+    facts: tuple[Fact, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user of the ranking should know, the gravest first."""
+        return warnings_of(self.facts)
 
     def _title(self) -> str:
         return f"{self.name}: noise terms by evidence".lstrip(": ")

@@ -16,6 +16,8 @@ from allanjax.inspection.windows import Windows
 _MATTERS = 1.0
 # Many small events matter if their changes add up to the first; then each that is above the second does.
 _TOGETHER, _COUNTS = 2.0, 0.1
+# Standard deviations of a stretch's own excess beyond which it is no chance on an axis.
+_CHANCE = 3.0
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
 # Fewer windows than this are too few to compare with each other.
@@ -129,15 +131,15 @@ def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stre
     if may_move:
         stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
     sigmas, shares = excesses(part, stretches)
-    limit = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS
-    return [
-        dataclasses.replace(
-            s,
-            shares=tuple(share.tolist()),
-            axes=tuple(np.flatnonzero((sigma > limit) & (share > _TRIFLE)).tolist()),
+    limit, found = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
+    for s, sigma, share in zip(stretches, sigmas, shares, strict=True):
+        # By chance a stretch is in excess by the root of its share of the part.
+        clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
+        axes = (share > _TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
+        found.append(
+            dataclasses.replace(s, shares=tuple(share.tolist()), axes=tuple(np.flatnonzero(axes).tolist()))
         )
-        for s, sigma, share in zip(stretches, sigmas, shares, strict=True)
-    ]
+    return found
 
 
 def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:

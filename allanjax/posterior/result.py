@@ -241,6 +241,11 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
     results: tuple[AxisPosterior, ...]
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Those of the fit."""
+        return self.fit.warnings
+
+    @property
     def converged(self) -> bool:
         """Whether the chains of every axis have converged."""
         return all(result.converged for result in self.results)

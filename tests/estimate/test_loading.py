@@ -14,6 +14,7 @@ from commands import schema
 from dense_fits import recording
 
 import allanjax as aj
+from allanjax.inspection.facts import Fact
 
 
 def reloaded(fit, folder, **options):
@@ -50,7 +51,8 @@ def not_finite():
 
 def failed():
     fit = without_result(aj.fit(white(), "N + K"), "gyro_0")
-    return dataclasses.replace(fit, warnings=("it was moved", "the unit is wrong"), stretch=(1.5, 19.0))
+    moved = Fact("at rest", "it was moved", ("gyro_0",), "not a measurement", 3.0, "deg/s", ((1.5, 19.0),))
+    return dataclasses.replace(fit, facts=(moved, Fact("length", "short", ())), parts=((1.5, 9.0), (10.0, 19.0)))
 
 
 FITS = {

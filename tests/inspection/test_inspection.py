@@ -346,3 +346,63 @@ def test_noise_below_the_resolution_and_samples_that_are_held():
         )
         assert len(found) == (6 if share else 0)
         assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))
+
+
+def white(n=20_000, seed=30):
+    """White noise on three gyros and the density of each [rad/√s]."""
+    return SIGMA[:3] * np.random.default_rng(seed).standard_normal((n, 3)), SIGMA[:3] / np.sqrt(RATE)
+
+
+def between(x, native):
+    """Samples at a native rate, interpolated to the record's."""
+    own = np.arange(int(len(x) * native / RATE) + 2) / native
+    there = x[: len(own)] * np.sqrt(native / RATE)
+    return np.column_stack([np.interp(np.arange(len(x)) / RATE, own, y) for y in there.T])
+
+
+def put(x, rows, axis, value):
+    x = x.copy()
+    x[rows, axis] = value(x[rows, axis]) if callable(value) else value
+    return x
+
+
+SOME = np.random.default_rng(4).choice(20_000, 30, replace=False)
+TONE = np.sin(140.0 * TIME[:20_000])
+LOUD = 30.0 * SIGMA[1] * np.random.default_rng(5).standard_normal(600)
+# What is done to white noise, the kind of fact, its axes, and what it means for them.
+FACTS = {
+    "clipped": (lambda x: put(x, ..., 2, lambda y: np.minimum(y, SIGMA[2])), "saturation", "z", "grave"),
+    "31 Hz": (lambda x: between(x, 31.25), "interpolation", "xyz", "grave"),
+    "80 Hz": (lambda x: between(x, 80.0), "interpolation", "xyz", "grave"),
+    "50 Hz": (lambda x: between(x, 50.0), "interpolation", "xyz", "grave"),
+    "few levels": (lambda x: put(x, ..., 0, lambda y: 1.5 * SIGMA[0] * np.round(y / 1.5 / SIGMA[0])),
+                   "resolution", "x", "widened"),
+    "spikes": (lambda x: put(x, SOME, 1, lambda y: y + 90.0 * SIGMA[1]), "spikes", "y", "widened"),
+    "burst": (lambda x: put(x, slice(9000, 9600), 1, LOUD), "disturbances", "y", "widened"),
+    "louder": (lambda x: put(x, slice(0, 4000), 1, lambda y: 1.3 * y), "disturbances", "y", "widened"),
+    "line": (lambda x: put(x, ..., 1, lambda y: y + SIGMA[1] * TONE), "lines", "y", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", FACTS)
+def test_a_fact_reaches_whoever_uses_the_record(what):
+    """N holds within 4 σ on every axis that is measured, with half its usual error on those not concerned."""
+    spoil, kind, axes, means = FACTS[what]
+    x, N = white()
+    told = recording(spoil(x))
+    consequence = {"grave": "not a measurement", "": "none"}.get(means, means)
+    fit = aj.fit(told, "N", "whittle" if what == "line" else "allan", plain=True)
+    names = tuple(f"gyro_{axis}" for axis in axes)
+    (fact,) = (fact for fact in fit.facts if fact.kind == kind)
+    assert (fact.axes, fact.consequence) == (names, consequence)
+    assert aj.inspect(told).facts == aj.select_terms(told, "N + K").facts == fit.facts
+    assert aj.check(told)[kind].verdict == ("stop" if means == "grave" else "look")
+    assert (fact.text in fit.warnings) == (means != "")
+    assert fact.to_dict() in aj.to_dict(fit)["facts"]
+    assert tuple(fit.not_measured) == (names if means == "grave" else ())
+    for name, result, true in zip(fit.axes, fit.results, N, strict=True):
+        if result.measured and what != "line":
+            c, usual = result["N"], true / np.sqrt(2 * 20_000)
+            assert abs(c.value - true) < 4.0 * c.std, name
+            assert c.std < (2.0 if name not in names else 60.0) * usual, name
+            assert c.interval[0] < c.value < c.interval[1]

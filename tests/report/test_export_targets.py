@@ -145,7 +145,7 @@ def test_matlab_gets_a_bias_instability_that_is_detected_only():
 
 def test_an_axis_that_is_no_measurement_is_not_exported():
     x, *others = walking().results
-    spoilt = dataclasses.replace(walking(), results=(x.unmeasured(moving=True), *others))
+    spoilt = dataclasses.replace(walking(), results=(x.unmeasured(not_measured=("at rest",)), *others))
     text, N = aj.export(spoilt, "basalt"), [c.value for c in coefficients("gyro")[1:]]
     np.testing.assert_allclose(json.loads(text)["value0"]["gyro_noise_std"], [max(N), *N], rtol=1e-5)
     assert "without gyro_x" in text

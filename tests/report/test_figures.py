@@ -175,7 +175,7 @@ def test_what_is_not_known_has_no_line(plot):
     unsure = dataclasses.replace(last, _coefficients={**last.coefficients, "rate_random_walk": hidden})
     known, not_detected, moving = (
         model_lines(plot, dataclasses.replace(fit, results=(*others, result)), "accel_z")[1]
-        for result in (last, unsure, last.unmeasured(moving=True))
+        for result in (last, unsure, last.unmeasured(not_measured=("at rest",)))
     )
     # The model is the sum of its terms as before.
     assert (set(known) - set(not_detected), set(known)) == ({"rate random walk"}, set(moving))

@@ -19,7 +19,7 @@ Axes = Literal["each", "worst", "mean"]
 
 
 class Exported(NamedTuple):
-    """The text for a target, and what had to be left out of it, in words."""
+    """The text for a target, and what its user should know: warnings, and what had to be left out of it."""
 
     text: str
     left_out: tuple[str, ...]

@@ -31,6 +31,7 @@ def export(
     *,
     axes: Axes | None = None,
     rate: float | None = None,
+    force: bool = False,
     path: str | os.PathLike[str] | None = None,
 ) -> str:
     """The noise of a fitted sensor as the configuration of an estimator, autopilot or simulator.
@@ -47,20 +48,26 @@ def export(
             each axis, for targets that hold three; by default "each" for these and "worst" for others.
         rate: rate of the target's steps or samples [Hz]; by default that of the recording (of an autopilot
             that of its filter). A data sheet has none.
+        force: whether to export what is not a measurement of the sensor, too.
         path: file to write the text to.
 
     Raises:
         AllanjaxError: there is no such target, it does not hold three values, or the rate is not positive.
         FitError: no axis has a result that is a measurement of the sensor.
     """
-    text = exported(fit, target, axes=axes, rate=rate).text
+    text = exported(fit, target, axes=axes, rate=rate, force=force).text
     if path is not None:
         Path(path).write_text(text, encoding="ascii")
     return text
 
 
 def exported(
-    fit: Fit | DataSheet, target: str, *, axes: Axes | None = None, rate: float | None = None
+    fit: Fit | DataSheet,
+    target: str,
+    *,
+    axes: Axes | None = None,
+    rate: float | None = None,
+    force: bool = False,
 ) -> Exported:
     """What `export` writes, and what had to be left out of it."""
     to = target_of(target, TARGETS)
@@ -72,10 +79,11 @@ def exported(
         source = [f"data sheet: {fit.source}"] if fit.source else []
         return assembled(to, of, axes, rate_of_target(to, rate, None), [head, *source, *fit.statements])
     r = checked_rate(rate if rate is not None else to.rate if to.rate is not None else fit.curve.rate)
-    results = {sensor: usable_axes(fit, sensor) for sensor in SENSORS}
+    results = {sensor: usable_axes(fit, sensor, force) for sensor in SENSORS}
     if not any(usable for usable, _ in results.values()):
         why = "; ".join(text for _, wrong in results.values() for text in wrong)
-        raise FitError(f"{fit.name or 'the fit'}: no axis to export; {why or 'it has no axes'}")
+        remedy = "; --force (force=True) exports it nevertheless" if fit.not_measured else ""
+        raise FitError(f"{fit.name or 'the fit'}: no axis to export; {why or 'it has no axes'}{remedy}")
     duration = fit.curve.n / fit.curve.rate
     sensors = {
         sensor: SensorNoise(
@@ -94,7 +102,9 @@ def exported(
         for sensor, (usable, _) in results.items()
         for text in _not_held(to, sensor, usable, sensors[sensor].axes)
     ]
-    return assembled(to, sensors, axes, r, [head], not_held)
+    warnings = [f"WARNING: {text}" for text in fit.warnings]
+    made = assembled(to, sensors, axes, r, [head, *warnings], not_held)
+    return made._replace(left_out=(*fit.warnings, *made.left_out))
 
 
 def _not_held(

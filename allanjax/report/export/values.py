@@ -95,16 +95,21 @@ def _driven_by(walk: Number, T: float) -> tuple[Number, Number]:
     return q, Number("T", T, said, "s", axis=walk.axis)
 
 
-def usable_axes(fit: Fit, sensor: Sensor) -> tuple[list[AxisFit], list[str]]:
-    """Axes of a sensor whose coefficients are measurements; and what is wrong with its others, in words."""
+def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], list[str]]:
+    """Axes of a sensor whose coefficients are measurements; and what is wrong with its others, in words.
+
+    With `force` those that are not measurements are among the axes.
+    """
     results = [r for r in fit.results if r.axis.sensor == sensor]
-    wrong = [f"without {r.axis.name}: {r.verdict}" for r in results if not r.measured]
+    left_out = [r for r in results if not r.measured and not (force and r.converged)]
+    wrong = [f"without {r.axis.name}: {r.verdict}" for r in left_out]
+    wrong += [f"{r.axis.name}: {r.verdict}" for r in results if not r.measured and r not in left_out]
     wrong += [
         f"without {dead.axis.name}: no result, {dead.reason}"
         for dead in fit.dead
         if dead.axis.sensor == sensor
     ]
-    return [r for r in results if r.measured], wrong
+    return [r for r in results if r not in left_out], wrong
 
 
 def quantities(result: AxisFit, duration: float) -> Quantities:
@@ -125,7 +130,9 @@ def _basic(result: AxisFit, symbol: str) -> Number | Missing:
 
 def number(symbol: str, c: Estimate) -> Number | Missing:
     """An amplitude, or its 95 % limit where it is not detected."""
-    if c.detected or c.held:
+    if c.detected or c.held or not c.measured:
+        if not c.value > 0.0:
+            return Missing(f"{c.title} of {c.axis.name} is zero in a fit that is not a measurement")
         if c.held or not math.isfinite(c.std):
             known, interval = " (held)" if c.held else "", None
         else:
