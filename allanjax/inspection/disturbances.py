@@ -82,7 +82,10 @@ class Treatment:
 
     def allowance(self, axes: int) -> Float[np.ndarray, " axes"]:
         """Relative error of the Allan deviation of each axis by the events that are kept."""
-        return 0.5 * np.sum([e.shares for e in self.kept], axis=0) if self.kept else np.zeros(axes)
+        found = np.zeros(axes)
+        for e in self.kept:
+            found[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
+        return found
 
     def said(self, axes: Sequence[Axis], rate: float, n: int) -> str:
         """The events that are cut out, in words."""

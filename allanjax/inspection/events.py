@@ -47,7 +47,7 @@ class Stretch:
 
     Attributes:
         kind: "silent", "noisier", "quieter", or "moved" if only the mean changes.
-        shares: of each axis, the largest excess of the Allan variance that it causes, as a share of it.
+        shares: of each axis, the clearest excess of the Allan variance that it causes, as a share of it.
         axes: indices of the axes where that is more than the estimates' own error; none until that is known.
     """
 
@@ -197,8 +197,8 @@ def excesses(
     """Effect of each stretch on the Allan variance of each axis, in standard errors and as a share.
 
     Returns:
-        The largest excess, over all cluster times, of the mean square difference (twice the Allan variance)
-        in standard deviations of its estimate; and that excess as a share of the mean square.
+        The excess of the mean square difference (twice the Allan variance) in standard deviations of its
+        estimate, at the cluster time where that is largest; and there as a share of the mean square.
     """
     touched = touched_by(windows, stretches)
     sigmas, shares = np.zeros((2, len(stretches), windows.mean.shape[1]))
@@ -218,7 +218,8 @@ def excesses(
         gain = (square / level - 1.0) * (weight / weight.sum())[:, None]
         for k, s in enumerate(stretches):
             part = gain[max(s.first - width + 1, 0) : s.last].sum(axis=0)
-            sigmas[k], shares[k] = np.maximum(sigmas[k], abs(part) / error), np.maximum(shares[k], abs(part))
+            shares[k] = np.where(abs(part) / error > sigmas[k], abs(part), shares[k])
+            sigmas[k] = np.maximum(sigmas[k], abs(part) / error)
     return sigmas, shares
 
 

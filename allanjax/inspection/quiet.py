@@ -50,7 +50,7 @@ class Event:
         kind: its kind.
         axis: index of the axis where it is largest.
         size: ratio of the deviations if the noise has changed; else the excursion [rad/s or m/s²].
-        shares: of each axis, the largest excess of the Allan variance that it causes, as a share of it.
+        shares: of each axis, the clearest excess of the Allan variance that it causes, as a share of it.
         axes: indices of the axes where that is more than the estimates' own error.
     """
 
