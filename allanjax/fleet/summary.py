@@ -166,7 +166,13 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         title = title_of(first["coefficient"], first["sensor"])
         row = (first["axis"], title, first["group"]) if grouped else (first["axis"], title)
         rows.append((*row, f"{len(found)} of {len(of)}", *spread, listed(units)))
-    return (*headings, "detected", "median ± scatter", "5 … 95 %", "outlying, left out of both (× median)"), rows
+    return (
+        *headings,
+        "detected",
+        "median ± scatter",
+        "5 … 95 %",
+        "outlying, left out of both (× median)",
+    ), rows
 
 
 def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
