@@ -108,7 +108,8 @@ def horizon(
     if not noises:
         raise FitError("no axis has a measurement: the fit says why")
     found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
-    return Horizon(fit.name, float(seconds), process, probability, tuple(found))
+    notes = fit.statements if isinstance(fit, DataSheet) else ()
+    return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)
 
 
 def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> list[_Noise]:

@@ -194,6 +194,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         process: what the bias is to the filters, "walk" or "markov".
         probability: that of the bounds.
         results: one an axis.
+        notes: of a data sheet, what was assumed and what it does not give.
     """
 
     CALLED: ClassVar[str] = "the horizon"
@@ -205,6 +206,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     process: Process
     probability: float
     results: tuple[AxisHorizon, ...]
+    notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The horizon as plain dictionaries, lists, numbers and strings, as `--json` prints it.
@@ -218,7 +220,11 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
             "process": self.process,
             "probability": self.probability,
             "axes": [result.to_dict() for result in self.results],
+            "notes": list(self.notes),
         }
+
+    def __str__(self) -> str:
+        return "\n".join([super().__str__(), *(f"note: {note}" for note in self.notes)])
 
     def _title(self) -> str:
         name = f"{self.name}: " if self.name else ""

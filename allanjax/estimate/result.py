@@ -141,6 +141,14 @@ class AxisFit(ByValue, AxisEstimates):
     # The fit that it is part of, whose curve its picture has.
     _fit: ClassVar[Fit | None] = None
 
+    def __post_init__(self) -> None:
+        if not self.converged:
+            # The numbers mean nothing, and no file has them.
+            nothing = {"_coefficients": {}, "_covariance": np.zeros((0, 0)), "_model": Model(())}
+            nothing |= dict.fromkeys(("chi2", "p_value", "discrepancy"), np.nan)
+            for name, value in nothing.items():
+                object.__setattr__(self, name, value)
+
     def _checked(self) -> None:
         if not self.converged:
             raise FitError(f"{self.axis.name}: no result, {self.reason}")

@@ -134,6 +134,11 @@ def _of_horizon() -> dict[str, Any]:
         "process": {"enum": ["walk", "markov"]},
         "probability": {"description": "That of the bounds.", **number},
         "axes": {"type": "array", "items": axis},
+        "notes": {
+            "description": "Of a data sheet, what was assumed and not given.",
+            "type": "array",
+            "items": text,
+        },
     }
     about = "White noise and process of the bias for filters that are corrected every `horizon_s`."
     return {"$schema": _DRAFT, "title": "allanjax horizon", **_closed(about, document)}

@@ -157,7 +157,7 @@ def test_degrees_of_freedom_are_those_of_the_dense_covariance(name):
 def test_intervals_are_those_of_the_chi_squared_law():
     """The true variance lies between s²·ν/χ² of the upper and s²·ν/χ² of the lower quantile."""
     edf = np.array([[0.9, 1.0, 4.5, 10.0, 300.0]])
-    found = dataclasses.replace(curve("oadev", np.eye(3, 5)), edf=edf, deviation=np.full(edf.shape, 2.0))
+    found = dataclasses.replace(curve("oadev", np.eye(5)), edf=edf, deviation=np.full(edf.shape, 2.0))
     for level in (0.68, 0.95, 0.3):
         quantiles = [stats.chi2(edf).ppf(p) for p in ((1.0 + level) / 2.0, (1.0 - level) / 2.0)]
         ends = 2.0 * np.sqrt(edf / np.array(quantiles))
@@ -179,6 +179,15 @@ def test_a_recording_has_its_rate_axes_and_units():
     assert (found.axes, found.names, found.rate) == (AXES, ("gyro_x", "accel_x"), 20.0)
     assert_array_equal(found.deviation, bare.deviation)
     assert (bare.names, list(bare.to_dataframe())[2]) == (("0", "1"), "0")
+    for curves in (
+        found,
+        aj.power_spectrum(recording),
+        aj.autocorrelation(recording),
+        aj.wavelet_variance(recording),
+    ):
+        whole, own = curves.to_dataframe(), curves["accel_x"].to_dataframe()
+        assert list(curves) == ["gyro_x", "accel_x"]
+        assert own.equals(whole[[c for c in whole if not c.startswith("gyro_x")]])
     table = found.to_dataframe()
     assert_array_equal(
         table[["cluster time [s]", "cluster size"]].T, [found.cluster_time, found.cluster_size]
@@ -199,6 +208,7 @@ REFUSED = [
     (TEN, {"cluster_times": "log"}, "'log'"), (TEN, {"cluster_times": 0}, "not 0"),
     (TEN, {"rate": None}, "rate"), (TEN, {"rate": -1.0}, "rate"),
     (np.where(TEN == 25.0, np.nan, TEN), {}, "sample 2, axis 1"), (np.ones((2, 2, 2)), {}, "shape"),
+    (TEN.T, {}, "values.T"),
     ([1.0], {}, "2"), ([1.0, 2.0], {"kind": "hadamard"}, "3"), ([1.0, 2.0], {"data_type": "phase"}, "2"),
     (TEN, {"kind": "total"}, "'total'"), (TEN, {"data_type": "freq"}, "'freq'"),
     (TEN, {"kind": "modified", "overlapping": False}, "overlapping"), (TEN, {"estimator": "fast"}, "'fast'"),

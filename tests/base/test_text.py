@@ -44,6 +44,9 @@ def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
     e = estimate(0.5121, 0.0068, (0.49877, 0.52774))
     assert e.describe_interval() == "0.4988 … 0.5277"
     assert e.describe() == "0.5121 ± 0.0068 m (95 %: 0.4988 … 0.5277)"
+    # A deviation that the interval contradicts is not told.
+    for interval in ((0.51, 0.515), (0.508, 0.7), (0.3, np.inf)):
+        assert estimate(0.5121, 0.0068, interval).describe().startswith("0.512 m (95 %: 0.")
     # Where only the interval is known, its width says how many digits there are.
     assert estimate(1.2, 0.0, (1.0, 1.4)).describe_interval() == "1.00 … 1.40"
     assert estimate(1.68e-5, 1.3e-7, (1.66e-5, 1.70e-5)).describe_interval() == "(1.660 … 1.700)e-05"

@@ -45,7 +45,7 @@ def with_regressor():
 def not_finite():
     """As if numbers had not been determined."""
     fit = aj.fit(white(), "N + K")
-    first = dataclasses.replace(fit.results[0], chi2=math.nan, p_value=math.nan, mean=math.inf)
+    first = dataclasses.replace(fit.results[0], chi2=math.nan, p_value=math.nan, mean=math.nan)
     return dataclasses.replace(fit, results=(first, *fit.results[1:]))
 
 
@@ -77,35 +77,19 @@ FITS = {
 def test_it_says_and_holds_the_same(kind, tmp_path):
     fit = FITS[kind]()
     again = reloaded(fit, tmp_path)
-    assert aj.to_dict(again) == aj.to_dict(fit)
-    json.dumps(aj.to_dict(fit), allow_nan=False)
+    assert again == fit
+    assert again.to_dict() == fit.to_dict() == aj.to_dict(fit)
+    json.dumps(fit.to_dict(), allow_nan=False)
     assert str(again) == str(fit)
-    for name in ("curve", "template", "name", "objective", "notes", "dead", "warnings", "stretch"):
-        assert getattr(again, name) == getattr(fit, name), name
     for result, other in zip(fit.results, again.results, strict=True):
-        names = ("correction", "measured", "widening")
-        names += ("coefficients", "regression", "misfit") if result.converged else ()
-        for name in names:
+        for name in ("correction", "measured", "verdict"):
             assert getattr(other, name) == getattr(result, name), name
-        assert other.verdict() == result.verdict()
         if result.converged:
             assert repr(other.model) == repr(result.model)
             assert other.model.inside == result.model.inside
             np.testing.assert_array_equal(other.covariance, result.covariance)
             curves = [f.model_deviation(result.axis.name, np.array([0.01, 1.0, 20.0])) for f in (again, fit)]
             np.testing.assert_allclose(*curves)
-
-
-def test_the_ranking_keeps_what_is_probable(tmp_path):
-    fit = bench.fit("small")
-    again = reloaded(fit, tmp_path)
-    for axis, other in zip(fit.selection.results, again.selection.results, strict=True):
-        assert [s.terms for s in other.indistinguishable] == [s.terms for s in axis.indistinguishable]
-        assert (other.chosen.terms, other.ambiguities()) == (axis.chosen.terms, axis.ambiguities())
-        assert other.averaged == axis.averaged
-        # What is left out are at most 64 sets of a probability below 1e-6 each.
-        assert other.inclusion == pytest.approx(axis.inclusion, abs=64e-6)
-        assert len(other.ranking) < len(axis.ranking)
 
 
 @pytest.mark.filterwarnings("ignore::allanjax.PosteriorWarning")

@@ -178,8 +178,9 @@ def test_the_true_set_is_chosen_and_probabilities_follow_the_evidence():
 
 def test_units_and_a_bias_do_not_matter(ranked):
     records, selection = ranked
-    again = aj.select_terms(recording(1e-7 * records + 3e-7, RATE), "N + K + R")
-    for one, other in zip(selection.values(), again.values(), strict=True):
+    again = aj.select_terms(recording(1e-7 * records + 3e-7, RATE), "N + K + R", axes=["gyro_1", "gyro_0"])
+    assert again.axes == ("gyro_1", "gyro_0")
+    for one, other in ((selection[axis], again[axis]) for axis in again):
         found = {s.terms: s.probability for s in other.ranking}
         for s in one.ranking:
             assert found[s.terms] == pytest.approx(s.probability, rel=1e-4, abs=1e-9)
@@ -193,6 +194,9 @@ def test_a_model_that_no_set_of_terms_follows_has_weaker_odds():
     assert good.discrepancy == 0.0 < 0.1 < bad.discrepancy
     spread = [s.ranking[0].log_evidence - s.ranking[-1].log_evidence for s in (good, bad)]
     assert spread[1] < 0.5 * spread[0]
+    # There is no other set than that of a single term with a free time.
+    (only,) = aj.select_terms(recording(x + line, RATE), "markov")["gyro_0"].ranking
+    assert (only.terms, only.probability, only.log_evidence) == (("markov",), 1.0, 0.0)
 
 
 def test_two_markov_processes_are_told_from_one_where_both_are_strong():

@@ -85,6 +85,7 @@ REFUSED = [
     ([QUIET], {}, "two models"), ([QUIET, NOISY], {"switching": 5.0}, "change"),
     ([QUIET, NOISY], {"switching": -0.1}, "change"), ([QUIET, aj.AngleRandomWalk()], {}, "angle_random_walk"),
     ([QUIET, NOISY], {"missing": np.zeros(3, bool)}, "missing"),
+    ([QUIET, NOISY], {"missing": np.ones(N, bool)}, "all samples are missing"),
 ]  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def test_a_walk_makes_an_optimum():
     assert not found.falling
     beyond = aj.align(models, 51.0, 0.9 * LEAST, rate=10.0)["gyro_x"]
     assert (beyond.needed, beyond.out_of_reach) == (math.inf, 1.0)
-    assert ("out of reach" in beyond.verdict(), "probability" in beyond.verdict()) == (True, False)
+    assert ("out of reach" in beyond.verdict, "probability" in beyond.verdict) == (True, False)
 
 
 def test_biases_that_remain_are_angles():
@@ -93,7 +93,7 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
     assert found.out_of_reach == np.isinf(reached).mean()
     assert 0.1 < found.out_of_reach < 0.9
     assert math.isinf(found.needed_interval[1])
-    assert "never" in found.verdict()
+    assert "never" in found.verdict
 
 
 def test_intervals_of_a_fit_hold_the_truth():

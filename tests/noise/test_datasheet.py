@@ -2,8 +2,10 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import run
 from noise_terms import finite
@@ -169,6 +171,38 @@ def test_convert_a_sheet(tmp_path):
         assert run("convert", *words).exit_code == 1
     for words in ([], [3], [3, "g"], ["--sheet", "a.toml", "--to", "g"], [3, "g", "--to", "mg", "--json"]):
         assert run("convert", *words).exit_code == 2
+
+
+def test_a_sheet_goes_where_a_fit_goes(tmp_path, elsewhere):
+    """Of white noise, with a bias averaged over C: √(N²·t·(1 + t/C)), Allan deviation N/√T, rms N·√rate."""
+    sheet = aj.datasheet("BMI088")
+    N = {"gyro": 0.014 * DEG / math.sqrt(2), "accel": 190e-6 * G0 / math.sqrt(2)}
+    words = ("export", "--sheet", "bmi088", "--to", "kalibr")
+    text, done = aj.export(sheet, "kalibr"), run(*words)
+    assert done.stdout == text
+    assert "K of the gyro is not given" in done.stderr
+    values = [float(value) for value in re.findall(r"^\w+_noise_density: (.*)$", text, re.M)]
+    assert values == pytest.approx([*N.values()], rel=1e-5)
+    assert "update_rate: 200" in run(*words, "--rate", 200).stdout
+    grown = aj.navigate(sheet, [100.0], calibration=600.0)
+    assert grown["attitude"].error["down"][0] == pytest.approx(N["gyro"] * math.sqrt(100 + 100**2 / 600))
+    found, samples = aj.horizon(sheet, 10.0), aj.simulate_recording(sheet, 20_000, 100.0, 0)
+    assert "K not given" in str(found)
+    figure = aj.plot_allan(sheet)
+    for sensor, panel in zip(N, (ax for ax in figure.axes if ax.get_title("left")), strict=True):
+        assert found[sensor].white.value == pytest.approx(N[sensor], rel=0.01)
+        assert found[sensor].error[-1] == pytest.approx(N[sensor] * math.sqrt(10.0), rel=0.01)
+        assert np.std(samples[f"{sensor}_z"].values) == pytest.approx(10.0 * N[sensor], rel=0.025)
+        line = next(line for line in panel.get_lines() if line.get_label() == "model")
+        scale = {"gyro": DEG / HOUR, "accel": 1e-6 * G0}[sensor]
+        assert line.get_ydata() == pytest.approx(N[sensor] / scale / np.sqrt(line.get_xdata()))
+    (tmp_path / "own.toml").write_text(ADIS16470, encoding="utf-8")
+    for command in ("export --to vins-mono --rate 200", "horizon --horizon 10", "navigate --latitude 51"):
+        assert run(*command.split(), tmp_path / "own.toml").exit_code == 0
+    assert run("simulate", "--sheet", "BMI088", "--duration", 1, "--out", "a.csv").exit_code == 0
+    for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1? ")):
+        with pytest.raises(aj.AllanjaxError, match=re.escape(f"did you mean {near}")):
+            aj.datasheet(name)
 
 
 UNITS = {"arcsec": ARCSEC, "deg/√h": DEG / 60, "deg/h": DEG / HOUR, "m/s/√h": 1 / 60}

@@ -17,7 +17,7 @@ MODULES = sorted(module.name for module in pkgutil.walk_packages(aj.__path__, f"
 
 
 def test_public_names_stay_and_all_that_are_listed_exist():
-    assert {*NAMES.split()} <= {*dir(aj)}
+    assert {*NAMES.split()} <= {*dir(aj)} == {*aj.__all__}
     for package in (aj, aj.terms, aj.critic):
         assert [name for name in package.__all__ if not hasattr(package, name)] == []
         assert len(set(package.__all__)) == len(package.__all__)

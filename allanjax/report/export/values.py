@@ -13,7 +13,7 @@ from typing import Literal
 from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.datasheet import NOT_GIVEN, REMEDY, DataSheet
-from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.estimate import Estimate
 from allanjax.record.units import Sensor
 
 #: A sensor in words.
@@ -122,9 +122,8 @@ def quantities(result: AxisFit, duration: float) -> Quantities:
 def _basic(result: AxisFit, symbol: str) -> Number | Missing:
     label = _TERMS[symbol]
     if label not in result.coefficients:
-        words = title_of(label, result.axis.sensor)
         terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
-        return Missing(f"no {words} in the fitted model ({terms}); fit one that has the term {symbol}")
+        return Missing(f"no {symbol} in the fitted model ({terms}); fit one that has it")
     return number(symbol, result.coefficients[label])
 
 
