@@ -19,7 +19,7 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import check_choice, rows_between, runs_of, stretches_of
+from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, runs_of, stretches_of
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, check_length, check_rate, check_values
 
@@ -47,6 +47,8 @@ class Recording(ByValue):
             None if there are none.
         others: other stretches of the same record, between which samples are missing (`gaps="segments"`), in
             SI: Allan deviations and the coefficients of noise terms are of all, everything else of `values`.
+        gaps: where samples of the record are missing, be they drawn or between stretches; None if that
+            cannot be seen, for lack of time stamps.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -61,6 +63,7 @@ class Recording(ByValue):
     jitter: float | None = None
     missing: Bool[np.ndarray, "samples axes"] | None = None
     others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
+    gaps: tuple[Gap, ...] | None = None
 
     @classmethod
     def from_array(
@@ -139,7 +142,10 @@ class Recording(ByValue):
         rows, notes = found.longest, (*notes, *found.told(len(table)))
         extra = {key: column[rows] for key, column in extra.items()}
         source, others = source.after(rows.start), [table[other] for other in found.others]
-        return build(table[rows], rate, columns, units, extra, name, notes, source, others=others)
+        missing = found.gaps(np.arange(len(table)) / rate, rate) or None
+        return build(
+            table[rows], rate, columns, units, extra, name, notes, source, others=others, gaps=missing
+        )
 
     @property
     def n(self) -> int:
@@ -223,6 +229,7 @@ class Recording(ByValue):
             "si": si,
             "auxiliary": list(self.auxiliary),
             "missing": {} if self.missing is None else runs_of(self.missing, labels),
+            "gaps": self.gaps,
             "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
         }
         return frame
@@ -307,6 +314,7 @@ class Recording(ByValue):
             axes=axes,
             missing=missing if missing is not None and missing.any() else None,
             others=(),
+            gaps=gaps_within(self.gaps, rows.start, rows.stop),
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
             notes=(*self.notes, note, *left_out),
             dead=(*self.dead, *dead),
@@ -345,10 +353,12 @@ def build(
     jitter: float | None = None,
     fill: bool = False,
     others: Sequence[Float[np.ndarray, "_ axes"]] = (),
+    gaps: tuple[Gap, ...] | None = None,
 ) -> Recording:
     """Check samples in their own units and make a recording of the axes that are not dead.
 
-    With `fill` samples that are nan are drawn given the others; `others` are other stretches.
+    With `fill` samples that are nan are drawn given the others; `others` are other stretches, between which
+    there are `gaps`.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -366,6 +376,7 @@ def build(
     if lost.any():
         values = completed(values, lost)
         left_out = (*told(lost, rate, [axis.name for axis in axes]), *left_out)
+        gaps = gaps_of(lost)
     return Recording(
         values * scales,
         rate,
@@ -377,6 +388,7 @@ def build(
         jitter,
         lost if lost.any() else None,
         tuple(other[:, kept] * scales for other in others if (np.ptp(other[:, kept], axis=0) > 0.0).all()),
+        gaps,
     )
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.columns import Column
-from allanjax.record.gaps import on_grid, rows_between, stretches_of, without_repeats
+from allanjax.record.gaps import Gap, on_grid, rows_between, stretches_of, without_repeats
 from allanjax.record.io.layout import find_layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Table, as_float, is_numeric
@@ -52,8 +52,9 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
             auxiliary[column.name] = numbers
     stretch = _Stretch(values, auxiliary, None if times is None else times[rows])
     others: tuple[_Stretch, ...] = ()
+    missing = () if layout.time else None
     if gaps:
-        stretch, others, source, more = _with_gaps(stretch, options, source)
+        stretch, others, source, more, missing = _with_gaps(stretch, rate, options, source)
         notes += more
     if stretch.times is not None:
         found = rate_from_times(stretch.times, layout.time_label, rate, source, gaps=gaps)
@@ -66,7 +67,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     units = table.units_with(options)
     fill = options.gaps == "fill"
     of_stretch = (stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter)
-    return build(*of_stretch, fill, [other.values for other in others])
+    return build(*of_stretch, fill, [other.values for other in others], missing)
 
 
 class _Stretch(NamedTuple):
@@ -88,9 +89,9 @@ class _Stretch(NamedTuple):
 
 
 def _with_gaps(
-    stretch: _Stretch, options: ReadOptions, source: Source
-) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[str, ...]]:
-    """Stretch without packets recorded twice, of "segments" the longest without gaps, others, and notes."""
+    stretch: _Stretch, rate: float | None, options: ReadOptions, source: Source
+) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[str, ...], tuple[Gap, ...] | None]:
+    """Stretch without packets recorded twice, of "segments" the longest without gaps, others, notes, gaps."""
     notes: tuple[str, ...] = ()
     if stretch.times is not None:
         kept = without_repeats(stretch.values, stretch.times)
@@ -98,7 +99,7 @@ def _with_gaps(
             notes += (f"{np.count_nonzero(~kept)} packets recorded twice left out",)
             stretch = stretch.taken(kept)
     if options.gaps == "fill":
-        return stretch, (), source, notes
+        return stretch, (), source, notes, None if stretch.times is None else ()
     n, times = len(stretch.values), stretch.times
     found = stretches_of(stretch.values, np.zeros(n, bool) if times is None else after_gaps(times))
     source = source.after(found.longest.start)
@@ -109,7 +110,11 @@ def _with_gaps(
         return abs(stretch.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE
 
     found = found._replace(others=tuple(filter(is_alike, found.others)))
-    return longest, tuple(map(stretch.taken, found.others)), source, (*notes, *found.told(n))
+    at = times if times is not None else np.arange(n) / (rate or 1.0)
+    missing = found.gaps(at, 1.0 / longest.interval if times is not None else rate or 1.0)
+    others = tuple(map(stretch.taken, found.others))
+    seen = missing if missing or times is not None else None
+    return longest, others, source, (*notes, *found.told(n)), seen
 
 
 def no_rate_error(source: Source) -> RecordingError:

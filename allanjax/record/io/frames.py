@@ -8,6 +8,7 @@ import numpy as np
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.axes import Axis, DeadAxis, scales_of
+from allanjax.record.gaps import gaps_within
 from allanjax.record.io.given import as_recording
 from allanjax.record.recording import ATTRIBUTE, Recording
 from allanjax.record.validation import MIN_SAMPLES, Source, check_values
@@ -70,4 +71,5 @@ def _taken(frame: "pd.DataFrame", stated: Mapping[str, Any]) -> Recording | None
         tuple(DeadAxis(Axis(*axis), reason) for *axis, reason in stated["dead"]),
         stated["jitter_s"],
         missing if missing.any() else None,
+        gaps=gaps_within(stated.get("gaps"), begin, begin + len(frame)),
     )
