@@ -23,8 +23,8 @@ from allanjax.base.errors import RecordingError
 from allanjax.base.seeds import seed_of
 from allanjax.base.wording import duration, plain
 
-# Largest share of an axis's samples that is completed.
-_MOST_MISSING = 0.3
+#: Largest share of an axis's samples that is completed.
+MOST_MISSING = 0.3
 # Spectrum and samples in turn: at most so often, until the logarithm of the spectrum, averaged over so many
 # bands, changes by less than this. Behind a filter, the bridges of the first turn are far above it at first.
 _TURNS, _BANDS, _SETTLED = 20, 64, 0.05
@@ -63,9 +63,9 @@ def completed(
     n = len(values)
     for k in np.flatnonzero(missing.any(axis=0)):
         lost = np.flatnonzero(missing[:, k])
-        if len(lost) > _MOST_MISSING * n:
+        if len(lost) > MOST_MISSING * n:
             raise RecordingError(
-                f"{len(lost) / n:.0%} of the samples are missing, and at most {_MOST_MISSING:.0%} are drawn; "
+                f"{len(lost) / n:.0%} of the samples are missing, and at most {MOST_MISSING:.0%} are drawn; "
                 "take the longest stretch without gaps by gaps='segments' (--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])
@@ -75,10 +75,8 @@ def completed(
             draw = in_time(np.sqrt(v) * rng.standard_normal(n - 1)) + x.mean()
             x[lost] = draw[lost] + predicted(x - draw, missing[:, k], v)[lost]
             before, v = v, _spectrum(x)
-            last, changed = (
-                changed,
-                max(abs(float(band.mean())) for band in np.array_split(np.log(v / before), _BANDS)),
-            )
+            bands = np.array_split(np.log(v / before), min(_BANDS, len(v)))
+            last, changed = changed, max(abs(float(band.mean())) for band in bands)
             # What changes no less than the last time is chance, as of a long gap that is drawn anew.
             if changed < _SETTLED or changed > last:
                 break

@@ -28,11 +28,11 @@ class Gap(NamedTuple):
 
     Attributes:
         first: number of the first one; negative before the stretch that was taken.
-        count: how many there are; 0 where the clock was set back, so that this is unknown.
+        samples: how many there are; 0 where the clock was set back, so that this is unknown.
     """
 
     first: int
-    count: int
+    samples: int
 
 
 class Stretches(NamedTuple):
@@ -116,7 +116,7 @@ def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> 
     """The parts of gaps that are between two samples, numbered from the former."""
     if gaps is None:
         return None
-    inner = ((max(begin, first), min(begin + count, last)) for begin, count in gaps)
+    inner = ((max(begin, first), min(begin + samples, last)) for begin, samples in gaps)
     return tuple(Gap(begin - first, end - begin) for begin, end in inner if begin < end)
 
 

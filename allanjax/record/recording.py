@@ -21,7 +21,7 @@ from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
 from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, runs_of, stretches_of
 from allanjax.record.units import SI, Sensor
-from allanjax.record.validation import Source, check_length, check_rate, check_values
+from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,18 +101,7 @@ class Recording(ByValue):
         """
         source = Source(name or "array")
         units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
-        table = np.asarray(values, dtype=float)
-        if table.ndim == 1:
-            table = table[:, None]
-        if table.ndim != 2:
-            raise source.error(
-                f"values must have the shape [samples, axes], not {table.shape}; reshape them to one "
-                "column an axis"
-            )
-        if table.shape[0] < table.shape[1]:
-            raise source.error(
-                f"values of shape {table.shape} seem transposed; pass values.T, one column an axis"
-            )
+        table = as_columns(np.asarray(values, dtype=float), source)
         notes: tuple[str, ...] = ()
         if names is None:
             names = default_names(table.shape[1], units, "names=", source)
@@ -122,12 +111,6 @@ class Recording(ByValue):
                 f"{len(names)} names for {table.shape[1]} columns; give one name a column in names="
             )
         columns = [recognise(label) for label in names]
-        for column in columns:
-            if column.role != "axis":
-                raise source.error(
-                    f"names= has {column.label!r}, which is no axis of a gyro or an accelerometer; use "
-                    "names such as gyro_x, accel_z, and pass other columns as auxiliary="
-                )
         extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
         for key, column_values in extra.items():
             if column_values.shape != table.shape[:1]:

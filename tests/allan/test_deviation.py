@@ -157,7 +157,7 @@ def test_degrees_of_freedom_are_those_of_the_dense_covariance(name):
 def test_intervals_are_those_of_the_chi_squared_law():
     """The true variance lies between s²·ν/χ² of the upper and s²·ν/χ² of the lower quantile."""
     edf = np.array([[0.9, 1.0, 4.5, 10.0, 300.0]])
-    found = dataclasses.replace(curve("oadev", np.eye(3, 5)), edf=edf, deviation=np.full(edf.shape, 2.0))
+    found = dataclasses.replace(curve("oadev", np.eye(6, 5)), edf=edf, deviation=np.full(edf.shape, 2.0))
     for level in (0.68, 0.95, 0.3):
         quantiles = [stats.chi2(edf).ppf(p) for p in ((1.0 + level) / 2.0, (1.0 - level) / 2.0)]
         ends = 2.0 * np.sqrt(edf / np.array(quantiles))

@@ -15,7 +15,7 @@ from allanjax.record.io.chunks import ChunkedRecording
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.table import Table
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.validation import Source, check_rate
+from allanjax.record.validation import Source, as_columns, check_rate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,10 +92,8 @@ def samples_of(
         recording = as_recording(data, rate, gyro_unit, accel_unit, names)
         return recording.values, recording.rate, recording.axes
     samples, rate = _samples(data, rate)
-    values = samples[:, None] if samples.ndim == 1 else samples
-    if values.ndim != 2 or values.shape[1] == 0:
-        raise AllanjaxError(f"data must have the shape [samples] or [samples, axes], not {values.shape}")
-    return values, check_rate(rate, Source("array")), None
+    source = Source("array")
+    return as_columns(samples, source), check_rate(rate, source), None
 
 
 def _columns(data: Any) -> dict[str, np.ndarray] | None:
