@@ -120,12 +120,6 @@ def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> 
     return tuple(Gap(begin - first, end - begin) for begin, end in inner if begin < end)
 
 
-def runs_of(missing: Bool[np.ndarray, "samples axes"], labels: Sequence[str]) -> dict[str, list[int]]:
-    """First sample and the one after the last of every gap, in turn, by the axes' labels."""
-    edges = (np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist() for lost in missing.T)
-    return dict(zip(labels, edges, strict=True))
-
-
 def check_choice(gaps: str, source: Source) -> None:
     """Raise RecordingError if `gaps` is no choice of what to do about missing samples."""
     if gaps not in ("error", "segments", "fill"):

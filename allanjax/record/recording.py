@@ -19,15 +19,12 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, runs_of, stretches_of
+from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, stretches_of
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: Key in a data frame's `attrs` of what its columns do not say of a recording.
-ATTRIBUTE = "allanjax"
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +160,8 @@ class Recording(ByValue):
 
     @property
     def own_values(self) -> Float[np.ndarray, "samples axes"]:
-        """Samples, each axis in its own unit: times `own_scales` they are `values` again, where possible."""
-        values, scales = self.values, self.own_scales
-        own = values / scales
-        # The quotient's rounding may show in the product, which its neighbours may hit.
-        for direction in (-np.inf, np.inf):
-            missed = own * scales != values
-            neighbour = np.nextafter(own, direction)
-            own = np.where(missed & (neighbour * scales == values), neighbour, own)
-        return own
+        """Samples, each axis in its own unit."""
+        return self.values / self.own_scales
 
     @property
     def columns(self) -> dict[str, Float[np.ndarray, " samples"]]:
@@ -186,36 +176,21 @@ class Recording(ByValue):
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
         """Table with one row a sample and the `columns`, which `from_dataframe`, `fit` and others take again.
 
-        Labels state the units. What they do not say (rate, name, notes, dead axes) is in the table's `attrs`,
-        which pandas keeps, also in Parquet.
+        Labels state the units; samples that were missing are nan, as they are not the sensor's.
 
         Args:
-            si: whether samples are in rad/s and m/s²: then those of `from_dataframe` are equal to the last
-                digit. In the axes' own units they are where they came in these, else to within a rounding.
+            si: whether samples are in rad/s and m/s², else in the axes' own units.
         """
         import pandas as pd
 
-        columns = self.columns
-        labels = [f"{axis.name} [{axis.unit}]" for axis in self.axes]
-        if si:
-            own, labels = labels, [f"{axis.name} [{SI[axis.sensor]['rate']}]" for axis in self.axes]
-            renamed = dict(zip(own, labels, strict=True))
-            columns = {renamed.get(label, label): column for label, column in columns.items()}
-            columns |= dict(zip(labels, self.values.T, strict=True))
-        frame = pd.DataFrame(columns)
-        frame.attrs[ATTRIBUTE] = {
-            "rate_hz": self.rate,
-            "jitter_s": self.jitter,
-            "name": self.name,
-            "notes": list(self.notes),
-            "axes": {label: [x.name, x.sensor, x.unit] for label, x in zip(labels, self.axes, strict=True)},
-            "si": si,
-            "auxiliary": list(self.auxiliary),
-            "missing": {} if self.missing is None else runs_of(self.missing, labels),
-            "gaps": self.gaps,
-            "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
-        }
-        return frame
+        samples = self.values if si else self.own_values
+        units = [SI[axis.sensor]["rate"] if si else axis.unit for axis in self.axes]
+        labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
+        if self.missing is not None:
+            samples = np.where(self.missing, np.nan, samples)
+        return pd.DataFrame(
+            {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **self.auxiliary}
+        )
 
     @staticmethod
     @presented
@@ -228,9 +203,6 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
     ) -> "Recording":
         """Make a recording from a data frame, whose columns are recognised by their names as those of a file.
-
-        One that `to_dataframe` made gives the same recording again, also after rows at its ends, auxiliary
-        columns or axes were left out.
 
         Args:
             frame: columns such as `time [s]`, `gyro_x [deg/s]`, `temperature`; times may be the index.
