@@ -1,5 +1,6 @@
 """Axes of a recording: their columns and units, and those that are dead."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self, cast
@@ -8,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, UnitError
-from allanjax.record.columns import Column
-from allanjax.record.units import SampleUnit, Sensor, parse_sample_unit
+from allanjax.record.columns import Column, recognise, split_unit
+from allanjax.record.units import COUNT_SIZES, SampleUnit, Sensor, parse_sample_unit, same_unit
 from allanjax.record.validation import Source
 
 
@@ -47,24 +48,30 @@ class DeadAxis:
 def axes_of(
     columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Axes from columns, given each sensor's unit where the labels have none, and notes on them.
+    """Axes from columns, in the unit that is given for the sensor, else in that of the label; notes on them.
 
     Raises:
-        RecordingError: there are none, two columns are the same axis, or one is no axis.
-        UnitError: a unit is missing, unknown, or given twice and differently.
+        RecordingError: there are none, two have the same name, or one is no axis.
+        UnitError: a unit is missing or unknown, or that of rates for a column of increments.
     """
-    check_axes(columns, source)
     axes, increments = [], []
-    for column in columns:
+    stated: dict[str, list[str]] = {}
+    for column in distinct(columns, source):
         if column.sensor is None:
             raise source.error(
-                f"{column.label!r} is no axis of a gyro or an accelerometer; use names such as gyro_x"
+                f"{column.label!r} is no axis of a gyro or an accelerometer; use names such as gyro_x, "
+                "accel_z, and pass other columns as auxiliary="
             )
         unit = _unit_of(column, column.sensor, units[column.sensor], source)
         axes.append(Axis(column.name, column.sensor, unit.name))
+        if (own := recognise(column.label).unit) and not same_unit(own, unit.name):
+            stated.setdefault(f"in {unit.name} as stated, not in {own} as labelled", []).append(column.name)
         if unit.quantity == "increment":
             increments.append(column.name)
-    return tuple(axes), (f"increments multiplied by the rate: {', '.join(increments)}",) if increments else ()
+    notes = [f"{', '.join(names)} {how}" for how, names in stated.items()]
+    if increments:
+        notes.append(f"increments multiplied by the rate: {', '.join(increments)}")
+    return tuple(axes), tuple(notes)
 
 
 class OfAxes:
@@ -129,44 +136,44 @@ def default_names(
     )
 
 
-def check_axes(columns: Sequence[Column], source: Source) -> None:
-    """Raise `RecordingError` if there is no axis, or if two columns are the same one."""
+def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
+    """Columns of axes; those of several sensors of a kind, which would be the same axis, by their own names.
+
+    Raises:
+        RecordingError: there are none, or two have the same name.
+    """
     if not columns:
         raise source.error("no gyro or accelerometer column; name the columns by columns= (--columns)")
+    count = Counter(column.name for column in columns)
+    own = [replace(c, name=split_unit(c.label)[0]) if count[c.name] > 1 else c for c in columns]
     seen: dict[str, Column] = {}
-    for column in columns:
+    for column in own:
         other = seen.setdefault(column.name, column)
         if other is not column:
             raise source.error(
                 f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one by "
                 "columns= (--columns)"
             )
+    return tuple(own)
 
 
 def _unit_of(column: Column, sensor: Sensor, given: str | None, source: Source) -> SampleUnit:
-    """Unit of the column, from its label or the argument."""
+    """Unit of the column, from the argument or its label."""
     option = f"{sensor}_unit= (--{sensor}-unit)"
-    text = column.unit or given
+    text = column.unit if given is None else given
     if text is None:
         example = "deg/s" if sensor == "gyro" else "m/s^2"
         raise UnitError(
-            f"{source.label}: column {column.label!r} has no unit; pass {option}, "
-            f"or write it in the header as `{column.name} [{example}]`"
+            f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of one "
+            f"such as {COUNT_SIZES[sensor]}, or write it in the header as `{column.name} [{example}]`"
         )
     try:
         unit = parse_sample_unit(text, sensor)
-        argument = unit if given is None else parse_sample_unit(given, sensor)
     except UnitError as error:
-        raise UnitError(f"{source.label}: column {column.label!r}: {error}") from error
-    if (unit.scale, unit.quantity) != (argument.scale, argument.quantity):
-        raise UnitError(
-            f"{source.label}: column {column.label!r} is in {unit.name} by its header but {option} says "
-            f"{argument.name}; leave out {option} or correct the header"
-        )
-    if column.increment and unit.quantity == "rate":
+        raise UnitError(f"{source.label}: column {column.label!r}: {error}; state it by {option}") from error
+    if column.increment and unit.quantity == "rate" and given is None:
         raise UnitError(
             f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} is "
-            f"a unit of rates; give the increments' unit in {option}, or rename the column by columns= "
-            "(--columns)"
+            f"a unit of rates; state which by {option}"
         )
     return unit

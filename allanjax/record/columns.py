@@ -1,13 +1,15 @@
 """Recognition of a column by its label: sensor, axis and unit, or time stamps."""
 
 import re
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from allanjax.record.units import Sensor
+from allanjax.base.errors import UnitError
+from allanjax.record.units import SENSORS, Sensor, parse_sample_unit
 
 #: Roles of columns, explained at `Column`.
-Role = Literal["axis", "time", "auxiliary"]
+Role = Literal["axis", "time", "counter", "auxiliary"]
 
 # Patterns of the sensors' names, and of the names of increments.
 _ALIASES: dict[Sensor, str] = {
@@ -21,21 +23,37 @@ _INCREMENTS: dict[Sensor, str] = {
 # One letter is a sensor only when it stands alone before the axis: `gx`, but not `mag_x`; or with the frames
 # that EuRoC writes, `w_RS_S_x`.
 _LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "a(?:_rs_s)?"}
-# Statistics of a sensor's samples are no axes.
-_NOT_A_SAMPLE = re.compile(r"(?:^|_)(?:bias|sigma|std|var|variance|cov|covariance)(?:_|$)")
+# Words of what is about a sensor or its samples, but no sample; and accuracies, such as `hAcc`.
+_NOT_A_SAMPLE = re.compile(
+    r"(?:^|_)(?:bias|offset|scale|sigma|std|var|variance|cov|covariance|noise|accuracy|range|temp|temperature"
+    r"|time|timestamp|stamp|status|flags?|valid|health|error|errors|count|counter|clipping|clip|dt|id)(?:_|$)"
+)
+_ACCURACY = re.compile(r"(?!imu|sensor|lin|[xyz]_)[a-z]+_acc")
+# Words at the end of a name that say how it was processed.
+_PROCESSED = re.compile(r"_(?:cal|calibrated|uncal|uncalibrated|raw|comp|compensated)$")
+# Element of an array: `gyro_rad[0]`, or as MATLAB counts `gyro(1)`.
+_ELEMENTS = {"[0]": "_x", "[1]": "_y", "[2]": "_z", "(1)": "_x", "(2)": "_y", "(3)": "_z"}
 
-# Patterns of units at the end of a name, as in `gyro_x_dps`.
+# Patterns of units within a name, as in `gyro_x_dps`, `gyro_rad_x`; PX4's gyro_rad is in rad/s.
 _UNIT_SUFFIXES = {
     "deg/s": "dps|deg_s|degps",
-    "rad/s": "rad_s|radps",
+    "rad/s": "rad_s|radps|(?<=gyro_)rad",
     "m/s²": "m_s2|mps2|ms2",
     "mg": "mg",
     "g": "g",
 }
 # Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and nanoseconds.
-_TIME = re.compile(r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)|t|\w*timestamp")
-_TIME_SUFFIX = re.compile(r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds)")
+_TIME = re.compile(
+    r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)(?:_(?:fine|unix|utc|gps|sample|gyro|gyr|accel|acc|imu))*"
+    r"|t|\w*timestamp"
+)
+_TIME_SUFFIX = re.compile(
+    r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds|min|minutes|h|hours|days)"
+)
 _TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
+# Names of counters of samples, which are a time where the rate is known; and clocks of a known unit.
+_COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
+_CLOCKS = {"sample_time_fine": "0.1 ms"}
 
 
 @dataclass(frozen=True)
@@ -44,7 +62,7 @@ class Column:
 
     Attributes:
         label: label in the file.
-        role: `axis` of a sensor, `time` stamps, or `auxiliary`.
+        role: `axis` of a sensor, `time` stamps, `counter` of samples, or `auxiliary`.
         name: `gyro_x` ... `accel_z`, `gyro`, `gyro_1` for an axis, else the label without its unit.
         sensor: sensor of an axis, else None.
         unit: unit that the label states, if any.
@@ -66,13 +84,26 @@ class Column:
 def recognise(label: str) -> Column:
     """Recognise a column by its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
     stem, unit = split_unit(label)
-    words = _words(stem)
-    axis = _axis(label, words, unit)
-    if axis is None and unit is None:
-        for suffix_unit, suffixes in _UNIT_SUFFIXES.items():
-            if match := re.fullmatch(rf"(.+)_(?:{suffixes})", words):
-                axis = axis or _axis(label, match[1], suffix_unit)
+    element = next((end for end in _ELEMENTS if stem.endswith(end)), None)
+    words = _words(stem if element is None else stem.removesuffix(element) + _ELEMENTS[element])
+    words = _PROCESSED.sub("", words)
+    axis = None
+    for suffix_unit, suffixes in _UNIT_SUFFIXES.items() if unit is None else ():
+        if match := re.fullmatch(rf"(.+)_(?:{suffixes})(_[xyz])?", words):
+            axis = axis or _axis(label, match[1] + (match[2] or ""), suffix_unit)
+    axis = axis or _axis(label, words, unit)
     return axis or _time(label, stem, words, unit) or Column(label, "auxiliary", stem, unit=unit)
+
+
+def by_unit(column: Column) -> Column:
+    """The column as an axis of the sensor whose rates its unit is of, under its own name; else as it is."""
+    if column.role != "auxiliary" or column.unit is None or _NOT_A_SAMPLE.search(_words(column.name)):
+        return column
+    for sensor in SENSORS:
+        with suppress(UnitError):
+            if parse_sample_unit(column.unit, sensor).quantity == "rate":
+                return replace(column, role="axis", sensor=sensor)
+    return column
 
 
 def split_unit(label: str) -> tuple[str, str | None]:
@@ -94,12 +125,13 @@ def _words(stem: str) -> str:
 
 def _axis(label: str, words: str, unit: str | None) -> Column | None:
     """Column of an axis, or None if the name is not that of one."""
-    if _NOT_A_SAMPLE.search(words):
+    if _NOT_A_SAMPLE.search(words) or _ACCURACY.fullmatch(words):
         return None
     for sensor, alias in _ALIASES.items():
         for names, increment in ((alias, False), (_INCREMENTS[sensor], True)):
             match = (
                 re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz])|_?(\d))?", words)
+                or re.fullmatch(rf"(?:.*_)?(?:{names})(?:\d+|_\w+)_?([xyz])()", words)
                 or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})()", words)
                 or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])()", words))
             )
@@ -113,7 +145,9 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
 def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     """Column of time stamps, or None if the name is not that of one."""
     if _TIME.fullmatch(words):
-        return Column(label, "time", stem, unit=unit)
+        return Column(label, "time", stem, unit=unit or _CLOCKS.get(words))
+    if _COUNTER.fullmatch(words):
+        return Column(label, "counter", stem)
     suffix, part = _TIME_SUFFIX.fullmatch(words), _TIME_PART.fullmatch(words)
     time_part = None if part is None else (part[1], "ns" if part[2].startswith("n") else "s")
     if suffix is not None and _TIME.fullmatch(suffix[1]):

@@ -75,10 +75,8 @@ def completed(
             draw = in_time(np.sqrt(v) * rng.standard_normal(n - 1)) + x.mean()
             x[lost] = draw[lost] + predicted(x - draw, missing[:, k], v)[lost]
             before, v = v, _spectrum(x)
-            last, changed = (
-                changed,
-                max(abs(float(band.mean())) for band in np.array_split(np.log(v / before), _BANDS)),
-            )
+            bands = np.array_split(np.log(v / before), min(_BANDS, len(v)))
+            last, changed = changed, max(abs(float(band.mean())) for band in bands)
             # What changes no less than the last time is chance, as of a long gap that is drawn anew.
             if changed < _SETTLED or changed > last:
                 break

@@ -1,6 +1,6 @@
 """Stretches without gaps, and samples on the even grid of times that gaps leave places in."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,27 +23,46 @@ _TIME_SLACK = 1e-6
 _LEAST, _MOST = 64, 16
 
 
+class Gap(NamedTuple):
+    """Samples that are missing, as places on the recording's grid of times, whose first sample is number 0.
+
+    Attributes:
+        first: number of the first one; negative before the stretch that was taken.
+        samples: how many there are; 0 where the clock was set back, so that this is unknown.
+    """
+
+    first: int
+    samples: int
+
+
 class Stretches(NamedTuple):
     """Stretches of a record in which no sample is missing.
 
     Attributes:
+        every: rows of each, in the order of time.
         longest: rows of the longest.
         others: rows of others of 64 samples and more, the longest fifteen of them, in the order of time.
-        total: how many stretches there are.
     """
 
+    every: tuple[slice, ...]
     longest: slice
     others: tuple[slice, ...]
-    total: int
+
+    def gaps(self, times: Float[np.ndarray, " samples"], rate: float) -> tuple[Gap, ...]:
+        """Gaps between the stretches, given all samples' times [s] and their rate [Hz]."""
+        places = np.rint((times - times[self.longest.start]) * rate).astype(int)
+        ends = places[[rows.stop - 1 for rows in self.every[:-1]]] + 1
+        lost = places[[rows.start for rows in self.every[1:]]] - ends
+        return tuple(map(Gap, ends.tolist(), np.maximum(lost, 0).tolist()))
 
     def told(self, n: int) -> tuple[str, ...]:
         """Which samples of n were taken, in notes; none if all of them."""
-        if self.total < 2:
+        if len(self.every) < 2:
             return ()
         others = f"; {len(self.others)} others are kept for Allan deviations and fits" if self.others else ""
         return (
             f"samples {self.longest.start} to {self.longest.stop - 1} of {n} taken, the longest of "
-            f"{self.total} stretches without gaps{others}; gaps='fill' (--gaps fill) uses all",
+            f"{len(self.every)} stretches without gaps{others}; gaps='fill' (--gaps fill) uses all",
         )
 
 
@@ -59,7 +78,7 @@ def stretches_of(
     begins = whole & (after_gap | ~np.concatenate([[False], whole[:-1]]))
     first = np.flatnonzero(begins)
     if not first.size:
-        return Stretches(slice(0, 0), (), 0)
+        return Stretches((), slice(0, 0), ())
     # A stretch ends where the next begins, or at the first sample after it that is not whole.
     ends = np.append(first[1:], len(values))
     lengths = np.add.reduceat(whole.astype(int), first)
@@ -69,7 +88,7 @@ def stretches_of(
     ]
     order = sorted(range(len(rows)), key=lambda k: rows[k].start - rows[k].stop)
     kept = [k for k in order[1:_MOST] if rows[k].stop - rows[k].start >= _LEAST]
-    return Stretches(rows[order[0]], tuple(rows[k] for k in sorted(kept)), len(rows))
+    return Stretches(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
 
 
 def on_grid(
@@ -87,10 +106,18 @@ def on_grid(
     return full, {name: np.interp(grid, places, column) for name, column in auxiliary.items()}
 
 
-def runs_of(missing: Bool[np.ndarray, "samples axes"], labels: Sequence[str]) -> dict[str, list[int]]:
-    """First sample and the one after the last of every gap, in turn, by the axes' labels."""
-    edges = (np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist() for lost in missing.T)
-    return dict(zip(labels, edges, strict=True))
+def gaps_of(missing: Bool[np.ndarray, "samples axes"]) -> tuple[Gap, ...]:
+    """Gaps in which samples of at least one axis are missing."""
+    edges = np.diff(missing.any(axis=1), prepend=False, append=False)
+    return tuple(Gap(a, b - a) for a, b in np.flatnonzero(edges).reshape(-1, 2).tolist())
+
+
+def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> tuple[Gap, ...] | None:
+    """The parts of gaps that are between two samples, numbered from the former."""
+    if gaps is None:
+        return None
+    inner = ((max(begin, first), min(begin + samples, last)) for begin, samples in gaps)
+    return tuple(Gap(begin - first, end - begin) for begin, end in inner if begin < end)
 
 
 def check_choice(gaps: str, source: Source) -> None:

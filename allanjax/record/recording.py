@@ -19,15 +19,12 @@ from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise
 from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import check_choice, rows_between, runs_of, stretches_of
+from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, stretches_of
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: Key in a data frame's `attrs` of what its columns do not say of a recording.
-ATTRIBUTE = "allanjax"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +44,8 @@ class Recording(ByValue):
             None if there are none.
         others: other stretches of the same record, between which samples are missing (`gaps="segments"`), in
             SI: Allan deviations and the coefficients of noise terms are of all, everything else of `values`.
+        gaps: where samples of the record are missing, be they drawn or between stretches; None if that
+            cannot be seen, for lack of time stamps.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -61,6 +60,7 @@ class Recording(ByValue):
     jitter: float | None = None
     missing: Bool[np.ndarray, "samples axes"] | None = None
     others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
+    gaps: tuple[Gap, ...] | None = None
 
     @classmethod
     def from_array(
@@ -108,12 +108,6 @@ class Recording(ByValue):
                 f"{len(names)} names for {table.shape[1]} columns; give one name a column in names="
             )
         columns = [recognise(label) for label in names]
-        for column in columns:
-            if column.role != "axis":
-                raise source.error(
-                    f"names= has {column.label!r}, which is no axis of a gyro or an accelerometer; use "
-                    "names such as gyro_x, accel_z, and pass other columns as auxiliary="
-                )
         extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
         for key, column_values in extra.items():
             if column_values.shape != table.shape[:1]:
@@ -128,7 +122,10 @@ class Recording(ByValue):
         rows, notes = found.longest, (*notes, *found.told(len(table)))
         extra = {key: column[rows] for key, column in extra.items()}
         source, others = source.after(rows.start), [table[other] for other in found.others]
-        return build(table[rows], rate, columns, units, extra, name, notes, source, others=others)
+        missing = found.gaps(np.arange(len(table)) / rate, rate) or None
+        return build(
+            table[rows], rate, columns, units, extra, name, notes, source, others=others, gaps=missing
+        )
 
     @property
     def n(self) -> int:
@@ -163,15 +160,8 @@ class Recording(ByValue):
 
     @property
     def own_values(self) -> Float[np.ndarray, "samples axes"]:
-        """Samples, each axis in its own unit: times `own_scales` they are `values` again, where possible."""
-        values, scales = self.values, self.own_scales
-        own = values / scales
-        # The quotient's rounding may show in the product, which its neighbours may hit.
-        for direction in (-np.inf, np.inf):
-            missed = own * scales != values
-            neighbour = np.nextafter(own, direction)
-            own = np.where(missed & (neighbour * scales == values), neighbour, own)
-        return own
+        """Samples, each axis in its own unit."""
+        return self.values / self.own_scales
 
     @property
     def columns(self) -> dict[str, Float[np.ndarray, " samples"]]:
@@ -186,35 +176,21 @@ class Recording(ByValue):
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
         """Table with one row a sample and the `columns`, which `from_dataframe`, `fit` and others take again.
 
-        Labels state the units. What they do not say (rate, name, notes, dead axes) is in the table's `attrs`,
-        which pandas keeps, also in Parquet.
+        Labels state the units; samples that were missing are nan, as they are not the sensor's.
 
         Args:
-            si: whether samples are in rad/s and m/s²: then those of `from_dataframe` are equal to the last
-                digit. In the axes' own units they are where they came in these, else to within a rounding.
+            si: whether samples are in rad/s and m/s², else in the axes' own units.
         """
         import pandas as pd
 
-        columns = self.columns
-        labels = [f"{axis.name} [{axis.unit}]" for axis in self.axes]
-        if si:
-            own, labels = labels, [f"{axis.name} [{SI[axis.sensor]['rate']}]" for axis in self.axes]
-            renamed = dict(zip(own, labels, strict=True))
-            columns = {renamed.get(label, label): column for label, column in columns.items()}
-            columns |= dict(zip(labels, self.values.T, strict=True))
-        frame = pd.DataFrame(columns)
-        frame.attrs[ATTRIBUTE] = {
-            "rate_hz": self.rate,
-            "jitter_s": self.jitter,
-            "name": self.name,
-            "notes": list(self.notes),
-            "axes": {label: [x.name, x.sensor, x.unit] for label, x in zip(labels, self.axes, strict=True)},
-            "si": si,
-            "auxiliary": list(self.auxiliary),
-            "missing": {} if self.missing is None else runs_of(self.missing, labels),
-            "dead": [[d.axis.name, d.axis.sensor, d.axis.unit, d.reason] for d in self.dead],
-        }
-        return frame
+        samples = self.values if si else self.own_values
+        units = [SI[axis.sensor]["rate"] if si else axis.unit for axis in self.axes]
+        labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
+        if self.missing is not None:
+            samples = np.where(self.missing, np.nan, samples)
+        return pd.DataFrame(
+            {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **self.auxiliary}
+        )
 
     @staticmethod
     @presented
@@ -227,9 +203,6 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
     ) -> "Recording":
         """Make a recording from a data frame, whose columns are recognised by their names as those of a file.
-
-        One that `to_dataframe` made gives the same recording again, also after rows at its ends, auxiliary
-        columns or axes were left out.
 
         Args:
             frame: columns such as `time [s]`, `gyro_x [deg/s]`, `temperature`; times may be the index.
@@ -296,6 +269,7 @@ class Recording(ByValue):
             axes=axes,
             missing=missing if missing is not None and missing.any() else None,
             others=(),
+            gaps=gaps_within(self.gaps, rows.start, rows.stop),
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
             notes=(*self.notes, note, *left_out),
             dead=(*self.dead, *dead),
@@ -334,10 +308,12 @@ def build(
     jitter: float | None = None,
     fill: bool = False,
     others: Sequence[Float[np.ndarray, "_ axes"]] = (),
+    gaps: tuple[Gap, ...] | None = None,
 ) -> Recording:
     """Check samples in their own units and make a recording of the axes that are not dead.
 
-    With `fill` samples that are nan are drawn given the others; `others` are other stretches.
+    With `fill` samples that are nan are drawn given the others; `others` are other stretches, between which
+    there are `gaps`.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -355,6 +331,7 @@ def build(
     if lost.any():
         values = completed(values, lost)
         left_out = (*told(lost, rate, [axis.name for axis in axes]), *left_out)
+        gaps = gaps_of(lost)
     return Recording(
         values * scales,
         rate,
@@ -366,6 +343,7 @@ def build(
         jitter,
         lost if lost.any() else None,
         tuple(other[:, kept] * scales for other in others if (np.ptp(other[:, kept], axis=0) > 0.0).all()),
+        gaps,
     )
 
 

@@ -9,7 +9,7 @@ import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -57,6 +57,8 @@ foot = 0.3048 * meter = ft = feet
 second = [time] = s = sec = seconds
 minute = 60 * second = min = minutes
 hour = 3600 * second = h = hr = hours
+day = 86400 * second = d = days
+count = [count] = LSB = counts = lsb = digit = digits
 hertz = 1 / second = Hz
 degree_per_second = degree / second = dps
 degree_per_hour = degree / hour = dph
@@ -66,6 +68,12 @@ ppm = 1e-6
 percent = 1e-2
 gal = 0.01 * meter / second ** 2 = Gal
 """
+
+#: What messages propose for counts.
+COUNT_SIZES: dict[Sensor, str] = {
+    "gyro": "'0.07 deg/s', 'deg/s/131' or '131 LSB/(deg/s)'",
+    "accel": "'0.061 mg', 'g/16384' or '16384 LSB/g'",
+}
 
 # SI units of rates and of increments, and the base dimension that a sensor's units never have.
 SI: dict[Sensor, dict[Quantity, str]] = {
@@ -96,12 +104,16 @@ _PROPOSED = (
     *("deg/h²", "rad/s²", "m/s/h²", "m/s³", "arcsec", "deg", "rad", "m/s", "s", "h", "Hz"),
 )
 
+# Number that is a factor of a unit, not a power.
+_NUMBER = r"(?<![\w.^])(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+
 # Words whose case carries no meaning. Not m, g and what begins with a prefix: M and G could be mega, giga.
 _ANY_CASE = {
     word.lower(): word
     for word in (
         *("deg", "degree", "degrees", "rad", "radian", "radians", "arcsec", "arcmin", "dps", "rpm"),
-        *("s", "sec", "second", "seconds", "min", "h", "hr", "hour", "hours", "Hz", "Gal", "mGal", "uGal"),
+        *("s", "sec", "second", "seconds", "min", "minute", "minutes", "h", "hr", "hour", "hours"),
+        *("day", "days", "Hz", "Gal", "mGal", "uGal", "LSB", "count", "counts"),
     )
 }
 
@@ -152,15 +164,19 @@ class _Unit(NamedTuple):
 def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
     """Parse the unit of a sensor's samples, in any usual spelling (`°/s`, `dps`, `m/s^2`, `mg`, ...).
 
+    It may have a number, as the size of a count: `0.07 deg/s`, `deg/s/131`, `70 mdps/LSB`, `131 LSB/(deg/s)`.
+
     Raises:
         UnitError: the unit is unknown or does not fit the sensor; the message lists those that do.
     """
-    unit = _parse(text)
+    unit = _of_a_count(_parse(text))
     quantity = _quantity(unit, sensor)
     if unit is None or quantity is None:
         accepted = SAMPLE_UNITS[sensor]
         other: Sensor = "accel" if sensor == "gyro" else "gyro"
         hint = f" {text!r} is a unit of {_A[other]}." if _quantity(unit, other) else ""
+        if unit is not None and unit.dimension == {"[count]": 1.0}:
+            hint = f" Counts need the size of one: {COUNT_SIZES[sensor]}."
         raise UnitError(
             f"unknown unit {text!r} for {_A[sensor]}.{hint} Accepted: {', '.join(accepted['rate'])} (rates); "
             f"{', '.join(accepted['increment'])} (increments)"
@@ -171,10 +187,14 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
 def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
     """Display unit of rates for samples in this unit, and its factor to SI.
 
-    For increments it is rad/s or m/s².
+    For increments it is rad/s or m/s², for counts a unit that the size of one is in.
     """
     own = parse_sample_unit(unit, sensor)
-    return (own.name, own.scale) if own.quantity == "rate" else (SI[sensor]["rate"], 1.0)
+    if own.quantity == "rate" and not re.search(_NUMBER, own.name):
+        return own.name, own.scale
+    named = (label for label in SAMPLE_UNITS[sensor]["rate"] if label in unit and own.quantity == "rate")
+    label = next(named, SI[sensor]["rate"])
+    return label, unit_scale(label)
 
 
 def default_coefficient_unit(sensor: Sensor, time_exponent: float) -> str:
@@ -249,6 +269,17 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
     return value * (source.scale / target.scale)
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a known unit."""
+    return _parse(text) is not None
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two units are the same in different spellings; unknown ones are not."""
+    units = _of_a_count(_parse(one)), _of_a_count(_parse(other))
+    return None not in units and units[0] == units[1]
+
+
 def density_power(unit: str) -> float:
     """Power of a density that a unit is: 1/2 of `deg/s/√Hz`, 1 of `(deg/h)²/Hz`, 0 of what is per no Hz.
 
@@ -258,8 +289,7 @@ def density_power(unit: str) -> float:
         UnitError: the unit is unknown.
     """
     _known(unit, None)
-    parsed = _registry().parse_units(_expression(unit))
-    exponents = cast(Mapping[str, float], parsed._units)
+    exponents = cast(Mapping[str, float], _registry().Quantity(_expression(unit)).units._units)
     return max(-sum(power for name, power in exponents.items() if name.endswith("hertz")), 0.0)
 
 
@@ -293,11 +323,13 @@ def _parse(text: str) -> _Unit | None:
         return None
     registry = _registry()
     try:
-        unit = registry.parse_units(expression)
-        factor = registry.Quantity(1.0, unit).to_root_units().magnitude
+        size: Any = registry.Quantity(expression).to_root_units()
+        factor = float(size.magnitude)
     except (pint.PintError, ValueError, ArithmeticError):
         return None
-    powers = cast(Mapping[str, float], unit.dimensionality)
+    if not 0.0 < factor < np.inf:
+        return None
+    powers = cast(Mapping[str, float], size.dimensionality)
     dimension = {name: round(power, 9) for name, power in powers.items()}
     return _Unit(factor, {name: power for name, power in dimension.items() if power})
 
@@ -320,20 +352,31 @@ def _expression(text: str) -> str:
     text = re.sub(r"\s+per\s+", "/", text)
     text = re.sub(r"\b[gG]['’]s\b", "g", text)
     text = re.sub(r"\s*([/*^()])\s*", r"\1", text)
+    text = re.sub(rf"({_NUMBER})(?=[A-Za-z])(?![eE][+-]?\d)", r"\1*", text)
     text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])|(?<=[\w)])\s+(?=[\w(])", "*", text)
-    text = re.sub(r"([A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"\1^\2", text)
+    text = re.sub(r"([A-Za-z])(?<!\d[eE])\^?(-?\d+(?:\.\d+)?)", r"\1^\2", text)
     text = re.sub(r"[A-Za-z]+", lambda word: _ANY_CASE.get(word[0].lower(), word[0]), text)
     return text.replace("^", "**")
 
 
 def _is_product(expression: str) -> bool:
     """Whether the expression is a product of powers; pint's parser lets much else through, or crashes."""
-    number = r"-?\d+(?:\.\d+)?"
-    product = r"(?:[A-Za-z]+|1)\^?(?:[*/](?:[A-Za-z]+|1)\^?)*"
+    number = r"-?\d{1,3}(?:\.\d+)?"
+    factor = rf"(?:[A-Za-z]+|{_NUMBER})\^?"
+    product = rf"{factor}(?:[*/]{factor})*"
     expression = re.sub(rf"\*\*(?:{number}|\({number}(?:/{number})?\))", "^", expression)
     while (reduced := re.sub(rf"\({product}\)", "u", expression)) != expression:
         expression = reduced
     return re.fullmatch(product, expression) is not None
+
+
+def _of_a_count(unit: _Unit | None) -> _Unit | None:
+    """Size of a count from a unit per count, or from counts per unit; other units as they are."""
+    power = 0.0 if unit is None else unit.dimension.get("[count]", 0.0)
+    if unit is None or abs(power) != 1.0 or len(unit.dimension) == 1:
+        return unit
+    dimension = {name: -power * p for name, p in unit.dimension.items() if name != "[count]"}
+    return _Unit(unit.scale**-power, dimension)
 
 
 def _quantity(unit: _Unit | None, sensor: Sensor) -> Quantity | None:

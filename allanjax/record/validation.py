@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from allanjax.base.errors import RecordingError
 
@@ -32,6 +32,11 @@ class Source:
         """Source of the samples that are left when the first `rows` are dropped."""
         return replace(self, locate=lambda row: self.locate(row + rows))
 
+    def at(self, rows: Shaped[np.ndarray, " kept"]) -> "Source":
+        """Source of these rows of the samples."""
+        numbers = np.flatnonzero(rows) if rows.dtype == bool else rows
+        return replace(self, locate=lambda row: self.locate(int(numbers[row])))
+
     def error(self, message: str, about: str = "") -> RecordingError:
         """RecordingError whose message begins with the label; see there for what it is `about`."""
         return RecordingError(f"{self.label}: {message}", about)
@@ -47,8 +52,8 @@ def check_rate(rate: float, source: Source) -> float:
     return float(rate)
 
 
-def as_columns(values: Float[np.ndarray, "..."], source: Source) -> Float[np.ndarray, "samples axes"]:
-    """Samples as a table of one column an axis; RecordingError for another shape, or one transposed."""
+def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Float[np.ndarray, "samples axes"]:
+    """Samples as one column an axis; RecordingError if they have another shape."""
     table = values[:, None] if values.ndim == 1 else values
     if table.ndim != 2 or table.shape[1] == 0:
         raise source.error(
@@ -57,7 +62,7 @@ def as_columns(values: Float[np.ndarray, "..."], source: Source) -> Float[np.nda
         )
     if table.shape[0] < table.shape[1]:
         raise source.error(
-            f"values of shape {values.shape} seem transposed; pass values.T, one column an axis"
+            f"values of shape {table.shape} seem transposed; pass values.T, one column an axis"
         )
     return table
 

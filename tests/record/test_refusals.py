@@ -2,12 +2,13 @@
 
 import gzip
 import io
+import re
 import zipfile
 
 import numpy as np
 import pandas as pd
 import pytest
-from imu_columns import HEADER, SIX, UNITS, refused, rows
+from imu_columns import DEG, HEADER, SIX, UNITS, noted, refused, rows
 
 import allanjax as aj
 
@@ -70,22 +71,12 @@ OF_TEXT = {
     "constant": (text(edit=lambda x: [x[0], *len(x[1:]) * ["1,2,3"]]), RATE, "gyro_x|constant (1 |line 2"),
     "no rate": (text(), {}, "rate=|--rate"),
     **{f"rate {r}": (text(), {"rate": r}, "rate=|positive") for r in (0, np.nan, np.inf)},
-    "rate above stamps": (text(times=TIMES), {"rate": 101.1}, "rate 101.1 Hz|'time [s]'|100 Hz"),
-    "rate below stamps": (text(times=TIMES), {"rate": 98.9}, "rate 98.9 Hz|'time [s]'|100 Hz"),
     "start after stop": (text(), {**RATE, "start": 0.3, "stop": 0.3}, "start=|stop="),
     "start nan": (text(), {**RATE, "start": np.nan}, "start="),
     # Units.
     "no accel unit": (text(SIX), DEG_S, "accel_x|accel_unit=|--accel-unit", aj.UnitError),
-    "unknown unit": (text(["gyro_x [furlong]"]), RATE, "gyro_x|furlong|deg/h", aj.UnitError),
-    "other sensor": (text(["gyro_x [m/s^2]"]), RATE, "gyro_x|accelerometer", aj.UnitError),
-    "unit twice": (text(), {**RATE, "gyro_unit": "rad/s"}, "deg/s|gyro_unit=|rad/s", aj.UnitError),
-    "rate or increment": (text(), {**RATE, "gyro_unit": "deg"}, "deg/s|gyro_unit=", aj.UnitError),
-    "increments": (text(["delta_angle_x [deg/s]"]), RATE, "delta_angle_x|deg/s", aj.UnitError),
     # Columns.
-    "missing axis": (text(["gyro_x [deg/s]", "gyro_z [deg/s]"]), RATE, "no gyro_y|columns="),
     "no axis": (text(["p", "q", "r"]), RATE, "p, q, r|--columns"),
-    "same name": (text(["gx", "gx", "gz"]), RATE, "'gx'|columns="),
-    "same axis": (text(["gx", "gyro_x"]), RATE, "'gx' and 'gyro_x'|gyro_x|columns="),
     "unknown column": (text(), {**RATE, "columns": "gyro_x,gyro_q"}, "--columns|gyro_q|gyro_z [deg/s]"),
     "column twice": (text(), {**RATE, "columns": "gyro_x,gyro_x,-"}, "columns=|gyro_x"),
     "too few entries": (text(SIX), {**RATE, "columns": "a,-"}, "columns|a"),
@@ -95,15 +86,8 @@ OF_TEXT = {
     # Times.
     "same throughout": (text(times=0 * TIMES), {}, "time [s]|--time none"),
     "a gap": (text(times=moved(r10=0.35, r35=0.05)), {}, "time [s]|0.36 s (36 intervals)|line 12|start="),
-    "a gap, rate given": (text(times=moved(r10=0.35)), RATE, "0.36 s (36 intervals)"),
-    "one lost sample": (text(times=moved(r20=0.01)), {}, "0.02 s (2 intervals)|line 22"),
     "an interval of 1.56": (text(times=moved(r20=0.0056)), {}, "0.0156 s|line 22"),
     "repeats": (text(times=np.where(STEPS == 10, 0.09, TIMES)), {}, "time [s]|repeats|line 12|--rate"),
-    "earlier": (text(times=np.where(STEPS == 10, 0.02, TIMES)), {}, "time [s]|by 0.07 s|line 12"),
-    "jitter of 21 %": (text(times=TIMES + 0.00105 * TURNS), {}, "irregular|jitter 0.0021|--rate"),
-    "unit of steps": (text(times=STEPS, label="time"), {}, "'time'|time_unit=|--time-unit"),
-    "no unit of time": (text(times=TIMES, label="time [m]"), {}, "'m'|us", aj.UnitError),
-    "time unit twice": (text(times=TIMES), {"time_unit": "ms"}, "in s|time_unit=|ms", aj.UnitError),
     "no such time": (text(times=TIMES), {"time": "clock"}, "clock|time [s]|time="),
     "time in words": (text(times=TIMES, cells={(7, 0): "soon"}), {}, "time [s]|line 7"),
     "gaps": (text(), {**RATE, "gaps": "interpolate"}, "gaps=|--gaps|interpolate"),
@@ -129,16 +113,12 @@ RIGHT = [
     (text(), {**RATE, "start": 0.1, "stop": 0.26}, 16),
     (cell("0.99e100"), RATE, N),
     (cell("x"), {**RATE, "stop": 0.21}, 21),
-    (text(times=TIMES), {"rate": 100.9}, N),
     (text(times=TIMES), {"rate": 99.1}, N),
     (text(times=TIMES + 0.00095 * TURNS), {}, N),
     # An interval of 1.44, and late stamps after which all is as before.
     (text(times=moved(r20=0.0044)), {}, N),
     (text(times=TIMES + np.isin(STEPS, [10, 45]) * 0.006), {}, N),
-    (text(times=moved(r10=0.35, r35=0.05)), {"start": 0.450, "stop": 0.690}, 24),
-    (text(times=moved(r10=0.35)), {**RATE, "time": "none"}, N),
     (text(times=0 * TIMES), {**RATE, "time": False}, N),
-    (text(["gyro_x [deg/s]", "gyro_z [deg/s]"]), {**RATE, "columns": "gyro_x,gyro_z"}, N),
 ]
 
 
@@ -147,12 +127,86 @@ def test_what_is_just_right_is_read(tmp_path):
     for write, options, n in RIGHT:
         write(path)
         assert aj.read(path, **options).n == n, options
-    text(times=TIMES)(path)
-    assert aj.read(path, rate=100.5).rate == 100.5
-    # Of gaps the longest stretch is named, and what each choice makes of them.
-    text(times=moved(r10=0.35, r35=0.05))(path)
-    told = f"first of 2 gaps|start=0.450|stop=0.690|40 missing|{N} others|--gaps fill"
-    assert refused(path, told).about == "gaps"
+
+
+# Remedies as errors name them, and the rate [Hz] that is read by each; what options lack is in `GIVEN`.
+REMEDY = re.compile(r"time='none' and rate=|start=[\d.]+, stop=[\d.]+|\w+='\w+'|\w+=(?= \(--)")
+GIVEN = {"rate": 80.0, "gyro_unit": "131 LSB/(deg/s)", "accel_unit": "m/s^2", "time_unit": "0.1 ms"}
+GIVEN["columns"] = "time [s],gx [deg/s],-,gy [deg/s]"
+IGNORED, CUT = {"time='none' and rate=": 80.0}, {"gaps='segments'": 100.0}
+BOTH, ROWS = ["gx [deg/s]", "gy [deg/s]", "ax [g]", "ay [g]"], range(1, N)
+IN_TURN = {(n + 2, k): repr(float(NOISE[n - 1, k - 1])) for n in ROWS for k in ((1, 2), (3, 4))[n % 2]}
+# What writes the file, and the remedies that its error names.
+REMEDIES = {
+    "late": (text(times=TIMES + 0.02 * (STEPS % 3)), {"time='uniform'": 96.0784314} | IGNORED),
+    "set back": (text(times=moved(r30=-0.2)), CUT | IGNORED),
+    "lost": (
+        text(times=moved(r20=0.1)),
+        {"start=0.300, stop=0.590": 1e2, "gaps='fill'": 1e2} | CUT | IGNORED,
+    ),
+    # Of too many none is drawn.
+    "pause": (text(times=moved(r10=0.35)), {"start=0.450, stop=0.840": 100.0} | CUT | IGNORED),
+    "coarse": (text(times=np.floor(TIMES * 50.01) / 50), {"time='uniform'": 102.0833333} | IGNORED),
+    "alternating": (text(times=TIMES + 0.00105 * TURNS), {"time='uniform'": 100.4304161} | IGNORED),
+    "counts": (text(["gx [LSB]"], times=TIMES), {"gyro_unit=": 100.0}),
+    "no unit": (text(["gx"], times=TIMES), {"gyro_unit=": 100.0}),
+    "wrong unit": (text(["ax [rad/s^2]"], times=TIMES), {"accel_unit=": 100.0}),
+    "increments": (text(["dv_x [g]"], times=TIMES), {"accel_unit=": 100.0}),
+    "time in m": (text(times=TIMES, label="time [m]"), {"time_unit=": 1e6}),
+    "steps": (text(times=STEPS, label="time"), {"time_unit=": 10_000.0, "rate=": 80.0}),
+    "same names": (text(["gx", "gx", "gy"], times=TIMES), {"columns=": 100.0}),
+    "in turn": (text(BOTH, cells=IN_TURN, times=TIMES), {"columns='gyro'": 50.0, "columns='accel'": 50.0}),
+}
+
+
+@pytest.mark.parametrize("name", REMEDIES)
+def test_every_remedy_that_an_error_names_leads_to_a_result(tmp_path, name):
+    write, remedies = REMEDIES[name]
+    write(path := tmp_path / "imu.csv")
+    with pytest.raises(aj.AllanjaxError) as caught:
+        aj.read(path)
+    assert {*REMEDY.findall(str(caught.value))} == {*remedies}
+    for remedy, rate in remedies.items():
+        options = {key: value or GIVEN[key] for key, value in re.findall(r"(\w+)='?([\w.]*)", remedy)}
+        numbers = {key: float(value) for key, value in options.items() if key in ("start", "stop")}
+        assert aj.read(path, **options | numbers).rate == pytest.approx(rate, rel=1e-6), remedy
+
+
+def header(*lines):
+    return text(edit=lambda x: [*lines, *x[1:]])
+
+
+# What writes a file, what a person states, the rate, a note, the first axis's factor to SI, and the axes.
+UNIT = "_z in {} as stated, not in deg/s as labelled"
+STATED = [
+    (text(times=TIMES), {"rate": 101.1}, 101.1, "101.1 Hz as given, not 100 Hz"),
+    (text(times=TIMES, label="time"), {"rate": 200.0}, 200.0, "in s they are 100 Hz"),
+    (text(times=TIMES), {"time_unit": "ms"}, 1e5, "in ms as stated, not in s"),
+    (text(times=STEPS + 3, label="PacketCounter"), {"rate": 80.0}, 80.0, "counts of 0.0125 s each"),
+    (text(times=STEPS * 100, label="SampleTimeFine"), {}, 100.0, "from column 'SampleTimeFine'"),
+    (text(), {**RATE, "gyro_unit": "rad/s"}, 100.0, UNIT.format("rad/s"), 1.0),
+    (text(), {**RATE, "gyro_unit": "deg"}, 100.0, UNIT.format("deg"), 100.0 * DEG),
+    (text(["gx [rad/s]"]), {**RATE, "columns": "gx [deg/s]"}, 100.0, "not in rad/s", DEG, SIX[:1]),
+    (text(HEADER[:2]), RATE, 100.0, "no column of gyro_z", DEG, SIX[:2]),
+    (text(["gyro1_x [deg/s]", "gyro2_x [deg/s]"]), RATE, 100.0, "", DEG, ("gyro1_x", "gyro2_x")),
+    (text(["p [deg/s]", "q [deg/s]"]), RATE, 100.0, "", DEG, ("p", "q")),
+    (text(["gyro_rad[0]", "gyro_rad[1]"]), RATE, 100.0, "no column of gyro_z", 1.0, SIX[:2]),
+    (text(edit=lambda x: ["// Update Rate: 80.0Hz", *x]), {}, 80.0, "80 Hz by the line"),
+    (header("gx,gy,gz", "CAL,CAL,CAL", "deg/s,deg/s,deg/s"), RATE, 100.0, "gyro_x from 'gx [deg/s]'"),
+    (text(edit=lambda x: ['"sep=|"', *(y.replace(",", "|") for y in x)]), RATE, 100.0, ""),
+]
+
+
+@pytest.mark.parametrize("row", range(len(STATED)))
+def test_what_a_person_states_wins_over_the_file(tmp_path, row):
+    write, options, rate, note, *others = STATED[row]
+    scale, names = (*others, *(DEG, SIX[:3])[len(others) :])
+    write(path := tmp_path / "imu.csv")
+    recording = aj.read(path, **options)
+    assert (recording.names, recording.rate) == (names, pytest.approx(rate, rel=1e-9))
+    np.testing.assert_allclose(recording.values[:, 0], NOISE[:, 0] * scale, rtol=1e-12)
+    assert not note or noted(recording, note)
+    np.testing.assert_array_equal(np.concatenate([*aj.read_chunks(path, **options)]), recording.values)
 
 
 def write(path, content):
@@ -188,7 +242,6 @@ BINARY = {
     "transposed in npz": ("imu.npz", {"gyro": NOISE[:, :3].T}, RATE, "'gyro'|(3, 50)"),
     "no samples in npz": ("imu.npz", {"rate": 100.0}, {}, "no array"),
     "rate of npz": ("imu.npz", {**HALVES, "rate": -5.0}, {}, "positive"),
-    "rate against npz": ("imu.npz", {**HALVES, "fs": 100.0}, {"rate": 101.1}, "rate 101.1 Hz|100 Hz|--rate"),
     "spreadsheet": ("imu.xlsx", workbook.getvalue(), RATE, "CSV"),
     "magic of Parquet": ("imu.bin", b"PAR1 damaged", RATE, "Parquet"),
     "magic of npy": ("imu.bin", b"\x93NUMPY damaged", RATE, ".npy"),
@@ -221,7 +274,7 @@ ARRAYS = [
     ({"values": NOISE[:, :3]}, "3 columns|gyro_unit= and accel_unit=|names="),
     ({"names": ["gyro_x"]}, "1 names for 6|names="),
     ({"names": ["gx", "gy", "gz", "ax", "ay", "mag"]}, "'mag'|auxiliary="),
-    ({"names": ["gx", "gyro_x", "gz", "ax", "ay", "az"]}, "'gx' and 'gyro_x'"),
+    ({"names": ["gx", "gx", "gz", "ax", "ay", "az"]}, "'gx' and 'gx'"),
     ({"auxiliary": {"temperature": np.ones(3)}}, "'temperature'|(3,)|(50,)"),
     ({"gaps": "drop"}, "gaps=|drop"),
     *(({"rate": x}, "rate=") for x in (0, np.nan, np.inf, None, "100", 1j, np.ones(1))),
@@ -247,7 +300,7 @@ CALLS = [
     (lambda f: aj.write(RECORDING, f), "folder"),
     (lambda f: aj.read(f / "imu.csv"), "imu.csv|no such file"),
     (lambda f: made(NOISE, 1.0, names=SIX, gyro_unit="deg/s"), "accel_x|accel_unit=", aj.UnitError),
-    (lambda f: made(NOISE[:, 0], 1.0, names=["dv_x"], accel_unit="g"), "dv_x|g", aj.UnitError),
+    (lambda f: aj.allan_deviation(NOISE.T, 1.0), "(6, 50)|values.T"),
     (lambda f: aj.Recording.from_dataframe(FRAME, 50.0), "gyro_x|gyro_unit=", aj.UnitError),
     (lambda f: aj.fit(RECORDING, gaps="fill"), "gaps", aj.AllanjaxError),
     (lambda f: aj.fit(7.0, rate=1.0), "allanjax.read", aj.AllanjaxError),

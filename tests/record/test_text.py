@@ -90,7 +90,7 @@ AXES = {
     "dtheta_z delta_angle_z delta_theta_z": ("gyro_z", "deg"),
     "dv_z delta_velocity_z dvel_z delta_v_z": ("accel_z", "m/s"),
 }
-NO_AXES = "mag_x gyro_bias_x gyro_temp temperature max quat_x p bias_gyro_x gyro/bias/omega_y std_accel_z"
+NO_AXES = "mag_x temp_gyro hAcc gyro_bias_x gyro_temp temperature max quat_x p gyro/bias/omega_y std_accel_z"
 NO_AXES += " Sigma.AccX cov_gyro_1 angular_velocity_covariance[0] linear_acceleration_covariance_0"
 
 

@@ -41,13 +41,15 @@ def read(
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
-        rate: sample rate in Hz; needed without time stamps, and checked against them if there are any.
-        gyro_unit: unit of the gyros, e.g. `deg/s`, where the header has none.
-        accel_unit: unit of the accelerometers, e.g. `g`, where the header has none.
-        columns: names of the header to read, or one name per column in order, `-` to skip one; a list or
-            comma-separated.
-        time: name of the column of time stamps; `none` or False to ignore them.
-        time_unit: unit of the time stamps: s, ms, us or ns.
+        rate: sample rate in Hz; needed without time stamps. As the units and columns below, it is used also
+            where the file says otherwise, and a note says so.
+        gyro_unit: unit of the gyros, e.g. `deg/s`; for counts the size of one, `0.07 deg/s`, `deg/s/131`.
+        accel_unit: unit of the accelerometers, e.g. `g`; for counts the size of one, `g/16384`.
+        columns: names of the header to read, with other units if need be, or a sensor, `gyro`; or one name
+            per column in order, `-` to skip one; a list or comma-separated.
+        time: name of the column of time stamps, or of a counter of samples if the rate is known; `none` or
+            False to ignore them; `uniform` for evenly spaced samples at their mean rate.
+        time_unit: unit of the time stamps: s, ms, us, ns, min, h, `0.1 ms`.
         start: first time to read, in s from the file's first sample.
         stop: time to stop before, in s from the file's first sample.
         topic: topic of a ROS bag with several of sensor_msgs/Imu, or message of a flight log, e.g.
@@ -57,8 +59,7 @@ def read(
             the default, says where and what there is; "segments" takes the longest stretch without any,
             and keeps others for Allan deviations and fits of noise terms (`others` of the recording, up
             to 15 of 64 samples or more); "fill" draws them from their distribution given the others, of
-            which the fit's intervals take account (see `completion`). Packets recorded twice are dropped
-            then.
+            which the fit's intervals take account (see `completion`).
 
     Raises:
         RecordingError: the file or the arguments are not usable; the message says where and what to do.

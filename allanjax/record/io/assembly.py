@@ -1,6 +1,6 @@
 """Assembly of a recording from the columns of a file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,36 +8,97 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import RecordingError
 from allanjax.record.columns import Column
-from allanjax.record.gaps import on_grid, rows_between, stretches_of, without_repeats
-from allanjax.record.io.layout import find_layout
+from allanjax.record.gaps import Gap, on_grid, stretches_of, without_repeats
+from allanjax.record.io.layout import Layout, find_layout
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.io.table import Table, as_float, is_numeric
-from allanjax.record.io.timestamps import MAX_RATE_DIFFERENCE, after_gaps, rate_from_times, seconds_from_first
+from allanjax.record.io.table import Columns, Table, as_float, is_numeric
+from allanjax.record.io.timestamps import (
+    MAX_RATE_DIFFERENCE,
+    after_gaps,
+    rate_from_times,
+    seconds_from_first,
+    uniform_rate,
+)
 from allanjax.record.recording import Recording, build
 from allanjax.record.validation import Source, check_length, check_rate
+
+# Shares of rows: at least and at most so many are samples of a sensor that shares a table, and of these (of
+# all rows, if two take turns) so many are at even intervals, to this part of the interval.
+_LEAST_FRESH, _MOST_FRESH, _REGULAR, _ALIKE = 0.02, 0.92, 0.95, 0.45
 
 
 def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     """Make a recording from a table, or say by a RecordingError or UnitError what is missing or wrong."""
-    source, columns = table.source, table.columns()
-    layout = find_layout(table, columns, options)
-    notes = [*table.notes, *layout.notes]
-    rate = stated_rate(table, options.rate)
+    columns, notes = table.columns(), [*table.notes]
+    check_length(len(columns[0]), table.source)
+    layout = find_layout(table, columns, options, notes)
+    rate = stated_rate(table, options.rate, notes)
+    stretch, source = _read(columns, layout, rate, options, table.source, notes)
     jitter: float | None = None
+    if layout.time and options.uniform:
+        found = uniform_rate(stretch.times, layout.time_label, options.rate, source)
+        rate, jitter = found.rate, found.jitter
+        notes.append(found.note)
+        stretch = stretch._replace(times=np.arange(len(stretch.times)) / rate)
+    stamped = bool(layout.time) and not options.uniform
+    others: tuple[_Stretch, ...] = ()
+    missing: tuple[Gap, ...] | None = () if stamped else None
+    if options.gaps == "segments":
+        stretch, others, source, missing = _segments(stretch, source, notes)
+        missing = missing if missing or stamped else None
+    if stamped:
+        gaps = options.allows_gaps
+        found = rate_from_times(stretch.times, layout.time_label, options.rate, source, gaps=gaps)
+        rate, jitter = found.rate, found.jitter
+        notes.append(found.note)
+        if gaps:
+            values, auxiliary = on_grid(stretch.values, stretch.auxiliary, found.places)
+            stretch = stretch._replace(values=values, auxiliary=auxiliary)
+    if rate is None:
+        raise no_rate_error(source)
+    units, fill = table.units_with(options), options.gaps == "fill"
+    of_stretch = (stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter)
+    return build(*of_stretch, fill, [other.values for other in others], missing)
+
+
+class _Stretch(NamedTuple):
+    """Samples of a stretch in the file's units, auxiliary channels, and times [s]."""
+
+    values: Float[np.ndarray, "samples axes"]
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
+    times: Float[np.ndarray, " samples"]
+
+    @property
+    def interval(self) -> float:
+        """Mean interval of its times [s]."""
+        return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+
+    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
+        """These rows of it."""
+        auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
+        return _Stretch(self.values[rows], auxiliary, self.times[rows])
+
+
+def _read(
+    columns: Columns,
+    layout: Layout,
+    rate: float | None,
+    options: ReadOptions,
+    source: Source,
+    notes: list[str],
+) -> tuple[_Stretch, Source]:
+    """Rows from the start to the stop, without those that repeat others, and their place."""
     samples = len(columns[0])
-    check_length(samples, source)
-    times: np.ndarray | None = None
     if layout.time:
         stamps = [(column, columns[column.index]) for column in layout.time]
         times, _, time_notes = seconds_from_first(stamps, options.time_unit, rate, source)
         notes += time_notes
-        rows = rows_of_times(times, options.start, options.stop)
-        check_stretch(rows, float(times[-1]), source)
+    elif rate is None:
+        raise no_rate_error(source)
     else:
-        if rate is None:
-            raise no_rate_error(source)
-        rows = rows_between(samples, rate, options.start, options.stop)
-        check_stretch(rows, samples / rate, source)
+        times = np.arange(samples) / rate
+    rows = rows_of_times(times, options.start, options.stop)
+    check_stretch(rows, float(times[-1]), source)
     source = source.after(rows.start)
     check_length(rows.stop - rows.start, source)
     if rows != slice(0, samples):
@@ -50,57 +111,69 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    stretch = _Stretch(values, auxiliary, None if times is None else times[rows])
-    others: tuple[_Stretch, ...] = ()
-    if gaps:
-        stretch, others, source, more = _with_gaps(stretch, options, source)
-        notes += more
-    if stretch.times is not None:
-        found = rate_from_times(stretch.times, layout.time_label, rate, source, gaps=gaps)
-        rate, jitter = found.rate, found.jitter
-        notes.append(found.note)
-        if gaps:
-            stretch = _Stretch(*on_grid(stretch.values, stretch.auxiliary, found.places), None)
-    if rate is None:
-        raise no_rate_error(source)
-    units = table.units_with(options)
-    fill = options.gaps == "fill"
-    of_stretch = (stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter)
-    return build(*of_stretch, fill, [other.values for other in others])
+    stretch = _Stretch(values, auxiliary, times[rows])
+    if not layout.time:
+        return stretch, source
+    kept = np.ones(len(values), bool) if options.uniform else without_repeats(values, stretch.times)
+    if not kept.all():
+        notes.append(f"{np.count_nonzero(~kept)} packets recorded twice left out")
+    own = own_rows(values[kept], stretch.times[kept], layout.axes, source)
+    if not own.all():
+        notes.append(f"{np.count_nonzero(~own)} rows left out, which repeat the last values")
+    kept[kept] = own
+    stretch, source = stretch.taken(kept), source.at(kept)
+    check_length(len(stretch.values), source)
+    return stretch, source
 
 
-class _Stretch(NamedTuple):
-    """Samples of a stretch in the file's units, auxiliary channels, and times [s] if there are any."""
+def own_rows(
+    values: Float[np.ndarray, "samples axes"],
+    times: Float[np.ndarray, " samples"],
+    axes: Sequence[Column],
+    source: Source,
+) -> Bool[np.ndarray, " samples"]:
+    """Rows of a table in which its sensors were sampled.
 
-    values: Float[np.ndarray, "samples axes"]
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
-    times: Float[np.ndarray, " samples"] | None
+    Where several sensors share a table, a row repeats the last values of those that were not sampled then.
 
-    @property
-    def interval(self) -> float:
-        """Mean interval of its stamps; 1 without any."""
-        return 1.0 if self.times is None else float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+    Raises:
+        RecordingError: gyros and accelerometers were sampled at different times.
+    """
+    fresh = {}
+    for sensor in dict.fromkeys(column.sensor for column in axes):
+        own = values[:, [column.sensor == sensor for column in axes]]
+        fresh[sensor] = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
+    # One that does not change is dead.
+    living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
+    in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
+    for sensor, rows in fresh.items():
+        held = _LEAST_FRESH < rows.mean() < _MOST_FRESH
+        if not held or not (in_turn or _is_regular(times[rows])):
+            fresh[sensor] = np.ones(len(values), bool)
+    one, other = (*fresh.values(), *fresh.values())[:2]
+    if np.mean(one ^ other) <= 1.0 - _REGULAR:
+        return one | other
+    rates = {sensor: rows.sum() / max(times[-1] - times[0], 1e-9) for sensor, rows in fresh.items()}
+    listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
+    raise source.error(
+        f"its sensors were sampled at different times, {listed} (other rows repeat their last values), and a "
+        "recording has one rate: read one of them by columns='gyro' or columns='accel' (--columns gyro, "
+        "--columns accel)"
+    )
 
-    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
-        """These rows of it."""
-        auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
-        return _Stretch(self.values[rows], auxiliary, None if self.times is None else self.times[rows])
+
+def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
+    """Whether nearly all intervals are alike, as those of a sensor with a rate of its own."""
+    intervals = np.diff(times)
+    typical = np.median(intervals)
+    return bool(np.mean(abs(intervals - typical) < _ALIKE * typical) > _REGULAR)
 
 
-def _with_gaps(
-    stretch: _Stretch, options: ReadOptions, source: Source
-) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[str, ...]]:
-    """Stretch without packets recorded twice, of "segments" the longest without gaps, others, and notes."""
-    notes: tuple[str, ...] = ()
-    if stretch.times is not None:
-        kept = without_repeats(stretch.values, stretch.times)
-        if not kept.all():
-            notes += (f"{np.count_nonzero(~kept)} packets recorded twice left out",)
-            stretch = stretch.taken(kept)
-    if options.gaps == "fill":
-        return stretch, (), source, notes
-    n, times = len(stretch.values), stretch.times
-    found = stretches_of(stretch.values, np.zeros(n, bool) if times is None else after_gaps(times))
+def _segments(
+    stretch: _Stretch, source: Source, notes: list[str]
+) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[Gap, ...]]:
+    """The longest stretch without gaps, others, its place, and the gaps."""
+    found = stretches_of(stretch.values, after_gaps(stretch.times))
     source = source.after(found.longest.start)
     check_length(found.longest.stop - found.longest.start, source)
     longest = stretch.taken(found.longest)
@@ -109,7 +182,9 @@ def _with_gaps(
         return abs(stretch.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE
 
     found = found._replace(others=tuple(filter(is_alike, found.others)))
-    return longest, tuple(map(stretch.taken, found.others)), source, (*notes, *found.told(n))
+    notes += found.told(len(stretch.values))
+    others = tuple(map(stretch.taken, found.others))
+    return longest, others, source, found.gaps(stretch.times, 1.0 / longest.interval)
 
 
 def no_rate_error(source: Source) -> RecordingError:
@@ -129,16 +204,13 @@ def check_stretch(rows: slice, duration: float, source: Source) -> None:
         )
 
 
-def stated_rate(table: Table, given: float | None) -> float | None:
-    """Sample rate [Hz] that is given or that the file states; if both, they must agree."""
+def stated_rate(table: Table, given: float | None, notes: list[str]) -> float | None:
+    """Sample rate [Hz] that is given, with a note if the file states another; else that of the file."""
     if given is None:
         return None if table.rate is None else check_rate(table.rate, table.source)
     rate = check_rate(given, table.source)
     if table.rate is not None and abs(table.rate / rate - 1.0) > MAX_RATE_DIFFERENCE:
-        raise table.source.error(
-            f"rate {rate:g} Hz contradicts the file, which states {table.rate:g} Hz; leave out rate= "
-            "(--rate) or correct the file"
-        )
+        notes.append(f"sample rate {rate:g} Hz as given, although the file states {table.rate:g} Hz")
     return rate
 
 

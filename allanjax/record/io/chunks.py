@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,12 +11,12 @@ from jaxtyping import Float
 
 from allanjax.record.axes import Axis, axes_of, scales_of
 from allanjax.record.gaps import rows_between
-from allanjax.record.io.assembly import check_stretch, no_rate_error, rows_of_times, stated_rate
+from allanjax.record.io.assembly import check_stretch, no_rate_error, own_rows, rows_of_times, stated_rate
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.layout import Layout, find_layout
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.io.table import Columns, Table, as_float
-from allanjax.record.io.timestamps import rate_from_times, seconds_from_first
+from allanjax.record.io.table import Columns, Table, as_float, is_numeric
+from allanjax.record.io.timestamps import check_rate_kept, rate_from_times, seconds_from_first, uniform_rate
 from allanjax.record.validation import (
     Source,
     bad_cells,
@@ -145,21 +144,27 @@ def open_chunks(
     first = next(table.rows(chunk), None)
     if first is None:
         raise table.no_rows()
-    layout = find_layout(table, first, options)
-    notes = [*table.notes, *layout.notes]
-    rate = stated_rate(table, options.rate)
+    notes = [*table.notes]
+    layout = find_layout(table, first, options, notes)
+    rate = stated_rate(table, options.rate, notes)
     axes, axis_notes = axes_of(layout.axes, table.units_with(options), source)
     n, start, stop = table.n, options.start, options.stop
     stretch = _Stretch(table, layout, options.time_unit, start, stop, chunk)
     if layout.time:
         stamps = [(column, first[column.index]) for column in layout.time]
-        _, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
+        seconds, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
         notes += time_notes
         stretch = dataclasses.replace(stretch, time_unit=unit or options.time_unit)
+        _check_one_rate(first, seconds, layout, source)
         times, place = stretch.first_times()
         check_length(len(times), place)
-        rate, note, *_ = rate_from_times(times, layout.time_label, rate, place, more=True)
-        notes.append(note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
+        if options.uniform:
+            found = uniform_rate(times, layout.time_label, options.rate, place)
+            stretch = dataclasses.replace(stretch, layout=dataclasses.replace(layout, time=()))
+        else:
+            found = rate_from_times(times, layout.time_label, options.rate, place, more=True)
+        rate, stretch = found.rate, dataclasses.replace(stretch, stamped=found.stamped)
+        notes.append(found.note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
         n = n if start is None and stop is None else None
     elif rate is None:
         raise no_rate_error(source)
@@ -173,6 +178,16 @@ def open_chunks(
     if layout.auxiliary:
         notes.append(f"not read: {', '.join(column.name for column in layout.auxiliary)}")
     return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, stretch)
+
+
+def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source: Source) -> None:
+    """Raise RecordingError if rows repeat others as those of two sensors in one table do."""
+    if all(is_numeric(columns[column.index]) for column in layout.axes):
+        values = np.column_stack([columns[column.index] for column in layout.axes])
+        if not own_rows(values, times, layout.axes, source).all():
+            raise source.error(
+                "rows that repeat the last values are left out only without --stream, by read()"
+            )
 
 
 class _Piece(NamedTuple):
@@ -193,54 +208,45 @@ class _Stretch:
     start: float | None
     stop: float | None
     chunk: int
+    stamped: float | None = None
 
     def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
         """Times [s] of the first samples, at most a chunk of them, and their place in the file."""
         times, place = np.zeros(0), self.table.source
-        for piece in self._by_time(None):
+        for piece in self.pieces(None):
             place = place if len(times) else piece.source
             times = np.concatenate([times, piece.times])
             if len(times) >= self.chunk:
                 break
         return times[: self.chunk], place
 
-    def pieces(self, rate: float) -> Iterator[_Piece]:
-        """Pieces of the stretch, in order; time stamps, if there are any, are checked against the rate."""
-        return self._by_time(rate) if self.layout.time else self._by_number(rate)
+    def pieces(self, rate: float | None) -> Iterator[_Piece]:
+        """Pieces of the stretch, in order; time stamps are checked against their rate if it is known.
 
-    def _by_number(self, rate: float) -> Iterator[_Piece]:
-        """Pieces of a stretch that is bounded by numbers of samples, for lack of time stamps."""
-        everything = sys.maxsize if self.table.n is None else self.table.n
-        taken = rows_between(everything, rate, self.start, self.stop)
-        row = 0
-        for columns in self.table.rows(self.chunk):
-            size = len(columns[0])
-            rows = slice(max(taken.start - row, 0), max(taken.stop - row, 0))
-            if rows.start < min(rows.stop, size):
-                yield self._piece(columns, rows, np.zeros(0), row)
-            row += size
-            if row >= taken.stop:
-                return
-
-    def _by_time(self, rate: float | None) -> Iterator[_Piece]:
-        """Pieces of a stretch that is bounded by time stamps, checked against the rate if it is known."""
+        Without stamps times follow from the rate, which is known then.
+        """
         row, elapsed, seen = 0, 0.0, np.zeros(0)
         last: Columns | None = None
         for columns in self.table.rows(self.chunk):
             size = len(columns[0])
             stamps = tuple(columns[column.index] for column in self.layout.time)
-            # The last stamps of the chunk before, from which on the times of this one are counted.
-            joined = stamps if last is None else tuple(map(np.concatenate, zip(last, stamps, strict=True)))
-            source = self.table.source.after(row - (len(joined[0]) - size))
-            pairs = list(zip(self.layout.time, joined, strict=True))
-            times = elapsed + seconds_from_first(pairs, self.time_unit, rate, source).seconds[-size:]
+            if stamps:
+                # The last stamps of the chunk before, from which on the times of this one are counted.
+                joined = (
+                    stamps if last is None else tuple(map(np.concatenate, zip(last, stamps, strict=True)))
+                )
+                source = self.table.source.after(row - (len(joined[0]) - size))
+                pairs = list(zip(self.layout.time, joined, strict=True))
+                times = elapsed + seconds_from_first(pairs, self.time_unit, None, source).seconds[-size:]
+            else:
+                times = (row + np.arange(size)) / (rate or 1.0)
             rows = rows_of_times(times, None if len(seen) else self.start, self.stop)
             piece = self._piece(columns, rows, times[rows], row)
             if len(piece.times):
                 together = np.concatenate([seen, piece.times])
-                if rate is not None and len(together) > 1:
+                if stamps and self.stamped is not None and len(together) > 1:
                     place = piece.source.after(-len(seen))
-                    rate_from_times(together, self.layout.time_label, rate, place, more=True)
+                    check_rate_kept(together, self.layout.time_label, self.stamped, place)
                 seen = together[-_BEFORE:]
                 yield piece
             if rows.stop < size:

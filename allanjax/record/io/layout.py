@@ -1,11 +1,13 @@
 """Layout of a table: which columns are axes, time stamps and auxiliary channels."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from allanjax.record.axes import check_axes, default_names
-from allanjax.record.columns import Column, recognise, split_unit
-from allanjax.record.io.options import ReadOptions, TimeChoice
+import numpy as np
+
+from allanjax.record.axes import default_names, distinct
+from allanjax.record.columns import Column, by_unit, recognise, split_unit
+from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table
 from allanjax.record.units import SENSORS
 
@@ -20,7 +22,6 @@ class Layout:
     axes: tuple[Column, ...]
     time: tuple[Column, ...]
     auxiliary: tuple[Column, ...]
-    notes: tuple[str, ...]
 
     @property
     def time_label(self) -> str:
@@ -28,18 +29,20 @@ class Layout:
         return " + ".join(column.label for column in self.time)
 
 
-def find_layout(table: Table, columns: Columns, options: ReadOptions) -> Layout:
+def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: list[str]) -> Layout:
     """Find the layout of a table, by the user's columns, else by the labels, else by the units given.
+
+    Adds what was assumed to the notes.
 
     Args:
         table: the table.
         columns: its first rows, or all.
         options: the user's options.
+        notes: the notes so far.
 
     Raises:
-        RecordingError: the columns are not recognised, two are the same axis, or a triad lacks one.
+        RecordingError: the columns are not recognised, or two have the same name.
     """
-    notes: list[str] = []
     if options.columns is not None:
         found = _chosen(table, len(columns), options.columns)
     elif table.labels is not None:
@@ -58,21 +61,23 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions) -> Layout:
         replace(c, role="time") if c.role == "auxiliary" and columns[c.index].dtype.kind == "M" else c
         for c in found
     ]
-    time = _chosen_time(table, found, options.time, notes)
-    axes = tuple(c for c in found if c.role == "axis" and c not in time)
+    time = _chosen_time(table, found, columns, options, notes)
+    sensors = {column.sensor for column in found if column.role == "axis"}
+    named = [c if (axis := by_unit(c)).sensor in sensors else axis for c in found]
+    axes = tuple(c for c in named if c.role == "axis" and c.index not in {column.index for column in time})
     if not axes:
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
             "name the columns by columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
         )
-    check_axes(axes, table.source)
-    if options.columns is None:
-        _check_triads(table, axes)
+    axes = distinct(axes, table.source)
+    notes += _missing_axes(axes)
     renamed = [f"{c.name} from {c.label!r}" for c in axes if split_unit(c.label)[0] != c.name]
     if renamed:
         notes.append(f"axes: {', '.join(renamed)}")
-    auxiliary = tuple(c for c in found if c.role == "auxiliary" and c not in time)
-    return Layout(axes, time, auxiliary, tuple(notes))
+    used = {column.index for column in (*axes, *time)}
+    auxiliary = tuple(c for c in found if c.role in ("auxiliary", "counter") and c.index not in used)
+    return Layout(axes, time, auxiliary)
 
 
 def _recognised(labels: Sequence[str]) -> list[Column]:
@@ -94,11 +99,17 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
             f"columns= names {', '.join(repeated)} more than once; name each column once"
         )
     if table.labels is not None:
-        matches = [_match(table, name) for name in names]
+        matches = [_match(table, name, len(entries) == count) for name in names]
         if len(names) == len(entries) and all(matches):
-            picked = {i for match in matches for i in match}
-            # Time stamps are kept, because the rate is taken from them.
-            return [c for c in _recognised(table.labels) if c.index in picked or c.role == "time"]
+            picked = {
+                i: split_unit(name)[1] for name, match in zip(names, matches, strict=True) for i in match
+            }
+            # Time stamps are kept, because the rate is taken from them, and a unit that is stated is taken.
+            return [
+                replace(c, unit=picked.get(c.index) or c.unit)
+                for c in _recognised(table.labels)
+                if c.index in picked or c.role in ("time", "counter")
+            ]
         unknown = [name for name, match in zip(names, matches, strict=True) if not match]
         if len(entries) != count and unknown:
             raise table.source.error(
@@ -118,13 +129,26 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
     return [replace(c, unit=c.unit or units[c.index]) for c in found]
 
 
-def _match(table: Table, name: str) -> tuple[int, ...]:
-    """Indices of the columns whose label, or label without unit, or recognised name is `name`."""
+def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
+    """Indices of the columns whose label, or label without unit, or recognised name is `name`.
+
+    A sensor's name is all its axes. Where all columns may be named by their positions, a name that several
+    have is none of them.
+    """
     labels = table.labels or ()
-    wanted = name.casefold()
-    for key in (str.strip, lambda label: split_unit(label)[0], lambda label: recognise(label).name):
-        found = tuple(i for i, label in enumerate(labels) if key(label).casefold() == wanted)
-        if len(found) > 1:
+    columns = [recognise(label) for label in labels]
+    stem = split_unit(name)[0]
+    keys: list[tuple[str, Iterable[str]]] = [
+        (name, (label.strip() for label in labels)),
+        (stem, (split_unit(label)[0] for label in labels)),
+        (stem, (column.name for column in columns)),
+        (stem, (column.sensor or "" for column in columns)),
+    ]
+    for wanted, candidates in keys:
+        found = tuple(i for i, key in enumerate(candidates) if key.casefold() == wanted.casefold())
+        if len(found) > 1 and stem not in SENSORS:
+            if by_position:
+                return ()
             listed = ", ".join(repr(labels[i]) for i in found)
             raise table.source.error(
                 f"columns= names {name!r}, which may be any of {listed}; use the full name"
@@ -135,21 +159,28 @@ def _match(table: Table, name: str) -> tuple[int, ...]:
 
 
 def _chosen_time(
-    table: Table, found: Sequence[Column], time: TimeChoice, notes: list[str]
+    table: Table, found: Sequence[Column], columns: Columns, options: ReadOptions, notes: list[str]
 ) -> tuple[Column, ...]:
     """Column of time stamps, or the pair of seconds and nanoseconds; none if there is none to use."""
+    time = options.time
     if time is False or (time is not None and time.casefold() == "none"):
         return ()
-    if time is not None:
+    if time is not None and not options.uniform:
         for key in ("label", "name"):
             named = [column for column in found if getattr(column, key).casefold() == time.casefold()]
             if len(named) == 1:
                 return (named[0],)
         listed = ", ".join(column.label for column in found)
         raise table.source.error(
-            f"no time column {time!r} among {listed}; correct time= (--time), or pass time='none'"
+            f"no time column {time!r} among {listed}; correct time= (--time), or ignore the stamps by "
+            "time='none' (--time none)"
         )
-    candidates = [column for column in found if column.role == "time"]
+    # One that is empty is none.
+    candidates = [c for c in found if c.role == "time" and (columns[c.index] == columns[c.index]).any()]
+    if not candidates and (options.rate or table.rate):
+        # Without a rate it is not known what a counter counts.
+        counters = [c for c in found if c.role == "counter" and columns[c.index].dtype.kind in "iu"]
+        candidates = [c for c in counters if np.median(np.diff(columns[c.index].astype(float))) > 0.0][:1]
     parts = {column.time_part: column for column in candidates if column.time_part is not None}
     pairs = [
         (column, parts[prefix, "ns"])
@@ -168,15 +199,11 @@ def _chosen_time(
     return best
 
 
-def _check_triads(table: Table, axes: Sequence[Column]) -> None:
-    """Raise RecordingError if a sensor has two axes of x, y and z."""
-    names = [axis.name for axis in axes]
+def _missing_axes(axes: Sequence[Column]) -> list[str]:
+    """Notes on sensors that have two axes of x, y and z."""
+    names, notes = {axis.name for axis in axes}, []
     for sensor in SENSORS:
-        triad = [f"{sensor}_{axis}" for axis in "xyz"]
-        present = [name for name in triad if name in names]
-        if len(present) == 2:
-            (missing,) = set(triad) - set(present)
-            raise table.source.error(
-                f"{' and '.join(present)} but no {missing}; add the column, or if it is absent on purpose "
-                f"choose the columns by columns= (--columns), e.g. {','.join(names)}"
-            )
+        missing = {f"{sensor}_{axis}" for axis in "xyz"} - names
+        if len(missing) == 1:
+            notes.append(f"no column of {missing.pop()}: the other two axes are read without it")
+    return notes

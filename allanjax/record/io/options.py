@@ -22,18 +22,24 @@ def _option(help: str) -> Any:
 class ReadOptions:
     """The arguments of `read` and `read_chunks`, whose meaning is told there; None where one is not given."""
 
-    rate: float | None = _option("Sample rate in Hz; needed if the file has no time stamps.")
+    rate: float | None = _option(
+        "Sample rate in Hz; needed if the file has no time stamps, else used instead of theirs."
+    )
     gyro_unit: str | None = _option(
-        "Unit of the gyros if the header has none: deg/s, rad/s, deg/h, ...; rad for increments."
+        "Unit of the gyros, whatever the header says: deg/s, rad/s, ...; rad for increments; of counts the "
+        "size of one, 'deg/s/131'."
     )
     accel_unit: str | None = _option(
-        "Unit of the accelerometers if the header has none: m/s^2, g, mg, ...; m/s for increments."
+        "Unit of the accelerometers, whatever the header says: m/s^2, g, ...; m/s for increments; of counts "
+        "the size of one, 'g/16384'."
     )
     columns: str | Sequence[str] | None = _option(
         "Columns to read, or a name for each in order, - to skip one, e.g. time,gyro_x,-,gyro_z."
     )
-    time: TimeChoice = _option("Column of time stamps; none to ignore them.")
-    time_unit: str | None = _option("Unit of the time stamps: s, ms, us or ns.")
+    time: TimeChoice = _option(
+        "Column of time stamps; none to ignore them; uniform to take samples as even at their mean rate."
+    )
+    time_unit: str | None = _option("Unit of the time stamps: s, ms, us, ns, min, h, or '0.1 ms'.")
     start: float | None = _option("Leave out what is before this time, in s.")
     stop: float | None = _option("Leave out what is from this time on, in s.")
     topic: str | None = _option(
@@ -62,6 +68,11 @@ class ReadOptions:
     def allows_gaps(self) -> bool:
         """Whether missing samples are no error."""
         return self.gaps in ("segments", "fill")
+
+    @property
+    def uniform(self) -> bool:
+        """Whether samples are evenly spaced whatever their stamps say."""
+        return isinstance(self.time, str) and self.time.casefold() == "uniform"
 
     @property
     def units(self) -> dict[Sensor, str | None]:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from allanjax.record.columns import recognise
+from allanjax.record.columns import recognise, split_unit
 from allanjax.record.io.table import Columns, Format, Table, damage_told
+from allanjax.record.units import is_unit
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -23,8 +24,17 @@ if TYPE_CHECKING:
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
 _SAVE_AGAIN = "copy, save or compress it again"
+# Line of Excel that names the delimiter, and one before the data that states the sample rate.
+_SEP = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
+_RATE = re.compile(
+    r"(?:(?:sampl\w*|update|output data)[\s_]*(?:rate|freq\w*)|\bodr)\W*(?:hz\W+)?"
+    r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
+    re.IGNORECASE,
+)
 # Lines among which the first row of numbers is sought.
 _LINES_BEFORE_DATA = 1000
+# Lines between the names of the columns and the data, one of which has units.
+_LINES_OF_UNITS = 3
 # Bytes of a line at most, for the last one.
 _LONGEST_LINE = 1 << 16
 # Lines of numbers with decimal commas; what else they may have are whole numbers.
@@ -44,6 +54,7 @@ class _Layout:
     encoding: str
     compressed: bool
     decimal: str = "."
+    rate: float | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -78,7 +89,7 @@ def open_text(path: Path, source: Source) -> Table:
                 if len(columns[0]):
                     yield columns
 
-    return Table(rows, layout.labels, source, notes=notes)
+    return Table(rows, layout.labels, source, rate=layout.rate, notes=notes)
 
 
 def _cut_line(path: Path, layout: _Layout) -> str:
@@ -145,34 +156,46 @@ def _layout(path: Path, source: Source) -> _Layout:
         (number, line.replace(",", ".") if commas else line)
         for (number, line), commas in zip(head, with_commas, strict=True)
     ]
-    first = _first_row(head)
-    notes = ("numbers with decimal commas",) if decimal == "," else ()
+    sep = _SEP.fullmatch(head[0][1].rstrip("\r\n"))
+    head = head[1:] if sep else head
+    first = _first_row(head, sep and sep[1])
+    notes: tuple[str, ...] = ("numbers with decimal commas",) if decimal == "," else ()
     if first is None:
-        looked = head[-1][0] + 1
+        looked = (head or [(0, "")])[-1][0] + 1
         raise source.error(
             f"no row of numbers in its first {f'{looked} lines' if looked > 1 else 'line'}; give a file with "
             "one row of numbers per sample"
         )
     number, line = head[first]
-    delimiter = _delimiter(line)
+    delimiter = sep[1] if sep else _delimiter(line)
     fields = _split(line, delimiter)
     comment = "%" if any(line.lstrip().startswith("%") for _, line in head[:first]) else "#"
     bare = _Layout(number, None, len(_trim(fields)), delimiter, comment, encoding, compressed, decimal)
     found = _with_header(bare, head[:first], fields)
-    return replace(found, notes=found.notes + notes)
+    stated = [(text.strip(), match) for _, text in head[:first] if (match := _RATE.search(text.strip()))]
+    rate = None
+    for text, match in stated[:1]:
+        rate = float(match[1]) * (1e3 if match[2] else 1.0)
+        notes += (f"sample rate {rate:g} Hz by the line {text[:60]!r}",)
+    return replace(found, notes=found.notes + notes, rate=rate)
 
 
-def _first_row(head: list[tuple[int, str]]) -> int | None:
-    """Index in `head` of the first row of data: after names of axes, else with at least half numbers."""
+def _first_row(head: list[tuple[int, str]], sep: str | None) -> int | None:
+    """Index in `head` of the first row of data: after names of axes, else with at least half numbers.
+
+    Between the names and the data there may be a line of units, and other lines beside it.
+    """
     plain = [k for k, (_, line) in enumerate(head) if not _is_comment(line)]
-    for before, k in itertools.pairwise(plain):
-        delimiter = _delimiter(head[k][1])
+    for place, (before, k) in enumerate(itertools.pairwise(plain)):
+        delimiter = sep or _delimiter(head[k][1])
         labels = _trim(_split(head[before][1], delimiter))
         names_axes = any(not _is_number(label) and recognise(label).role == "axis" for label in labels)
         if names_axes and _fits(_split(head[k][1], delimiter), len(labels)):
-            return k
+            below = [_split(head[i][1], delimiter) for i in plain[place + 1 : place + 2 + _LINES_OF_UNITS]]
+            words = list(itertools.takewhile(lambda cells: not any(map(_is_number, cells)), below))
+            return plain[place + 1 + len(words)] if _units(words) and len(words) < len(below) else k
     for k in plain:
-        fields = _split(head[k][1], _delimiter(head[k][1]))
+        fields = _split(head[k][1], sep or _delimiter(head[k][1]))
         if 2 * sum(map(_is_number, fields)) >= len(fields):
             return k
     return None
@@ -186,15 +209,29 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
     named = [header for header in headers if any(recognise(label).role == "axis" for label in header[2])]
     for number, _, labels in named or headers:
         if _fits(fields, len(labels)):
-            # All lines after the header are data, even those without numbers, which will be reported.
-            notes = _skipped([line for n, line in plain if n < number])
-            return replace(bare, start=number + 1, labels=tuple(labels), fields=len(labels), notes=notes)
+            # All lines after the header are data, even those without numbers, which will be reported; but not
+            # the columns' units, nor what is before these.
+            notes, start = _skipped([line for n, line in plain if n < number]), number + 1
+            if units := _units([cells for n, _, cells in headers if n > number]):
+                pairs = itertools.zip_longest(labels, units[: len(labels)], fillvalue="")
+                labels = [f"{x} [{unit}]" if unit and not split_unit(x)[1] else x for x, unit in pairs]
+                start = bare.start
+            return replace(bare, start=start, labels=tuple(labels), fields=len(labels), notes=notes)
     for line in reversed(comments):
         # The % of `%time`, as ROS writes it, belongs to the name.
         labels = _trim(_split(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter))
         if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
             return replace(bare, labels=tuple(labels), fields=len(labels))
     return replace(bare, notes=_skipped([line for _, line in plain]))
+
+
+def _units(lines: list[list[str]]) -> list[str]:
+    """Units of the columns, if one of these lines below the header has any."""
+    for cells in lines:
+        units = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
+        if any(map(is_unit, units)):
+            return units
+    return []
 
 
 def _skipped(lines: list[str]) -> tuple[str, ...]:

@@ -1,16 +1,18 @@
 """Sample times and the sample rate from a file's time stamps."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from allanjax.base.errors import UnitError
+from allanjax.base.errors import RecordingError, UnitError
 from allanjax.record.columns import Column
+from allanjax.record.completion import MOST_MISSING
 from allanjax.record.io.table import as_float, is_numeric
-from allanjax.record.units import convert
-from allanjax.record.validation import Source
+from allanjax.record.units import convert, same_unit
+from allanjax.record.validation import MIN_SAMPLES, Source, check_length
 
 # An interval longer than the median by this factor is a gap if the stamps after it are half an interval later
 # than those before it let expect; else a stamp is late. So many are looked at on either side.
@@ -24,6 +26,10 @@ MAX_RATE_DIFFERENCE = 0.01
 _MANY_GAPS = 0.05
 # A remedy in many messages.
 _IGNORE = "ignore the stamps by time='none' and rate= (--time none --rate)"
+# Numbers after which counters start again from zero: of 8 to 32 bits, and those of a second, a minute, an
+# hour, a day, a week; in units, or thousandths and millionths of them. Most samples lost just there.
+_TURNS = (2**8, 2**16, 2**24, 2**32, 60, 1000, 3600, 10**6, 86_400, 86_400_000, 604_800, 604_800_000)
+_PARTS, _LOST_AT_TURN = (1, 1e-3, 1e-6), 100
 # Units that stamps without one may have.
 _UNITS = ("s", "ms", "us", "ns")
 # What stamps without a unit must fit: UNIX time in s, 2001 to 2065, and the rates of inertial sensors in Hz.
@@ -76,13 +82,32 @@ def seconds_from_first(
 class Rate(NamedTuple):
     """Sample rate [Hz], a note on where it comes from, and the rms jitter [s] of the intervals.
 
-    `places` are the samples' numbers on the grid of the rate, which count those that are missing.
+    `places` are the samples' numbers on the grid of the rate, which count those that are missing; `stamped`
+    is the rate by the stamps, which the one that is given may contradict.
     """
 
     rate: float
     note: str
     jitter: float
     places: Int[np.ndarray, " samples"]
+    stamped: float
+
+
+def uniform_rate(
+    times: Float[np.ndarray, " samples"], label: str, rate: float | None, source: Source
+) -> Rate:
+    """Mean sample rate of times in s, or that given, for samples that are even whatever their stamps say."""
+    span = float(times[-1] - times[0])
+    if not span > 0.0:
+        raise source.error(f"column {label!r} ends no later than it begins; {_IGNORE}", "jitter")
+    mean = (len(times) - 1) / span
+    note = f"{mean:.9g} Hz, the mean of column {label!r}, as of evenly spaced samples"
+    note = (
+        f"sample rate {note}" if rate is None else f"sample rate {rate:.9g} Hz as given, stamps give {note}"
+    )
+    if (unsteady := _unsteadiness(times)) > MAX_RATE_DIFFERENCE:
+        note += f", although the rates of its halves differ by {unsteady:.0%}"
+    return Rate(rate or mean, note, float(np.std(np.diff(times))), np.arange(len(times)), mean)
 
 
 def rate_from_times(
@@ -93,34 +118,17 @@ def rate_from_times(
     more: bool = False,
     gaps: bool = False,
 ) -> Rate:
-    """Sample rate from times in s; a given `rate` [Hz] is used if they agree with it.
+    """Sample rate from times in s; a `rate` [Hz] that is given is used instead, with a note if they differ.
 
     `more` says that the times are not all that there are: which stretch is the longest is not known then.
     `gaps` says that samples may be missing.
 
     Raises:
-        RecordingError: times that repeat, run backwards, have gaps or too much jitter, or contradict `rate`.
+        RecordingError: times that repeat, run backwards, have gaps or too much jitter.
     """
     intervals = np.diff(times)
-    if not intervals.any():
-        raise source.error(
-            f"column {label!r} is the same throughout: no times were recorded; {_IGNORE}", "jitter"
-        )
-    backwards = np.flatnonzero(intervals <= 0)
-    if backwards.size:
-        first = int(backwards[0]) + 1
-        what, by, why = "repeats", "", "packets recorded twice, or stamps coarser than the samples"
-        remedy = "sort or repair the file"
-        if not gaps:
-            remedy += ", leave out packets recorded twice by gaps='fill' (--gaps fill)"
-        if intervals[first - 1] < 0:
-            what, by = "is earlier than", f", by {-intervals[first - 1]:.6g} s,"
-            why, remedy = "a clock that was set, or packets out of order", "sort or repair the file"
-        raise source.error(
-            f"column {label!r} {what} the time before it{by} at {source.locate(first)} ({backwards.size} "
-            f"such in all: {why}); {remedy}, or {_IGNORE}",
-            "jitter",
-        )
+    if (intervals <= 0.0).any():
+        raise source.error(_backwards(times, label, source, more), "jitter")
     typical = float(np.median(intervals))
     long = intervals > _GAP * typical
     # Where they are many, a stamp cannot be told to be late by those about it.
@@ -128,38 +136,84 @@ def rate_from_times(
         long = _gaps(times)
     jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
     steps = np.where(long, np.maximum(np.rint(intervals / regular), 2.0), 1.0)
+    on_grid, lost = float(np.std(intervals - steps * regular)), int(steps.sum()) - len(intervals)
     if gaps:
-        jitter = float(np.std(intervals - steps * regular))
+        jitter = on_grid
+    drawn = lost if on_grid <= _MAX_JITTER * regular and lost <= MOST_MISSING * (lost + len(times)) else 0
     if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
+        fill = "if samples are missing, draw them by gaps='fill' (--gaps fill); "
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
             f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps, longer than "
-            f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; if samples "
-            "are missing, draw them by gaps='fill' (--gaps fill); if the samples themselves are regular, "
-            f"{_IGNORE}; resampling to even times would smooth the noise, which is what is measured",
+            f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; {_evenly(times)}"
+            f"{fill if drawn and not gaps and not more else ''}{_IGNORE}; resampling to even times would "
+            "smooth the noise, which is what is measured",
             "jitter",
         )
     if np.any(long) and not gaps:
-        gap = _gap(times, np.flatnonzero(long), typical, source, more)
+        gap = _gap(times, np.flatnonzero(long), typical, source, more, drawn)
         raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}", "gaps")
     places = np.concatenate([[0], np.cumsum(steps)]).astype(int)
     measured = int(places[-1]) / float(times[-1] - times[0])
-    stamped = f"{measured:.9g} Hz from column {label!r}, jitter {told_jitter(jitter)}"
-    if rate is None:
-        return Rate(measured, f"sample rate {stamped}", jitter, places)
-    if abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE:
+    note = f"{measured:.9g} Hz from column {label!r}, jitter {told_jitter(jitter)}"
+    if rate is not None:
+        differ = abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE
+        note = f"{rate:.9g} Hz as given, {'not' if differ else 'and'} {note}"
+    return Rate(rate or measured, f"sample rate {note}", jitter, places, measured)
+
+
+def check_rate_kept(times: Float[np.ndarray, " samples"], label: str, stamped: float, source: Source) -> None:
+    """Raise RecordingError if later times of a file are unusable, or have another rate than the first."""
+    later = rate_from_times(times, label, None, source, more=True).stamped
+    if abs(later / stamped - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
-            f"rate {rate:g} Hz contradicts column {label!r}, whose stamps give {measured:.6g} Hz; leave "
-            "out rate= (--rate), correct time_unit= (--time-unit), or ignore the stamps by time='none' "
-            "(--time none)",
+            f"column {label!r} gives {stamped:.6g} Hz at first, {later:.6g} Hz from {source.locate(0)} on; "
+            f"take a stretch of one rate by start= and stop= (--start, --stop), or {_IGNORE}",
             "rate",
         )
-    return Rate(rate, f"sample rate {rate:.9g} Hz as given; {stamped}", jitter, places)
+
+
+def _unsteadiness(times: Float[np.ndarray, " samples"]) -> float:
+    """Relative difference of the mean intervals of both halves, beyond what the jitter makes of it."""
+    half, span = len(times) // 2, float(times[-1] - times[0])
+    drift = abs(float(times[-1] - times[-1 - half]) - float(times[half] - times[0]))
+    beyond = max(drift - 4.0 * float(np.std(np.diff(times))), 0.0)
+    return beyond / (0.5 * span) if span > 0.0 else np.inf
+
+
+def _evenly(times: Float[np.ndarray, " samples"]) -> str:
+    """Remedy for samples that are even although their stamps are not, if the mean rate is steady."""
+    if _unsteadiness(times) > MAX_RATE_DIFFERENCE:
+        return ""
+    mean = (len(times) - 1) / float(times[-1] - times[0])
+    how = "by time='uniform' (--time uniform); "
+    return f"if the samples are evenly spaced, at {mean:.6g} Hz on average, read them so {how}"
+
+
+def _backwards(times: Float[np.ndarray, " samples"], label: str, source: Source, more: bool) -> str:
+    """Stamps that repeat or go back in words, and what can be read instead."""
+    intervals, uniform = np.diff(times), _evenly(times)
+    back = np.flatnonzero(intervals < 0.0)
+    first = int(back[0] if back.size else np.argmax(intervals == 0.0)) + 1
+    what, why, segments = "repeats the time before it", "stamps coarser than the samples", ""
+    if back.size:
+        what = f"is earlier than the time before it, by {-intervals[first - 1]:.6g} s,"
+        why = "late stamps" if uniform else "a clock that was set, or packets out of order"
+        longest = max(np.split(times, np.flatnonzero(after_gaps(times))), key=len)
+        with suppress(RecordingError):
+            check_length(0 if more else len(longest), source)
+            rate_from_times(longest, label, None, source)
+            segments = f"take the longest stretch without, {len(longest)} samples, by gaps='segments' "
+            segments += "(--gaps segments); "
+    return (
+        f"column {label!r} {what} at {source.locate(first)} ({np.sum(intervals <= 0.0)} such in all: {why}); "
+        f"{uniform}{segments}{_IGNORE}"
+    )
 
 
 def after_gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " samples"]:
-    """Which samples come after a gap of their times."""
-    return np.concatenate([[False], _gaps(times)])
+    """Which samples come after a gap of their times, or after the clock was set back."""
+    return np.concatenate([[False], _gaps(times) | (np.diff(times) < 0.0)])
 
 
 def regular_intervals(times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " intervals"]:
@@ -198,19 +252,22 @@ def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Sou
         raise source.error(
             f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or {_IGNORE}"
         )
-    return numbers - numbers[0]
+    return _unwrapped(numbers - numbers[0])
 
 
-def _unwrapped(counts: Int[np.ndarray, " samples"]) -> Int[np.ndarray, " samples"]:
-    """Counts of a counter that starts again from zero after 2¹⁶, 2²⁴ or 2³², continued."""
+def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " samples"]:
+    """Counts of a counter that starts again from zero, continued, also where samples are lost just there."""
     steps = np.diff(counts)
     back = steps < 0
     if not back.any() or back.all():
         return counts
     typical = float(np.median(steps[~back]))
-    for bits in (16, 24, 32):
-        if np.ptp(counts) < 2**bits and (abs(steps[back] + 2.0**bits - typical) <= 0.5 * typical + 1.0).all():
-            return counts + 2**bits * np.concatenate([[0], np.cumsum(back)])
+    for part in _PARTS[: 1 if counts.dtype.kind == "i" else None]:
+        for turn in (counts.dtype.type(turn * part) for turn in _TURNS):
+            step = steps[back] + turn
+            most = min(_LOST_AT_TURN * typical, turn / 4)
+            if np.ptp(counts) < turn and (step > 0.5 * typical - 1.0 * part).all() and (step < most).all():
+                return counts + turn * np.concatenate([[0], np.cumsum(back)])
     return counts
 
 
@@ -230,45 +287,45 @@ def _unit(
     rate: float | None,
     source: Source,
 ) -> tuple[str, tuple[str, ...]]:
-    """Unit of the stamps, and notes: stated, or the only one that fits."""
-    for unit in filter(None, (column.unit, time_unit)):
+    """Unit of the stamps, and notes: stated, or the only one that fits, or what makes them a known rate."""
+    name, stated = f"column {column.label!r}", time_unit or column.unit
+    if stated is not None:
         try:
-            convert(1.0, unit, "s")
+            convert(1.0, stated, "s")
         except UnitError as error:
             raise UnitError(
-                f"{source.label}: column {column.label!r}: {unit!r} is not a unit of time; use s, ms, "
-                "us or ns"
+                f"{source.label}: {name}: {stated!r} is not a unit of time; pass time_unit= (--time-unit): "
+                "s, ms, us, ns, min, h, or a multiple such as '0.1 ms'"
             ) from error
-    if column.unit is not None and time_unit is not None and convert(1.0, column.unit, time_unit) != 1.0:
-        raise UnitError(
-            f"{source.label}: column {column.label!r} is in {column.unit} by its header but time_unit= "
-            f"(--time-unit) says {time_unit}; leave out time_unit= or correct the header"
-        )
-    stated = column.unit or time_unit
-    if stated is not None:
-        return stated, ()
+        if column.unit is None or same_unit(column.unit, stated):
+            return stated, ()
+        return stated, (f"{name} in {stated} as stated, not in {column.unit} as its label says",)
     typical = float(np.median(np.diff(times)))
-    fitting = [
-        unit for unit in _UNITS if typical > 0 and _fits(unit, float(values[0]), typical, values, rate)
-    ]
+    rates = {unit: 1.0 / (typical * convert(1.0, unit, "s")) for unit in _UNITS if typical > 0.0}
+    fitting = [unit for unit in rates if _fits(unit, rates[unit], values, rate)]
     if len(fitting) == 1:
-        return fitting[0], (f"column {column.label!r} taken to be in {fitting[0]}, the only unit that fits",)
+        return fitting[0], (f"{name} taken to be in {fitting[0]}, the only unit that fits",)
+    low, high = _PLAUSIBLE_RATES
+    possible = (f"in {unit} they are {hz:.4g} Hz" for unit, hz in rates.items() if low <= hz <= high)
+    listed = ", ".join(possible) or "no unit gives a plausible rate"
+    if rate is not None and typical > 0.0:
+        step = 1.0 / rate / typical
+        note = f"no unit of time makes the stamps of {name} {rate:g} Hz ({listed})"
+        return f"{step!r} s", (f"{note}: taken as counts of {step:.6g} s each",)
     raise source.error(
-        f"column {column.label!r} has no unit and it can not be told; pass time_unit= (--time-unit), "
-        f"e.g. s, ms, us or ns, or write it in the header as `{column.name} [s]`"
+        f"{name} has no unit, and which it is cannot be seen ({listed}); pass time_unit= (--time-unit), such "
+        f"as s, ms or '0.1 ms', or rate= (--rate), or write the unit in the header as `{column.name} [s]`"
     )
 
 
-def _fits(unit: str, first: float, typical: float, values: np.ndarray, rate: float | None) -> bool:
-    """Whether stamps are plausible in `unit`: by the rate given, else by their size or by being fractions."""
-    scale = convert(1.0, unit, "s")
-    stamped = 1.0 / (typical * scale)
+def _fits(unit: str, hz: float, values: np.ndarray, rate: float | None) -> bool:
+    """Whether stamps that make this rate in `unit` are plausible: by that given, or as fractions or dates."""
     if rate is not None:
-        return abs(stamped / rate - 1.0) < MAX_RATE_DIFFERENCE
+        return abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE
     low, high = _PLAUSIBLE_RATES
-    unix = _UNIX_SECONDS[0] < first * scale < _UNIX_SECONDS[1]
+    unix = _UNIX_SECONDS[0] < float(values[0]) * convert(1.0, unit, "s") < _UNIX_SECONDS[1]
     # Whole numbers may also be a counter.
-    return low <= stamped <= high and (unix or bool(np.any(values % 1)))
+    return low <= hz <= high and (unix or bool(np.any(values % 1)))
 
 
 def _gap(
@@ -277,8 +334,12 @@ def _gap(
     typical: float,
     source: Source,
     more: bool,
+    drawn: int,
 ) -> str:
-    """Gaps after these samples in words: length and place of the first, and what to take instead."""
+    """Gaps after these samples in words: length and place of the first, and what can be read instead.
+
+    `drawn` is how many missing samples can be drawn.
+    """
     first = int(gaps[0])
     before, after = times[first], times[first + 1]
     text = (
@@ -293,13 +354,19 @@ def _gap(
     edges = np.concatenate([[-1], gaps, [len(times) - 1]])
     longest = int(np.argmax(np.diff(edges)))
     begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
+    remedies = []
+    if np.diff(edges)[longest] > MIN_SAMPLES:
+        remedies.append(
+            f"take a stretch without gaps, the longest by start={_after(begin):.3f}, stop={_before(end):.3f} "
+            "(--start, --stop) or by gaps='segments' (--gaps segments)"
+        )
+    if drawn:
+        remedies.append(
+            f"let the {drawn} missing samples be drawn given the {len(times)} others by gaps='fill' "
+            "(--gaps fill)"
+        )
     count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
-    lost = int(np.sum(np.rint(np.diff(times)[gaps] / typical) - 1))
-    return (
-        f"{text}, {count}; take a stretch without gaps, the longest by start={_after(begin):.3f}, "
-        f"stop={_before(end):.3f} (--start, --stop) or by gaps='segments' (--gaps segments), or let the "
-        f"{lost} missing samples be drawn given the {len(times)} others by gaps='fill' (--gaps fill)"
-    )
+    return f"{text}, {count}; {', or '.join(remedies) or 'too little is left for a recording'}"
 
 
 def _after(time: float) -> float:
