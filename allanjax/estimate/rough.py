@@ -74,8 +74,13 @@ def _fit(
     wide = p_value < _REJECTED
     off = float(error_of_powers(ratio, dof[used], np.ones(int(used.sum())), degrees)) / 2.0 if wide else 0.0
     scaled = columns * scale[:, None] / mean * used
-    information = (scaled * dof / 2.0) @ scaled.T
-    std = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True))) * scale
+    information, present = (scaled * dof / 2.0) @ scaled.T, power > 0.0
+    std = np.zeros(len(power))
+    for k in range(len(power)):
+        # Beside the terms that are there.
+        own = present | (np.arange(len(power)) == k)
+        inverse = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
+        std[k] = np.sqrt(inverse[own[:k].sum(), own[:k].sum()]) * scale[k]
     coefficients = _coefficients(model, axis, power, std)
     covariance = np.diag([c.std**2 for c in coefficients.values()])
     own = fitted_model(model, coefficients)

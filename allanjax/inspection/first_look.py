@@ -155,7 +155,8 @@ def inspect(
 
     Args:
         recording: the recording.
-        as_is: whether all of it is to be used in any case; the warnings stay.
+        as_is: whether all of it is to be used in any case, and its units and rate to be believed; the
+            warnings stay.
         vibrating: whether its platform is meant to move and vibrate: then it is not tested for rest.
         may_move: whether steps and other changes of the mean are expected, as where a model has terms for
             them.
@@ -209,6 +210,8 @@ def look(
     about = {sensors[m.axis] for m in moving}
     auxiliary = {} if recording is None else recording.auxiliary
     facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about)
+    if as_is:
+        facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # In a wrong unit noise looks like motion.
     wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
     moving = [] if vibrating else [m for m in moving if names[m.axis] not in wrong]

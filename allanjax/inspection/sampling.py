@@ -10,7 +10,7 @@ from jaxtyping import Float
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Fact
 from allanjax.inspection.words import amount
-from allanjax.record.completion import told
+from allanjax.record.completion import widening
 from allanjax.record.io.timestamps import told_jitter
 from allanjax.record.recording import Recording
 
@@ -30,16 +30,26 @@ def sampling_facts(recording: Recording) -> Iterator[Fact]:
         )
         text = f"{jitter_in_words(recording)}: {remedy}"
         yield Fact("jitter", text, recording.names, size=recording.jitter, unit="s")
-    if recording.missing is not None:
-        for text in told(recording.missing, recording.rate, recording.names):
-            yield Fact("gaps", text, recording.names, "widened")
-    if recording.others:
-        lengths = [recording.n, *map(len, recording.others)]
-        longest, total = (duration(n / recording.rate) for n in (max(lengths), sum(lengths)))
-        text = f"samples are missing between {len(lengths)} stretches of {total}, the longest of {longest}"
-        yield Fact("gaps", text, recording.names)
+    if recording.gaps:
+        yield _gaps(recording)
     for dead in recording.dead:
         yield Fact("dead axes", f"{dead.axis.name}: {dead.reason}", (dead.axis.name,), "not a measurement")
+
+
+def _gaps(recording: Recording) -> Fact:
+    """Fact about missing samples, which have been drawn, or are between stretches."""
+    gaps, rate = recording.gaps or (), recording.rate
+    lost, longest = sum(gap.samples for gap in gaps), max(gap.samples for gap in gaps)
+    count = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "a gap of"
+    text = f"{lost} samples are missing, in {count} {duration(longest / rate)}"
+    spans = tuple((gap.first / rate, (gap.first + gap.samples) / rate) for gap in gaps)
+    if recording.missing is None:
+        rest = f"{text}: {1 + len(recording.others)} stretches between them are used"
+        return Fact("gaps", rest, recording.names, "none", lost / rate, "s", spans)
+    drawn = tuple(name for name, x in zip(recording.names, recording.missing.T, strict=True) if x.any())
+    wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
+    text = f"{text}: drawn given the others, which makes intervals {plain(wider, 2)} % wider"
+    return Fact("gaps", text, drawn, "widened", lost / rate, "s", spans)
 
 
 def jitter_share(recording: Recording) -> float | None:

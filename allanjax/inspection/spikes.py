@@ -23,10 +23,10 @@ def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """
     left = np.zeros(len(x))
     left[1:-1] = x[1:-1] - 0.5 * (x[:-2] + x[2:])
-    # Where most of it is zero the output is rounded, and its steps are no spikes.
-    scale = float(np.median(abs(left))) / _MEDIAN or float(np.std(left))
+    scale = float(np.median(abs(left))) / _MEDIAN
     far, found = abs(left) > _FAR * scale, np.zeros(len(x), bool)
-    if far.mean() > 3.0 * _MOST:
+    # Where the scale is zero the output is rounded, and its steps are no spikes.
+    if not scale > 0.0 or far.mean() > 3.0 * _MOST:
         return found
     for k in np.flatnonzero(far):
         first, last = max(k - 1, 0), min(k + 2, len(x))

@@ -35,8 +35,9 @@ def nothing_wrong():
     return bench.once("check of a clean table", lambda: aj.check(clean()))
 
 
-LINES = """rate, jitter, gaps, repeated samples, resolution, saturation, dead axes, at rest, disturbances,
-    accel unit, gyro unit, temperature, length, bandwidth, length for N, length for B, length for K"""
+LINES = """rate, jitter, gaps, repeated samples, interpolation, resolution, saturation, dead axes, at rest,
+    disturbances, spikes, lines, accel unit, gyro unit, temperature, length, bandwidth, length for N,
+    length for B, length for K"""
 
 
 def test_nothing_stops_a_clean_recording():
@@ -49,7 +50,7 @@ def test_nothing_stops_a_clean_recording():
     assert found.verdict == "look"
     assert "9.797 m/s²" in found["accel unit"].reason
     assert (found.n, found.rate) == (N, pytest.approx(RATE))
-    assert found.summary().endswith(f"{17 - len(looks)} of 17 checks are fine")
+    assert found.summary().endswith(f"{20 - len(looks)} of 20 checks are fine")
     document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert document["recording"] == {"name": "", "n": N, "rate_hz": found.rate, "duration_s": N / found.rate}
     assert [line["verdict"] for line in document["lines"]] == [line.verdict for line in found.lines]
@@ -64,9 +65,9 @@ KNOCK = (abs(t - 40.5) <= 0.5) * RNG(1).normal(size=N)
 WRONG = {
     "constant": (lambda d: {Y: 0.25}, "dead axes", "stop", "gyro_y: constant, 0.25 deg/s"),
     "saturated": (lambda d: {X: np.clip(d[X], None, 0.35)}, "saturation", "stop", "gyro_x is at 0.35 deg/s"),
-    "held": (lambda d: {k: d[k][::2].repeat(2).array for k in GYRO}, "repeated samples", "look", "gyro_x: 5"),
+    "held": (lambda d: {X: d[X][::2].repeat(2).array}, "repeated samples", "look", "gyro_x: 5"),
     "coarse": (lambda d: {X: np.round(d[X])}, "resolution", "stop", "1 deg/s"),
-    "rounded": (lambda d: {A: np.round(d[A] / 0.025) * 0.025}, "resolution", "look", "0.025 m/s² (accel_x)"),
+    "rounded": (lambda d: {A: np.round(d[A] / 0.025) * 0.025}, "resolution", "look", "0.025 m/s²"),
     "in g": (lambda d: {k: d[k] / 9.80665 for k in ACCEL}, "accel unit", "stop", "g"),
     "rad/s": (lambda d: d.rename(columns=lambda k: k.replace("deg/", "rad/")), "gyro unit", "stop", "deg/s"),
     "moving": (lambda d: {X: d[X] + 20.0 * np.sin(1.9 * t)}, "at rest", "stop", "static"),
@@ -103,12 +104,14 @@ def test_without_time_stamps_rate_and_gaps_cannot_be_seen():
 
 
 def test_the_rate_is_compared_with_the_bandwidth():
-    """Of one pole at 18 Hz a rate of 100 Hz is 5.6 times: more than it takes. Of 40 Hz it is too little."""
+    """Of one pole at 18 Hz a rate of 100 Hz is 5.6 times: more than it takes. Of 40 Hz it is too little.
+
+    By bands of a quarter of an octave and their scatter.
+    """
     line = aj.check(bench.recording("one_pole"))["bandwidth"]
-    fit = bench.fit("one_pole")["gyro_x"]
     assert line.verdict == "fine"
     told, _, rest = line.reason.partition(" Hz (gyro_x), the rate is ")
-    assert float(told) == pytest.approx(fit.model.response.half_power, rel=5e-3)
+    assert float(told) == pytest.approx(18.0, rel=0.08)
     assert float(rest.partition(" times")[0]) == pytest.approx(RATE / float(told), rel=0.02)
     w, z = np.exp(-0.8 * np.pi), np.random.default_rng(3).standard_normal(N)
     x = 1e-4 * lfilter([1.0 - w], [1.0, -w], z)
@@ -120,32 +123,24 @@ def test_lengths_are_those_of_the_cramer_rao_bound():
 
     Where the fit is worse than the bound at its own length, it stays so.
     """
-    rng, n, rate = np.random.default_rng(12), 2048, 10.0
+    rng, n, rate, N = np.random.default_rng(12), 2048, 10.0, 1e-5
     white, steps = (rng.standard_normal((n, 6)) for _ in range(2))
-    whole = recording(0.1 * np.sqrt(rate) * white + 1.6e-2 / np.sqrt(rate) * np.cumsum(steps, axis=0), rate)
-    told = {(of.coefficient.axis.name, of.coefficient.label): of for of in aj.check(whole).lengths}
+    whole = recording(N * (np.sqrt(rate) * white + 0.16 / np.sqrt(rate) * np.cumsum(steps, axis=0)), rate)
+    lengths = aj.check(whole).lengths
     seen = 0
-    for axis, result in aj.fit(whole).items():
-        if not set(result.model.term_labels) <= {"angle_random_walk", "rate_random_walk"}:
+    for white_noise, flicker, walk in zip(lengths[::3], lengths[1::3], lengths[2::3], strict=True):
+        assert white_noise.known
+        assert white_noise.coefficient.value == pytest.approx(N, abs=4.0 * white_noise.coefficient.std)
+        if flicker.coefficient.detected or not walk.coefficient.detected:
             continue
-        for label in ("angle_random_walk", "rate_random_walk"):
-            length, c = told[axis, label], result[label]
-            assert length.now == n / rate
-            size, target = c.value, 0.2
-            if not c.detected:
-                assert np.isnan(length.relative_std)
-                size = c.upper_limit
-            else:
-                assert length.relative_std == pytest.approx(c.std / c.value, rel=1e-6)
-                if length.known:
-                    assert length.relative_std <= 0.2
-                    assert length.seconds == length.now
-                    continue
-                own = bound(result["N"].value, size, (n,), rate)[1] / size
-                target = 0.2 * min(own / length.relative_std, 1.0)
-            if length.seconds is not None and length.seconds * rate <= 100_000:
-                seen += c.detected
-                needed = bound(result["N"].value, size, (round(length.seconds * rate),), rate)[1] / size
-                assert needed == pytest.approx(target, rel=0.02)
+        assert (walk.now, walk.known) == (n / rate, walk.relative_std <= 0.2)
+        pair = white_noise.coefficient.value, walk.coefficient.value
+        own = bound(*pair, (n,), rate)[1] / pair[1]
+        # Flicker noise, which may be there, makes it up to some times as large.
+        assert 0.9 * own < walk.relative_std < 4.0 * own
+        if not walk.known and walk.seconds is not None:
+            seen += 1
+            needed = bound(*pair, (round(walk.seconds * rate),), rate)[1] / pair[1]
+            assert needed == pytest.approx(0.2 * own / walk.relative_std, rel=0.02)
     # Of walks that are seen, but known to a third only.
     assert seen >= 2
