@@ -371,7 +371,7 @@ def _gap(
 
 def _after(time: float) -> float:
     """Time rounded up to ms, to stay clear of a gap before it; a whole ms stays as it is."""
-    return float(np.ceil(time * 1e3 - 1e-7) / 1e3)
+    return float(np.ceil(time * 1e3 - 1e-7) / 1e3) + 0.0
 
 
 def _before(time: float) -> float:
