@@ -14,6 +14,7 @@ import numpy as np
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.first_look import Inspection
+from allanjax.inspection.plausible import accelerometers
 from allanjax.inspection.sampling import jitter_in_words, temperatures
 from allanjax.inspection.words import amount
 from allanjax.record.recording import Recording
@@ -48,14 +49,11 @@ def lines_of(recording: Recording, seen: Inspection, widths: Mapping[str, float 
     timed, rate = recording.jitter is not None, f"{recording.rate:.6g} Hz"
     unseen = "cannot be seen without time stamps"
     stated = "; ".join(note for note in recording.notes if note.startswith("sample rate")) or rate
-    if timed:
-        yield line("rate", stated)
-        yield line("jitter", jitter_in_words(recording))
-        yield line("gaps", "none among the time stamps")
-    else:
-        yield line("rate", f"{rate} as given: without time stamps it cannot be checked", "look")
-        yield line("jitter", unseen, "look")
-        yield line("gaps", unseen, "look")
+    untimed = f"{rate} as given: without time stamps it cannot be checked"
+    yield line("rate", stated) if timed else line("rate", untimed, "look")
+    yield line("jitter", jitter_in_words(recording)) if timed else line("jitter", unseen, "look")
+    none = "none among the time stamps"
+    yield line("gaps", unseen, "look") if recording.gaps is None else line("gaps", none)
     yield line("repeated samples", "no more than rounding makes")
     yield line("interpolation", "no sensor's samples are interpolated")
     yield line("resolution", _resolution(recording, seen))
@@ -91,7 +89,7 @@ def _resolution(recording: Recording, seen: Inspection) -> str:
 
 def _gravity(seen: Inspection) -> tuple[str, Verdict]:
     """Size of gravity in the accelerometers, by which their unit shows."""
-    accel = [k for k, axis in enumerate(seen.axes) if axis.sensor == "accel"]
+    accel = max(accelerometers(seen.axes), key=len)
     size = float(np.linalg.norm(seen.mean[accel]))
     unit, scale = rate_unit_of(seen.axes[accel[0]].unit, "accel")
     off = f"{plain(size / scale, 4)} {unit}, {plain(100.0 * abs(size / _G - 1.0), 2)} % off gravity"

@@ -68,19 +68,31 @@ def implausible(
         moving: sensors that are known not to be at rest.
     """
     grave: Consequence = "not a measurement"
-    own = {sensor: tuple(axis.name for axis in axes if axis.sensor == sensor) for sensor in ("accel", "gyro")}
+    gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
     found = [
-        Fact("accel unit", _accel(axes, rate, mean, "accel" in moving), own["accel"], grave),
-        Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving), own["gyro"], grave),
+        Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving), gyros, grave),
         Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave),
     ]
+    for accel in accelerometers(axes):
+        line = _accel(axes, accel, rate, mean, "accel" in moving)
+        found.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), grave))
     return [fact for fact in found if fact.text]
 
 
-def _accel(axes: Sequence[Axis], rate: float, mean: Float[np.ndarray, " axes"], moving: bool) -> str:
-    """Warning about the accelerometers if they do not measure gravity, or "" if they do."""
-    accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
-    size = float(np.linalg.norm(mean[accel])) if accel else _G
+def accelerometers(axes: Sequence[Axis]) -> list[list[int]]:
+    """Indices of the axes of each accelerometer: those whose names differ in their last letter only."""
+    groups: dict[str, list[int]] = {}
+    for k, axis in enumerate(axes):
+        if axis.sensor == "accel":
+            groups.setdefault(axis.name.rstrip("xyz"), []).append(k)
+    return list(groups.values())
+
+
+def _accel(
+    axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: Float[np.ndarray, " axes"], moving: bool
+) -> str:
+    """Warning about an accelerometer if it does not measure gravity, or "" if it does."""
+    size = float(np.linalg.norm(mean[accel]))
     triad = len(accel) >= 3
     if abs(size / _G - 1.0) < _ABOUT or size == 0.0:
         return ""
