@@ -26,14 +26,12 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     """The quiet parts of a recording's longest stretch, with other stretches in which nothing happened."""
     if not recording.others:
         return quiet
-    names = [axis.name for axis in recording.axes]
-    kept = [names.index(axis.name) for axis in quiet.axes]
-    others = [other[:, kept] for other in recording.others]
+    others, parts = quiet.others[: len(recording.others)], quiet.others[len(recording.others) :]
     calm = [x for x in others if as_is or _calm(Recording(x, quiet.rate, quiet.axes))]
     notes = quiet.notes
     if touched := len(others) - len(calm):
         notes += (f"{touched} of {len(others) + 1} stretches not used, in which the sensor was touched",)
-    return dataclasses.replace(quiet, others=(*quiet.others, *calm), notes=notes)
+    return dataclasses.replace(quiet, others=(*calm, *parts), notes=notes)
 
 
 def _calm(stretch: Recording) -> bool:

@@ -104,7 +104,7 @@ class Inspection(ByValue):
     def quiet(self, recording: Recording) -> Recording:
         """The recording that coefficients should be estimated from: its longest quiet part, with the others.
 
-        Samples that are `lost` have been drawn given the others.
+        These are behind the `others` of the recording. Samples that are `lost` have been drawn.
         """
         lost = np.zeros_like(recording.values, bool)
         for name, places in self.lost.items():
@@ -117,8 +117,9 @@ class Inspection(ByValue):
         quiet = recording.between(*self.stretch)
         kept = [recording.names.index(name) for name in quiet.names]
         others = [completed(recording.values[part], lost[part])[:, kept] for part in rows.values()]
-        alive = tuple(x for x in others if (np.ptp(x, axis=0) > 0.0).all())
-        return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=alive)
+        alive = (x for x in others if (np.ptp(x, axis=0) > 0.0).all())
+        everything = (*(x[:, kept] for x in recording.others), *alive)
+        return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=everything)
 
     def uncut(self) -> Inspection:
         """This inspection for samples that cannot be cut any more: where a cut is needed, a refusal."""

@@ -98,7 +98,7 @@ def test_allan_variances_are_fitted_by_generalized_least_squares(name):
     x = drawn(model, 128, RATE, 12 if name == "N + markov" else seed)
     stream = aj.AllanAccumulator(RATE, ["gyro_x"])
     stream.update(x)
-    fit = stream.fit(model) if name == "stream" else aj.fit(recording(x, RATE), model, as_is=True)
+    fit = stream.fit(model, as_is=True) if name == "stream" else aj.fit(recording(x, RATE), model, as_is=True)
     (result,) = fit.results
     assert (result.converged, result.discrepancy) == (True, 0.0)
     values = {label: c.value for label, c in result.coefficients.items()}

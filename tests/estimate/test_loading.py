@@ -24,7 +24,8 @@ def reloaded(fit, folder, **options):
 
 
 def white(axes=2, **auxiliary):
-    return recording(np.random.default_rng(5).standard_normal((2048, axes)), 100.0, "deg/s", **auxiliary)
+    x = 1e-3 * np.random.default_rng(5).standard_normal((2048, axes))
+    return recording(x, 100.0, "deg/s", **auxiliary)
 
 
 def far_off():

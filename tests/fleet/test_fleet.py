@@ -59,7 +59,7 @@ def test_the_table_holds_what_fits_find(characterized, logs):
 def test_a_long_recording_is_divided_and_put_together(cluster, tmp_path, stretch):
     rng, path = np.random.default_rng(3), tmp_path / "long.npy"
     x = rng.standard_normal((150_000, 1)) + np.cumsum(rng.standard_normal((150_000, 1)), axis=0) * 1e-3
-    np.save(path, x)
+    np.save(path, x := 1e-4 * x)
     options = {"rate": 100.0, "gyro_unit": "rad/s", "columns": "gyro_x", "piece": 100_000, **stretch}
     result = aj.characterize_fleet(path, tmp_path / "out", "N + K", scheduler=cluster, **options)
     accumulator = aj.AllanAccumulator(100.0, ["gyro_x"])
@@ -140,8 +140,8 @@ MODELS += [aj.LowPass(bandwidth=3.0), aj.LowPass(bandwidth=3.0, order=2)]
 def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
     """Of a recording without a quiet part, so that nothing is fitted: without result is a result, too."""
     x, t = np.random.default_rng(7).standard_normal(30_000), np.arange(30_000) / 100.0
-    for k in range(6):
-        x += 300.0 * np.exp(-abs(t - 25.0 - 50.0 * k) / 0.5) * np.sin(200.0 * t)
+    for k in range(50):
+        x += 300.0 * np.exp(-abs(t - 3.0 - 6.0 * k) / 0.5) * np.sin(200.0 * t)
     recording = aj.Recording.from_array(x * 1e-3, 100.0, gyro_unit="rad/s", names=["gyro_x"])
     aj.write(recording, path := fleet.folder / "knocks.parquet")
     for model in MODELS:
