@@ -115,14 +115,14 @@ def test_options_of_a_fit_reach_it():
     """A channel taken out: 4 σ, of white noise and its own scatter; and all of a record, as it is."""
     rng, n = np.random.default_rng(3), 16_384
     temperature = 25.0 + np.cumsum(rng.standard_normal(n)) * 0.01
-    values = 0.1 * rng.standard_normal(n) + 0.05 * temperature
+    values = 1e-4 * rng.standard_normal(n) + 5e-5 * temperature
     pd.DataFrame({"gyro_x [rad/s]": values, "temperature": temperature}).to_csv("warm.csv", index=False)
     options = ("warm.csv", "--rate", "100", "--terms", "N", "--objective", "whittle", "--regressors")
     fit = fitted(*options, "temperature")
     found = fit["axes"][0]["regression"]["temperature"]
     assert fit["objective"] == "whittle"
-    assert found["std"] == pytest.approx(0.1 / np.sqrt(n) / temperature.std(), rel=0.1)
-    assert abs(found["value"] - 0.05) < 4.0 * found["std"]
+    assert found["std"] == pytest.approx(1e-4 / np.sqrt(n) / temperature.std(), rel=0.1)
+    assert abs(found["value"] - 5e-5) < 4.0 * found["std"]
     refused = run("characterize", *options, "pressure")
     assert (refused.exit_code, "temperature" in refused.stderr) == (1, True)
     aj.write(handled := bench.recording("handled"), "a.parquet")
