@@ -11,10 +11,10 @@ from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
 from allanjax.calibration.result import Calibration as Calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
-from allanjax.critic import Cause as Cause
-from allanjax.critic import Critique as Critique
-from allanjax.critic import Finding as Finding
+from allanjax.critic.cause import Cause as Cause
 from allanjax.critic.critique import critique as critique
+from allanjax.critic.finding import Finding as Finding
+from allanjax.critic.result import Critique as Critique
 from allanjax.estimate.as_json import to_dict as to_dict
 from allanjax.estimate.bulk import BulkFit as BulkFit
 from allanjax.estimate.bulk import fit_many as fit_many

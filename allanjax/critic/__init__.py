@@ -8,49 +8,19 @@ candidate's parameters are `Estimate`s, made by `View.estimate`, `time_estimate`
 `additive` finds the best of them. What is asked of a candidate before it is a finding is in `critic.policy`.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from allanjax.critic.cause import Cause
-from allanjax.critic.finding import Discrepancy, Finding, Rival
-from allanjax.critic.result import AxisCritique, Critique
-from allanjax.critic.view import Candidate, View
+from allanjax.base.late import LateNames
 
-if TYPE_CHECKING:
-    from allanjax.critic.bank import Bank
-    from allanjax.critic.causes import CAUSES
-    from allanjax.critic.causes.additive import additive
-    from allanjax.critic.causes.template import Template
-    from allanjax.critic.noise import centred
-
-# What only an author of causes needs, and takes long to load.
-_LATE = {
-    "Bank": "bank",
-    "CAUSES": "causes",
-    "Template": "causes.template",
-    "additive": "causes.additive",
-    "centred": "noise",
-}
-
-__all__ = [
-    "CAUSES",
-    "AxisCritique",
-    "Bank",
-    "Candidate",
-    "Cause",
-    "Critique",
-    "Discrepancy",
-    "Finding",
-    "Rival",
-    "Template",
-    "View",
-    "additive",
-    "centred",
-]
+# What is public, and where it comes from, is listed in `__init__.pyi`.
+_PUBLIC = LateNames(__name__, Path(__file__).with_suffix(".pyi"))
 
 
 def __getattr__(name: str) -> Any:
-    """What a cause of one's own needs, loaded when it is asked for."""
-    if name not in _LATE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_LATE[name]}"), name)
+    """What has this public name, loaded when it is asked for."""
+    return _PUBLIC.load(name)
+
+
+def __dir__() -> list[str]:
+    return _PUBLIC.all()

@@ -91,8 +91,9 @@ class AxisHorizon(ByValue):
 
     @property
     def raw_factor(self) -> float:
-        """How many times the error at the horizon is what a filter with the raw N and K predicts."""
-        return float(self.raw_error[-1] / self.raw_prediction[-1])
+        """How many times the error at the horizon is what a filter with raw N and K predicts; inf without."""
+        predicted = float(self.raw_prediction[-1])
+        return float(self.raw_error[-1]) / predicted if predicted > 0.0 else math.inf
 
     @property
     def bias_std(self) -> float:
@@ -141,7 +142,9 @@ class AxisHorizon(ByValue):
         kind = "velocity" if self.axis.sensor == "accel" else "angle"
         cells.append((name, f"1σ of the {kind} after {length(self.horizon)}", error, bound))
         sets = f", averaged over {self.sets} likely sets of terms" if self.sets > 1 else ""
-        told = f"with raw N and K it is {significant(self.raw_factor)} times what they predict"
+        told = "there are no raw N and K"
+        if math.isfinite(self.raw_factor):
+            told = f"with raw N and K it is {significant(self.raw_factor)} times what they predict"
         cells.append((name, f"{told}; it is made of {self.causes()}{sets}", "", ""))
         return cells
 
@@ -165,7 +168,7 @@ class AxisHorizon(ByValue):
             },
             "raw_si": {"white": self.raw_white, "walk": self.raw_walk},
             "inflation": {name: finite_or_none(factor) for name, factor in self.inflation.items()},
-            "raw_factor": self.raw_factor,
+            "raw_factor": finite_or_none(self.raw_factor),
             "shares": dict(self.shares),
             "sets": self.sets,
             "curves_si": {name: getattr(self, name).tolist() for name in series},

@@ -18,13 +18,11 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from scipy.ndimage import gaussian_filter
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import format_with_error, significant
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import AxisPosterior, Posterior
-from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
 from allanjax.report.figure import (
     CLUSTER_TIME,
@@ -242,14 +240,6 @@ def plot_posterior(
         return save_and_close(figure, path)
 
 
-def _index(axes: Sequence[Axis] | None, result: AxisPosterior, what: str) -> int:
-    """Place of a posterior's axis among those of what is drawn with it."""
-    names = [axis.name for axis in axes or ()]
-    if result.axis.name not in names:
-        raise AllanjaxError(f"{what} has no axis {result.axis.name!r}; it has {', '.join(names)}")
-    return names.index(result.axis.name)
-
-
 def _draw_band(
     panel: Axes, x: Float[np.ndarray, " points"], curves: Float[np.ndarray, "draws points"]
 ) -> None:
@@ -264,7 +254,7 @@ def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation) -
     sizes = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _CURVE_POINTS)))
     time = sizes / curve.rate
     _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / scale)
-    points = allan_points(curve, _index(curve.axes, result, "the curve to draw"), scale)
+    points = allan_points(curve[result.axis.name], 0, scale)
     points.draw(panel)
     positive = points.y[points.y > 0.0]
     panel.set_xlim(time[0] / 1.4, time[-1] * 1.4)
@@ -277,10 +267,7 @@ def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> 
     f = np.geomspace(result.rate / n, result.rate / 2.0, _DENSITY_POINTS)
     curves = result.density_curves(f, _DRAWS) / scale
     if spectrum is not None:
-        k = _index(getattr(spectrum, "axes", None), result, "the spectrum")
-        density = np.asarray(spectrum.density)
-        density = (density if density.ndim == 1 else density[:, k]) / scale
-        frequency = np.asarray(spectrum.frequency)
+        density, frequency = spectrum[result.axis.name].density[:, 0] / scale, spectrum.frequency
         shown = (frequency > 0.0) & (density > 0.0)
         look: dict[str, Any] = {**DOTS, "markersize": 2.0, "alpha": 0.6}
         panel.plot(frequency[shown], density[shown], label="measured", **look)

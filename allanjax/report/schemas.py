@@ -115,7 +115,7 @@ def _of_horizon() -> dict[str, Any]:
             "inflation": _closed(
                 "Factors over the raw ones; null if there is none.", {"white": maybe, "walk": maybe}
             ),
-            "raw_factor": {"description": "Error over what a filter with raw N, K predicts.", **number},
+            "raw_factor": {"description": "Error over what a filter with raw N, K predicts.", **maybe},
             "shares": {
                 "description": "Shares of the terms in the variance at the horizon.",
                 "type": "object",
