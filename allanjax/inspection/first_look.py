@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.disturbances import Places, Treatment
+from allanjax.inspection.disturbances import Part, Places, Treatment
 from allanjax.inspection.facts import Fact, ordered, warnings_of
 from allanjax.inspection.levels import resolved, saturated
 from allanjax.inspection.motion import motions, rms_within
@@ -204,6 +204,7 @@ def look(
     events, quiet = quiet_parts(windows, sensors, may_move)
     treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
     stretch = max(treatment.parts, key=lambda part: part[1] - part[0], default=None)
+    spikes = [_within(treatment.parts, at, rate) for at in spikes]
     part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
@@ -280,6 +281,13 @@ def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[n
     noise = np.mean(np.diff(bridged(x, at)) ** 2) / 2.0
     few = off @ off <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * len(x) * noise
     return np.zeros_like(at) if few else at
+
+
+def _within(parts: Sequence[Part], at: Bool[np.ndarray, " n"], rate: float) -> Bool[np.ndarray, " n"]:
+    """Samples of the parts that are used; of all without any."""
+    time = np.arange(len(at)) / rate
+    inside = [(time >= first) & (time < last) for first, last in parts]
+    return at & np.any(inside, axis=0) if parts else at
 
 
 def _spike_facts(recording: Recording, spikes: Sequence[Bool[np.ndarray, " n"]]) -> Iterator[Fact]:

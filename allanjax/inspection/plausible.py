@@ -75,7 +75,9 @@ def implausible(
     ]
     for accel in accelerometers(axes):
         line = _accel(axes, accel, rate, mean, "accel" in moving)
-        found.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), grave))
+        # What a single axis reads is a matter of its tilt.
+        means: Consequence = grave if len(accel) >= 3 else "none"
+        found.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
     return [fact for fact in found if fact.text]
 
 

@@ -144,11 +144,12 @@ def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stre
 
 def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
     """Events that the stretches are."""
-    edges = windows.edges
-    return [
-        Event(int(edges[s.first]), int(edges[s.last]), *_what(windows, s, stretches), s.shares, s.axes)
-        for s in stretches
-    ]
+    edges, events = windows.edges, []
+    for s in stretches:
+        kind, axis, size = _what(windows, s, stretches)
+        axes = tuple(sorted({axis, *s.axes})) if s.matters else ()
+        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, axis, size, s.shares, axes))
+    return events
 
 
 def _joined(found: Sequence[Stretch]) -> list[Stretch]:
