@@ -179,12 +179,8 @@ def test_a_recording_has_its_rate_axes_and_units():
     assert (found.axes, found.names, found.rate) == (AXES, ("gyro_x", "accel_x"), 20.0)
     assert_array_equal(found.deviation, bare.deviation)
     assert (bare.names, list(bare.to_dataframe())[2]) == (("0", "1"), "0")
-    for curves in (
-        found,
-        aj.power_spectrum(recording),
-        aj.autocorrelation(recording),
-        aj.wavelet_variance(recording),
-    ):
+    for of in (aj.allan_deviation, aj.power_spectrum, aj.autocorrelation, aj.wavelet_variance):
+        curves = of(recording)
         whole, own = curves.to_dataframe(), curves["accel_x"].to_dataframe()
         assert list(curves) == ["gyro_x", "accel_x"]
         assert own.equals(whole[[c for c in whole if not c.startswith("gyro_x")]])

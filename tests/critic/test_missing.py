@@ -81,6 +81,19 @@ def test_coefficients_of_what_is_left_are_as_uncertain_as_if_the_record_were_sho
                 assert e.std == pytest.approx(wide * drawn[axis].coefficients[label].std, rel=1e-6)
 
 
+def test_coefficients_of_what_is_left_are_of_the_given_model_and_know_less_by_outliers():
+    rng = np.random.default_rng(3)
+    x, spoilt = rng.standard_normal(N), rng.random(N) < 0.05
+    record = aj.Recording.from_array(
+        x + 30.0 * spoilt * rng.choice([-1, 1], N), RATE, gyro_unit="deg/s", names=["gyro_x"]
+    )
+    given = aj.fit(record, "N + K", as_is=True)
+    again = aj.critique(record, given).refit()
+    assert again.template == given.template
+    share = spoilt.mean()
+    assert again["gyro_x"].widening == pytest.approx(np.sqrt(1.0 / (1.0 - share) + share), rel=1e-3)
+
+
 BEHIND = [("rounded", "gyro_x", 0.06), ("more", "gyro_2", 0.025), ("rounded", "gyro_y", 0.04)]
 
 

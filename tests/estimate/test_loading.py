@@ -85,23 +85,15 @@ def test_it_says_and_holds_the_same(kind, tmp_path):
     for result, other in zip(fit.results, again.results, strict=True):
         for name in ("correction", "measured", "verdict"):
             assert getattr(other, name) == getattr(result, name), name
-        if result.converged:
-            assert repr(other.model) == repr(result.model)
-            assert other.model.inside == result.model.inside
-            np.testing.assert_array_equal(other.covariance, result.covariance)
-            curves = [f.model_deviation(result.axis.name, np.array([0.01, 1.0, 20.0])) for f in (again, fit)]
-            np.testing.assert_allclose(*curves)
 
 
 @pytest.mark.filterwarnings("ignore::allanjax.PosteriorWarning")
 def test_what_follows_from_it_is_the_same(tmp_path):
-    """Posteriors of Allan variances, filter numbers; of a spectrum there is nothing to sample any more."""
+    """Posteriors of Allan variances; of a spectrum there is nothing to sample any more."""
     fit = bench.fit("small")
     again = reloaded(fit, tmp_path)
     one, other = (aj.sample(f, "gyro_x", max_steps=20, progress=False)["gyro_x"] for f in (fit, again))
     np.testing.assert_allclose(other.chain, one.chain, rtol=1e-9)
-    found = [aj.horizon(f, 10.0)["gyro_y"] for f in (fit, again)]
-    np.testing.assert_allclose(*([h.white.value, *h.walk.interval] for h in found), rtol=1e-9)
     with pytest.raises(aj.FitError, match="spectrum"):
         aj.sample(reloaded(with_regressor(), tmp_path))
 

@@ -206,6 +206,14 @@ REFUSED = [
 ]  # fmt: skip
 
 
+def test_axes_that_are_nearly_alike_are_not_taken_for_the_same():
+    nearly = {axis: aj.Sinusoid(1e-6, f).hold(frequency=f) for axis, f in (("x", 0.1), ("z", 0.1000004))}
+    both = aj.navigate({f"gyro_{axis}": term for axis, term in nearly.items()}, rate=10.0)["attitude"]
+    alone = aj.navigate({"gyro_z": nearly["z"]}, rate=10.0)["attitude"].of("down")
+    assert_allclose(both.of("down"), alone, rtol=1e-12)
+    assert np.max(abs(both.of("north") / alone - 1.0)) > 1e-6
+
+
 def test_what_is_wrong_is_refused(result):
     for options, word in REFUSED:
         with pytest.raises(aj.AllanjaxError, match=word):
