@@ -25,8 +25,8 @@ _WHY = {
     "gyro unit": "its unit is not plausible",
     "rate": "the sample rate is not plausible",
 }
-# Kinds that a fit does not warn of unless they have a consequence: it corrects for them, or has notes.
-_QUIET = ("lines", "jitter", "gaps")
+# Kinds that a fit does not warn of: it corrects for them, or says so elsewhere.
+_QUIET = ("lines", "jitter", "gaps", "dead axes")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,8 +74,7 @@ def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:
     """The facts that a user of the coefficients should know, in words, each once."""
-    said = (fact.text for fact in facts if fact.consequence != "none" or fact.kind not in _QUIET)
-    return tuple(dict.fromkeys(said))
+    return tuple(dict.fromkeys(fact.text for fact in facts if fact.kind not in _QUIET))
 
 
 def why_no_measurement(kinds: Iterable[str]) -> str:
