@@ -88,18 +88,18 @@ def resolved(
     chance = np.where(noise > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(noise, 1e-12), 0.0) * (steps > 0.0)
     facts = []
     for k, axis in enumerate(axes):
-        step, of = amount(steps[k], axis, 3), {"axes": (axis.name,), "size": float(noise[k]), "unit": "steps"}
-        few = f"the noise of {axis.name} is {plain(noise[k], 2)} steps of its output, {step}"
+        name, size = (axis.name,), float(noise[k])
+        few = f"the noise of {axis.name} is {plain(size, 2)} steps of its output, {amount(steps[k], axis, 3)}"
         if steps[k] > 0.0 and (noise[k] < _TOO_FEW or (repeated[k] > _HIDDEN and chance[k] > _HIDDEN)):
             text = f"{few}: its coefficients are those of the rounding; take a finer resolution"
-            facts.append(Fact("resolution", text, consequence="not a measurement", **of))
+            facts.append(Fact("resolution", text, name, "not a measurement", size, "steps"))
         elif repeated[k] > _HELD + 2.0 * chance[k]:
             share = f"{axis.name}: {100.0 * repeated[k]:.0f} % of its samples repeat the one before"
             text = f"{share}: the sensor gives fewer than the rate says, and what is faster is not its own"
-            facts.append(Fact("repeated samples", text, (axis.name,), size=repeated[k], unit="1"))
+            facts.append(Fact("repeated samples", text, name, "none", float(repeated[k]), "1"))
         elif steps[k] > 0.0 and noise[k] < _FEW_STEPS:
             text = f"{few}: rounding is part of what looks like noise, and the intervals of N allow for it"
-            facts.append(Fact("resolution", text, consequence="widened", **of))
+            facts.append(Fact("resolution", text, name, "widened", size, "steps"))
     return facts, steps
 
 

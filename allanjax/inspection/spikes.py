@@ -28,13 +28,10 @@ def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     # Where the scale is zero the output is rounded, and its steps are no spikes.
     if not scale > 0.0 or far.mean() > 3.0 * _MOST:
         return found
-    for k in np.flatnonzero(far):
-        first, last = max(k - 1, 0), min(k + 2, len(x))
-        if abs(left[k]) < abs(left[first:last]).max():
-            continue
-        around = left[max(k - 2, 0) : k + 3].copy()
-        middle = k - max(k - 2, 0)
-        around[max(middle - 1, 0) : middle + 2] += 0.5 * left[k]
-        around[middle] = 0.0
-        found[k] = abs(around).max() <= _FAR * scale
+    places = np.flatnonzero(far)
+    around = np.pad(left, 2)[places[:, None] + np.arange(5)]
+    size = around[:, 2].copy()
+    largest = abs(size) >= abs(around).max(axis=1)
+    around[:, 1:4] += 0.5 * size[:, None] * [1.0, -2.0, 1.0]
+    found[places] = largest & (abs(around).max(axis=1) <= _FAR * scale)
     return found if found.mean() <= _MOST else np.zeros(len(x), bool)
