@@ -141,7 +141,7 @@ def test_models_that_differ_in_anything_have_keys_that_differ(fleet, cluster):
     """Of a recording without a quiet part, so that nothing is fitted: without result is a result, too."""
     x, t = np.random.default_rng(7).standard_normal(30_000), np.arange(30_000) / 100.0
     for k in range(50):
-        x += 300.0 * np.exp(-abs(t - 3.0 - 6.0 * k) / 0.5) * np.sin(200.0 * t)
+        x += 300.0 * np.exp(-abs(t - 3.0 - 6.0 * k) / 0.1) * np.sin(200.0 * t)
     recording = aj.Recording.from_array(x * 1e-3, 100.0, gyro_unit="rad/s", names=["gyro_x"])
     aj.write(recording, path := fleet.folder / "knocks.parquet")
     for model in MODELS:

@@ -110,6 +110,7 @@ def test_what_is_printed_is_what_is_held():
         told = estimate(parameter, unit=unit, usual_unit=unit, **changes).describe()
         assert re.findall(r"\d+\.\d+", told) == expected, told
         assert not expected or unit in told
-    e = estimate(value=0.512 * DEG / 60, std=0.007 * DEG / 60)
+    value, std = 0.512 * DEG / 60, 0.007 * DEG / 60
+    e = estimate(value=value, std=std, interval=(value - 2.0 * std, value + 2.0 * std))
     assert e.describe("deg/√h") == e.in_unit().describe() == "0.5120 ± 0.0070 deg/√h"
     assert e.median == e.value
