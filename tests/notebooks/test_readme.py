@@ -64,7 +64,7 @@ def test_python_blocks_run_in_order(folder, capsys):
 @pytest.mark.notebook
 def test_commands_run(folder):
     ran = commands("bash")
-    assert [words[0] for words in ran] == ["characterize", "fleet", "fleet", "export", "export"]
+    assert [words[0] for words in ran] == ["characterize", "fleet", "fleet", "export", "export", "export"]
     for words in ran:
         # Of a fleet, a cluster and files that are not there, only that the command line is right.
         shown = run(*words, "--help") if words[0] == "fleet" else run(*words)
