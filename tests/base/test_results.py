@@ -142,7 +142,7 @@ CHANGES = {
     "a channel": but(recording, auxiliary=lambda r: {"temperature": r.time + 1e-9}),
     "no channel": but(recording, auxiliary=lambda r: {}),
     "an edf": but(ALL["AllanDeviation"], edf=lambda c: c.edf * (1.0 + 1e-12 * (c.edf > 9.0))),
-    "a shape": but(ALL["AllanDeviation"], edf=lambda c: c.edf[:, :1]),
+    "a shape": but(ALL["AllanDeviation"], deviation=lambda c: c.deviation[:, :1], edf=lambda c: c.edf[:, :1]),
     "an end": but(ALL["Estimate"], interval=lambda e: (e.interval[0], e.interval[1] * 1.0001)),
     "a limit": but(ALL["Estimate"], upper_limit=lambda e: 1.0),
     "a prior": (lambda: aj.Uniform(0.0, 1.0), lambda p: aj.Uniform(0.0, 2.0)),

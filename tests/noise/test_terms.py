@@ -260,4 +260,4 @@ def test_a_term_that_lacks_something_says_what():
         Nameless()
     for call in (Empty(1.0).allan_variance, Empty(1.0).psd, Empty(1.0).column):
         with pytest.raises(NotImplementedError, match="Empty"):
-            call(1.0)
+            call(np.ones(1))

@@ -10,7 +10,7 @@ import operator
 import re
 import types
 from collections.abc import Callable
-from typing import Any, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import jax
 import numpy as np
@@ -39,7 +39,9 @@ def _shape(hint: Any) -> Any:
     shapes = tuple(map(_shape, parts))
     if all(shape is Any for shape in shapes):
         return Any
-    kept = [part if shape is Any else shape for part, shape in zip(parts, shapes, strict=True)]
+    # A text that is none of those allowed is for the function to refuse.
+    others = (str if get_origin(part) is Literal else part for part in parts)
+    kept = [part if shape is Any else shape for part, shape in zip(others, shapes, strict=True)]
     return functools.reduce(operator.or_, kept) if of in (Union, types.UnionType) else of[tuple(kept)]
 
 
