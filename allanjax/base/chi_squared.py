@@ -13,6 +13,8 @@ from allanjax.base.arrays import namespace, special_functions
 
 # Normal score of p = 10⁻⁶: beyond it a misfit is no matter of chance.
 _BEYOND_DOUBT = 4.75
+# Tail probability down to which normal scores are computed from the law itself.
+_SMALLEST_TAIL = 1e-14
 
 
 def upper_tail(x: ArrayLike, dof: ArrayLike) -> Float[np.ndarray, ...]:
@@ -57,6 +59,18 @@ def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ..
     g = 2.0 / (9.0 * nu)
     mean = xp.where(nu < 1e3, first, 1.0 - g)
     return (xp.cbrt(xp.asarray(ratio)) - mean) / xp.sqrt(xp.where(nu < 1e3, second - first**2, g))
+
+
+def normal_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+    """Normal score of a χ² variate over its mean, exact but in the far tails, where it is the cube root's."""
+    from scipy.special import gammainc, gammaincc, ndtri
+
+    shape = np.maximum(np.asarray(dof, float), 1e-3) / 2.0
+    x = shape * np.asarray(ratio)
+    below, above = gammainc(shape, x), gammaincc(shape, x)
+    central = np.minimum(below, above) > _SMALLEST_TAIL
+    score = np.where(below < above, ndtri(below), -ndtri(above))
+    return np.where(central, score, np.asarray(exact_cube_root_score(ratio, dof)))
 
 
 def beyond_doubt(dof: Float[ArrayLike, ""]) -> Float[Array, ""]:

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.base.chi_squared import upper_tail
+from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.allan_design import AllanDesign, moments_behind
 from allanjax.estimate.coefficients import Coefficients, coefficients_of, deterministic_coefficients, reported
@@ -23,8 +23,10 @@ from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.misfit import Misfit, misfit_of, widened
 from allanjax.estimate.result import AxisFit, fitted_model
+from allanjax.estimate.spectral.columns import columns_of
+from allanjax.estimate.spectral.fit import chi_squared
 from allanjax.estimate.starts import Starts, find_starts
-from allanjax.estimate.whittle import WhittleFit, fit_axis
+from allanjax.estimate.whittle import WhittleFit, fit_axis, spectrum_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
@@ -182,10 +184,39 @@ def fit_whittle(
     return result_of(found, template, axis, active)
 
 
+def judged(
+    recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"], result: AxisFit
+) -> AxisFit:
+    """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
+
+    The law of the levels is known at all frequencies. At the longest cluster times a variance has one or two
+    degrees of freedom, and the tail of its χ² is no p-value.
+    """
+    sufficient = result.converged and result.discrepancy == 0.0
+    if sufficient:
+        spectrum = spectrum_of(template, recording.values[:, k], recording.rate, {})
+        noise = [term for term in result.model.sampled(recording.rate).terms if not term.deterministic]
+        power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
+        mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
+        projection = spectrum.project(mean, spectrum.used(np.flatnonzero(~active).tolist()))
+        chi2 = chi_squared(projection.level / mean, projection.dof)
+        dof = round(projection.estimates) - estimated_noise(template, active)
+        if chi2 <= beyond_doubt(dof):
+            return _with_verdict(result, chi2, dof)
+    other = fit_whittle(recording, k, template, active, {})
+    if result.converged and not sufficient and other.discrepancy > 0.0:
+        return _with_verdict(result, other.chi2, other.dof)
+    return other if other.converged else result
+
+
+def _with_verdict(result: AxisFit, chi2: float, dof: int) -> AxisFit:
+    """Result with this χ², of so many degrees of freedom."""
+    return dataclasses.replace(result, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof)))
+
+
 def result_of(found: WhittleFit, template: Model, axis: Axis, active: Bool[np.ndarray, " terms"]) -> AxisFit:
     """Result of one axis from its fit by Whittle's likelihood."""
-    random = np.array([not term.deterministic for term in template.terms])
-    dof = round(found.estimates) - estimated(template, active & random)
+    dof = round(found.estimates) - estimated_noise(template, active)
     result = _axis_fit(axis, template, active, found.coefficients, found.solution, dof)
     result = dataclasses.replace(result, regression=found.regression, spectrum=found.spectrum)
     return with_misfit(result, found.misfit)
@@ -225,6 +256,11 @@ def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
     return sum(p.free and bool(here[p.term]) for p in reported(template))
 
 
+def estimated_noise(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
+    """Number of coefficients of the random terms that are estimated."""
+    return estimated(template, active & [not term.deterministic for term in template.terms])
+
+
 def _axis_fit(
     axis: Axis,
     template: Model,
@@ -259,7 +295,7 @@ def with_curve(
     profiled = any(isinstance(term, Transient) for term in template.terms)
     found = []
     for k, result in enumerate(results):
-        if result.converged and not (profiled or result.regression):
+        if result.converged and result.spectrum is not None and not (profiled or result.regression):
             ratio = curve.deviation[:, k] / np.sqrt(means[k])
             misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
             # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is

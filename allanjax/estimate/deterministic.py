@@ -227,6 +227,11 @@ class Projection:
     amplitude: Float[np.ndarray, " columns"]
     covariance: Float[np.ndarray, "columns columns"]
 
+    @property
+    def estimates(self) -> float:
+        """Number of levels; one of less than a degree of freedom counts as that."""
+        return float(np.sum(np.minimum(self.dof, 1.0)))
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AxisSpectrum(ByValue):

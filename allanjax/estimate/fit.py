@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, fit_whittle, with_curve
+from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, fit_whittle, judged, with_curve
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension.search import Extension, extended
@@ -182,10 +182,14 @@ def _fitted(
     elif objective == "allan" or octaves:
         # Wavelet variances of Haar are half the Allan variances at octaves.
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
+        results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
+        if any(result.spectrum is not None for result in results):
+            results, curve = with_curve(curve, template, results)
     elif objective == "wavelet":
         unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
         template, active = template.without(unused), active[:, active.any(axis=0)]
         results = fit_wavelet(recording, template, active, wavelet)
+        results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
         results, curve = with_curve(curve, template, results)
     elif objective == "exact":
         results, notes = _exact(recording, template, active)
@@ -358,20 +362,22 @@ def _regressors(
 
 
 def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
-    """Result whose chosen terms are detected only where the sets with them have nearly all the probability.
+    """Result that allows for the choice of terms.
 
-    The interval of a coefficient is right for the chosen set; of weak terms that set may be the wrong one.
+    Where other sets are nearly as probable, intervals of amplitudes cover those averaged over all sets. Terms
+    are detected only where the sets with them have nearly all the probability.
     """
-    doubtful = ranking.doubtful()
-    if not (result.converged and doubtful):
+    if not result.converged:
         return result
-    coefficients = {
-        label: dataclasses.replace(c, detected=False, rivals=doubtful[c.term] if c.is_amplitude else ())
-        if c.term in doubtful and c.detected
-        else c
-        for label, c in result.coefficients.items()
-    }
-    return dataclasses.replace(result, _coefficients=coefficients)
+    doubtful, found = ranking.doubtful(), dict(result.coefficients)
+    averaged = ranking.averaged.coefficients if ranking.averaged and result.own_template is None else {}
+    for label, c in found.items():
+        if label in averaged and c.detected and c.std > 0.0:
+            found[label] = c = c.covering(averaged[label])
+        if c.term in doubtful and c.detected:
+            rivals = doubtful[c.term] if c.is_amplitude else ()
+            found[label] = dataclasses.replace(c, detected=False, rivals=rivals)
+    return result.with_estimates(found)
 
 
 def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:

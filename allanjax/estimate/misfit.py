@@ -29,7 +29,7 @@ A coefficient is read from an octave or two, of which one off by a factor 1.5 le
 with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 """
 
-# Curves differ for certain where the model is outside this central interval of the estimate (χ²).
+# Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
 # Parts of an octave that the levels of a spectrum are averaged over.
 _PARTS = 3
@@ -106,7 +106,8 @@ def misfit_of(
         unit: of the places.
     """
     log = np.log(np.maximum(ratio, 1e-300))
-    ends = quantile(np.array([[1.0 + _SURE], [1.0 - _SURE]]) / 2.0, edf)
+    beyond = (1.0 - _SURE) / 2.0 / len(log)
+    ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
     low, high = log + 0.5 * np.log(edf / np.maximum(ends, 1e-300))
     certain = np.maximum(np.maximum(low, -high), 0.0)
     k = int(np.argmax(certain))

@@ -201,14 +201,16 @@ class AxisFit(ByValue, AxisEstimates):
 
         if not self.converged or share == rounding == 0.0:
             return self
-        factors = {label: factor(c) for label, c in self._coefficients.items()}
-        by = np.array(list(factors.values()))
-        return dataclasses.replace(
-            self,
-            _coefficients={label: c.widened(factors[label]) for label, c in self._coefficients.items()},
-            _covariance=self._covariance * by[:, None] * by,
-            plain=None if self.plain is None else self.plain.allowing(share, rounding),
-        )
+        found = {label: c.widened(factor(c)) for label, c in self._coefficients.items()}
+        plain = None if self.plain is None else self.plain.allowing(share, rounding)
+        return dataclasses.replace(self.with_estimates(found), plain=plain)
+
+    def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
+        """A copy with other estimates of its coefficients, and a covariance of their standard deviations."""
+        pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
+        by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
+        covariance = self._covariance * by[:, None] * by
+        return dataclasses.replace(self, _coefficients=found, _covariance=covariance)
 
     @property
     def coefficients(self) -> Mapping[str, Estimate]:

@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -21,7 +22,14 @@ from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, 
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.misfit import Misfit, spectral_misfit, widened
 from allanjax.estimate.spectral.design import SpectralDesign
-from allanjax.estimate.spectral.fit import best_of, infer_levels, levels_under, solve_levels, tangent_of
+from allanjax.estimate.spectral.fit import (
+    best_of,
+    chi_squared,
+    infer_levels,
+    levels_under,
+    solve_levels,
+    tangent_of,
+)
 from allanjax.estimate.spectral.level_design import TangentDesign
 from allanjax.estimate.starts import best_starts, find_lines, shape_candidates
 from allanjax.noise.estimate import Estimate
@@ -165,7 +173,8 @@ def inferred(
     """
     random = np.array([not term.deterministic for term in template.terms])
     noise = template.without([s for s, here in zip(template.term_labels, random, strict=True) if not here])
-    misfit = None
+    chi2 = chi_squared(projection.level / mean, projection.dof)
+    solution, misfit = solution._replace(chi2=jnp.asarray(chi2)), None
     if bool(solution.converged) and float(solution.discrepancy) > 0.0:
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
     solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
@@ -184,7 +193,7 @@ def inferred(
     return WhittleFit(
         Coefficients({label: values[label] for label in order}, np.nan_to_num(covariance)),
         solution,
-        float(np.sum(np.minimum(projection.dof, 1.0))),
+        projection.estimates,
         spectrum,
         _regression(spectrum, projection),
         misfit,

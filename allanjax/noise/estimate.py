@@ -153,6 +153,25 @@ class Estimate(ByValue):
             lower_limit=None if below is None else below / factor,
         )
 
+    def covering(self, other: Estimate) -> Estimate:
+        """A copy whose intervals cover another estimate's, if that makes the 95 % interval notably wider.
+
+        An end at zero is not taken over: whether there is anything at all is another question.
+        """
+
+        def hull(own: tuple[float, float], another: tuple[float, float]) -> tuple[float, float]:
+            return min(own[0], another[0] or own[0]), max(own[1], another[1])
+
+        low, high = hull(self.interval, other.interval)
+        if high - low < _NOTABLY * (self.interval[1] - self.interval[0]):
+            return self
+        return dataclasses.replace(
+            self,
+            std=max(self.std, (high - low) / 2.0 / TWO_SIDED_95),
+            interval=(low, high),
+            interval_68=hull(self.interval_68, other.interval_68),
+        )
+
     def unmeasured(self) -> Estimate:
         """A copy without uncertainty, for a fitted curve that does not follow the data; held values stay."""
         if self.held:
@@ -254,6 +273,8 @@ class Estimate(ByValue):
 Coefficient = Estimate
 
 #: The fields of an estimate that are in its `unit`.
+# Factor from which on an interval counts as wider than another.
+_NOTABLY = 1.1
 _NUMBERS = ("value", "std", "interval", "interval_68", "upper_limit", "lower_limit", "excess")
 
 

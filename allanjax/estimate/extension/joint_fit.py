@@ -100,9 +100,7 @@ def fit_jointly(
     degrees = 2.0 * np.asarray(base.levels.shape)
     unshaped = _unshaped(found.structure, base, projection.level / mean)
     design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
-    left = max(
-        float(np.sum(np.minimum(projection.dof, 1.0))) - np.sum(template.active) - len(solution.shape), 1.0
-    )
+    left = max(projection.estimates - np.sum(template.active) - len(solution.shape), 1.0)
     ratio = projection.level / mean
     chi2 = chi_squared(ratio, projection.dof)
     sure = chi2 > beyond_doubt(left)

@@ -17,7 +17,7 @@ import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score
+from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score, normal_score
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.spectral.design import SpectralDesign
@@ -75,7 +75,7 @@ def solve_levels(
 
 def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], share: ArrayLike = 1.0) -> float:
     """χ² of levels, given their ratios to their expectations, each with a share of its weight."""
-    square = np.asarray(exact_cube_root_score(ratio, dof)) ** 2
+    square = normal_score(ratio, dof) ** 2
     return float(np.sum((square * share)[np.asarray(dof) > _FEW]))
 
 

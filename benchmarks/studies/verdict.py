@@ -1,0 +1,130 @@
+"""Is a right model called incomplete, does N's interval hold, and is the p-value one, whatever the objective?
+
+Records of N, N + K, N + B and Q + N + K, N = 1, simulated independently of the package, of 2¹² to 2¹⁷
+samples; the other coefficients are log-uniform between 0.3 and 3 times their detection limits (where their
+square is three of its Cramér-Rao standard deviations), so that the fit may take them or not. The fit chooses
+its terms, but for the exact likelihood, which is given the true ones and 2¹⁴ samples at most. "Drift" is an
+accelerometer of N + K as it is common: 298 s at 100 Hz, N 0.06 m/s/√h, K 10.8 m/s/h/√h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from scipy.stats import kstest
+
+from benchmarks.common.ours import fit_all, model_of, recording_of
+from benchmarks.common.study import run_tasks, share, table
+from benchmarks.common.truth import Case, bound, simulate
+
+QUICK: dict[str, Any] = {
+    "records": 6,
+    "drift": 6,
+    "samples": (4096,),
+    "lengths": (1024,),
+    "objectives": ("allan",),
+}
+KINDS = ("N", "NK", "NB", "QNK")
+LITTLE = {"Q": 1e-5, "K": 1e-4, "B": 1e-4}
+RANGE = (0.3, 3.0)
+#: Records together, and K over N of the common accelerometer [1/s].
+CHUNK, DRIFT = 6, 10.8 / 0.06 / 3600.0
+MOST_EXACT = 16384
+TAILS = (0.001, 0.01, 0.05, 0.5)
+
+Found = np.ndarray
+
+
+def run(
+    *,
+    records: int = 300,
+    drift: int = 60,
+    samples: tuple[int, ...] = (4096, 8192, 16384, 32768, 65536, 131072),
+    lengths: tuple[int, ...] = (1024, 4096, 32768, 262144, 1048576),
+    objectives: tuple[str, ...] = ("allan", "whittle", "wavelet", "exact"),
+    seed: int = 1,
+) -> Iterator[str]:
+    tasks = [
+        (
+            kind,
+            tuple(n for n in samples if objective != "exact" or n <= 16384),
+            records,
+            objective,
+            seed + k,
+            "",
+        )
+        for objective in objectives
+        for k, kind in enumerate(KINDS)
+    ]
+    tasks += [("drift", (29800,), drift, o, seed + 10, "") for o in objectives if o != "exact"]
+    yield "## Terms chosen by the fit (given to the exact likelihood)"
+    found = dict(zip(tasks, run_tasks(outcomes, tasks), strict=True))
+    yield summary({f"{task[3]}: {task[0]}": o for task, o in found.items()})
+    yield summary(
+        {f"{o}, all": np.concatenate([v for t, v in found.items() if t[3] == o]) for o in objectives}
+    )
+    given = [
+        (kind, (n,), max(records * 4096 // max(n, 4096), 30), objective, seed + 20 + k, kind)
+        for n in lengths
+        for objective in objectives
+        if objective != "exact" or n <= 4096
+        for k, kind in enumerate(("N", "NK"))
+    ]
+    yield "## True terms given, at the upper end of the range"
+    tried = dict(zip(given, run_tasks(outcomes, given), strict=True))
+    yield summary({f"{t[3]}: {t[0]}, {t[1][0]:,} samples": o for t, o in tried.items()})
+    yield summary({"all": np.concatenate(list(tried.values()))})
+
+
+def outcomes(
+    kind: str, samples: tuple[int, ...], records: int, objective: str, seed: int, given: str
+) -> Found:
+    """Of each record: p-value, "model incomplete", N's interval holds, N's error in σ, whether it converged."""
+    rng, rows = np.random.default_rng(seed), []
+    terms = given or (kind if objective == "exact" else "")
+    for first in range(0, records, CHUNK):
+        n = int(rng.choice(samples))
+        x = simulate(case_of(kind, n, rng, (3.0, 3.0) if given else RANGE), n, CHUNK, rng)
+        axes, _ = fit_all(recording_of(x), model_of(terms) if terms else None, objective)
+        for axis in axes[: records - first]:
+            if axis is None:
+                rows.append((np.nan, 0.0, 0.0, np.nan, 0.0))
+                continue
+            N, off = axis["angle_random_walk"], axis.discrepancy > 0.0 or not axis.measured
+            incomplete = off or "incomplete" in str(axis.verdict)
+            held = N.interval[0] <= 1.0 <= N.interval[1]
+            rows.append((axis.p_value, incomplete, held, (N.value - 1.0) / N.std, 1.0))
+    return np.array(rows, float)
+
+
+def case_of(kind: str, n: int, rng: np.random.Generator, factors: tuple[float, float]) -> Case:
+    """The truth of the next records."""
+    truth = {"N": np.ones(CHUNK)}
+    if kind == "drift":
+        return Case("", truth | {"K": np.full(CHUNK, DRIFT)})
+    for symbol in kind.replace("N", ""):
+        small = Case("", {"N": 1.0, symbol: LITTLE[symbol]})
+        edge = np.sqrt(6.0 * LITTLE[symbol] * bound(small, n)[1])
+        truth[symbol] = edge * np.exp(rng.uniform(*np.log(factors), CHUNK))
+    return Case("", truth)
+
+
+def summary(found: dict[str, Found]) -> str:
+    head = [
+        "records of",
+        "records",
+        "no result",
+        "incomplete",
+        "N's 95 % interval holds",
+        "median |error| [σ]",
+    ]
+    rows = []
+    for name, o in found.items():
+        done = o[o[:, 4] > 0.0]
+        p = done[:, 0]
+        cells = [name, len(o), len(o) - len(done), share(done[:, 1]), share(done[:, 2])]
+        cells += [f"{np.nanmedian(np.abs(done[:, 3])):.2f}", *(f"{np.mean(p < tail):.4f}" for tail in TAILS)]
+        rows.append([*cells, f"{kstest(p, 'uniform').pvalue:.2g}"])
+    return table([*head, *(f"p < {tail:g}" for tail in TAILS), "p of uniformity"], rows)
