@@ -126,7 +126,8 @@ def _fit_estimates(
         dof = len(variances) - estimated(template, active[k])
         solution = jax.tree.map(lambda x: x[0], solution)
         result = _axis_fit(axis, template, active[k], coefficients, solution, dof)
-        results.append(with_misfit(result, misfit))
+        # With one or two degrees of freedom at the longest cluster times the tail of χ² is none.
+        results.append(dataclasses.replace(with_misfit(result, misfit), p_value=np.nan))
         scatter.append(np.asarray(inference.estimate_variance)[0])
     return tuple(results), scatter
 
@@ -189,8 +190,7 @@ def judged(
 ) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
-    The law of the levels is known at all frequencies. At the longest cluster times a variance has one or two
-    degrees of freedom, and the tail of its χ² is no p-value.
+    The law of the levels is known at all frequencies, that of variances at long cluster times is not.
     """
     sufficient = result.converged and result.discrepancy == 0.0
     if sufficient:

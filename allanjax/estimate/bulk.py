@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float
 
 from allanjax.allan.clusters import Spacing
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
-from allanjax.base.chi_squared import upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import text_table
@@ -62,7 +61,7 @@ class BulkFit(ByValue):
         upper_limit: one-sided 95 % limits of amplitudes; NaN for other coefficients.
         detected: whether zero is excluded.
         converged: whether the axis has a result.
-        chi2, dof, p_value: misfit of the Allan variances to the model within their own scatter.
+        chi2, dof: misfit of the Allan variances to the model within their own scatter.
         discrepancy: as in `AxisFit`.
         measured: whether the coefficients are a measurement: not where the fitted curve is far off (see
             `AxisFit.misfit`), where they have no standard deviation, no interval and no limit, and nothing is
@@ -80,7 +79,6 @@ class BulkFit(ByValue):
     converged: Bool[np.ndarray, " axes"]
     chi2: Float[np.ndarray, " axes"]
     dof: int
-    p_value: Float[np.ndarray, " axes"]
     discrepancy: Float[np.ndarray, " axes"]
     measured: Bool[np.ndarray, " axes"]
 
@@ -271,7 +269,6 @@ def _bulk_fit(
         converged=converged,
         chi2=np.asarray(solution.chi2),
         dof=dof,
-        p_value=upper_tail(solution.chi2, dof),
         discrepancy=np.asarray(solution.discrepancy),
         measured=measured,
     )

@@ -83,8 +83,9 @@ class AxisFit(ByValue, AxisEstimates):
     Attributes:
         axis: whose it is.
         converged: whether it may be trusted; `reason` says why not.
-        chi2, dof, p_value: misfit of the Allan variances, or of the spectrum's levels (those of Whittle's
-            maximum for "exact"), to the model within their own scatter.
+        chi2, dof, p_value: misfit of the spectrum's levels to the model within their own scatter (for "exact"
+            that of Whittle's maximum); where the curve alone is known, as in a stream, χ² of the Allan
+            variances, without a p-value, as their law at long cluster times is not that of χ².
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms deviation of `misfit` if that is larger; 0 if the model
             suffices. Standard deviations and intervals include it.
@@ -285,8 +286,9 @@ class AxisFit(ByValue, AxisEstimates):
         """One line on how well the model fits."""
         if not self.converged:
             return f"no result: {self.reason}"
-        p = f"p = {self.p_value:.2g}" if self.p_value > 1e-300 else "p < 1e-300"
-        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom ({p})"
+        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
+        if np.isfinite(self.p_value):
+            text += f" (p = {self.p_value:.2g})" if self.p_value > 1e-300 else " (p < 1e-300)"
         off = "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
         if self.is_far_off:
             return f"not a measurement of this sensor: the model does not follow the data, {off}; {text}"

@@ -81,7 +81,7 @@ def run(
 def outcomes(
     kind: str, samples: tuple[int, ...], records: int, objective: str, seed: int, given: str
 ) -> Found:
-    """Of each record: p-value, "model incomplete", N's interval holds, N's error in σ, whether it converged."""
+    """Of each record: p-value, "incomplete", whether N's interval holds, its error in σ, convergence."""
     rng, rows = np.random.default_rng(seed), []
     terms = given or (kind if objective == "exact" else "")
     for first in range(0, records, CHUNK):

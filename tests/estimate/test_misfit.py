@@ -10,8 +10,8 @@ from scipy.stats import chi2
 import allanjax as aj
 
 RATE, N, WHITE = 100.0, 16_384, 1e-3
-# A central interval of 99.7 %, outside of which a curve is off for certain.
-SURE = (0.9985, 0.0015)
+# A central interval of 99.7 % of all places, outside of which a curve is off for certain.
+OUTSIDE = 0.003
 
 
 def noise(seed):
@@ -50,7 +50,8 @@ def squares_of(result):
 def by_definition(place, ratio, edf, unit):
     """Each place by itself: how far the model is outside the interval of the estimate, in logarithms."""
     log = np.log(ratio)
-    lower, upper = (log + 0.5 * np.log(edf / chi2.ppf(p, edf)) for p in SURE)
+    beyond = OUTSIDE / 2.0 / len(log)
+    lower, upper = (log + 0.5 * np.log(edf / chi2.ppf(p, edf)) for p in (1.0 - beyond, beyond))
     certain = np.maximum(np.maximum(lower, -upper), 0.0)
     k = int(np.argmax(certain))
     rms = np.sqrt(np.mean(np.where(certain > 0.0, log**2 - (abs(log) - certain) ** 2, 0.0)))

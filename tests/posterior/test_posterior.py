@@ -257,15 +257,15 @@ def test_a_record_with_missing_samples_has_a_wider_posterior():
 def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(objective):
     """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth.
 
-    The one is of a skew law and the other its curvature; of a model taken for the truth it would be several
-    times narrower.
+    The one is of a skew law and the other its curvature; of a model taken for the truth it would be less
+    than half as wide.
     """
     x = np.random.default_rng(9).normal(size=512) + 0.7 * np.sin(np.pi * np.arange(512) / 10.0)
     fit = fit_of(x, "N", objective)
     assert fit["gyro_0"].discrepancy > 0.05
     std = aj.sample(fit, seed=5, progress=False)["gyro_0"]["N"].std
     assert std == pytest.approx(fit["gyro_0"]["N"].std, rel=0.25)
-    assert std > 3.0 * x.std() / np.sqrt(RATE) / np.sqrt(2.0 * 512)
+    assert std > 2.0 * x.std() / np.sqrt(RATE) / np.sqrt(2.0 * 512)
 
 
 def test_a_users_prior_is_obeyed(records):

@@ -10,7 +10,7 @@ import numpy as np
 from dense import autocovariance, covariance
 from scipy.fft import dct
 from scipy.optimize import minimize
-from scipy.special import gammaln
+from scipy.stats import chi2, norm
 
 import allanjax as aj
 
@@ -134,10 +134,9 @@ class Spectrum(Objective):
         return 0.5 * (D * self.count) @ D.T
 
     def chi2(self, model: aj.Model) -> float:
-        """Squares of the levels' normal scores: of cube roots, by their exact mean and variance."""
-        k = self.count / 2.0
-        one, two = (np.exp(gammaln(k + p / 3.0) - gammaln(k)) / k ** (p / 3.0) for p in (1, 2))
-        return float(np.sum((np.cbrt(self.level / self.means(model)) - one) ** 2 / (two - one**2)))
+        """Squares of the levels' normal scores, by their law."""
+        squares = self.count * self.level / self.means(model)
+        return float(np.sum(norm.isf(chi2.sf(squares, self.count)) ** 2))
 
 
 class Gaussian(Objective):
