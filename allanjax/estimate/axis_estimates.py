@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import TextProperty
-from allanjax.noise.estimate import Estimate
-from allanjax.noise.names import called
+from allanjax.noise.estimate import Estimate, called
 from allanjax.record.axes import Axis
 
 if TYPE_CHECKING:

@@ -27,10 +27,9 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.presented import presented
 from allanjax.base.wording import duration
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
-from allanjax.noise.modelled import Modelling, models_of
-from allanjax.noise.readings import AxisReadings, Readings
+from allanjax.noise.notation import Modelling, models_of
 from allanjax.record.axes import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording

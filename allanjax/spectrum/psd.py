@@ -17,8 +17,7 @@ from jaxtyping import ArrayLike, Float, Int
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.presented import presented
-from allanjax.noise.estimate import Estimate
-from allanjax.noise.readings import AxisReadings, Readings
+from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.axes import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of

@@ -18,7 +18,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import plain, significant
 from allanjax.noise.model import Model
-from allanjax.noise.modelled import Modelling, models_of
+from allanjax.noise.notation import Modelling, models_of
 from allanjax.noise.terms import AngleRandomWalk, Quantization
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording

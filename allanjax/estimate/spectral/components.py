@@ -21,9 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from allanjax.estimate.spectral.levels import Levels
-from allanjax.noise.butterworth import LARGEST_BANDWIDTH
-from allanjax.noise.exponential import averaged_lags, mean_lags
-from allanjax.noise.moving_average import HALF_POWER, LONGEST
+from allanjax.noise.numerics import averaged_lags, mean_lags
+from allanjax.noise.response import HALF_POWER, LARGEST_BANDWIDTH, LONGEST
 
 
 def geometric(
