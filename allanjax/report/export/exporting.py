@@ -1,4 +1,4 @@
-"""`export`: a fit, a data sheet or another target's file as the file of a program that takes noise parameters."""
+"""`export`: a fit, a data sheet or another program's file as the file of one that takes noise parameters."""
 
 from __future__ import annotations
 
