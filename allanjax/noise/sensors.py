@@ -126,8 +126,8 @@ def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
     classes = term_classes()
     axes = []
     for sensor, k in itertools.product(KINDS, range(3)):
-        rows = ((classes[term], Tabulated(*pairs[k], unit)) for term, (unit, *pairs) in table[sensor].items())
-        axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(dict(rows))))
+        found = {classes[term]: Tabulated(*row[1 + k], unit=row[0]) for term, row in table[sensor].items()}
+        axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(found)))
     return SensorPreset(name, table["description"], tuple(axes))
 
 

@@ -146,9 +146,10 @@ def _table() -> dict[str, Target]:
 
 def _target(name: str, of: Mapping[str, Any], common: Mapping[str, str]) -> Target:
     """Target of a table; notes that several have are named."""
-    fields = {field: tuple(value) if isinstance(value, list) else value for field, value in of.items()}
+    fields: dict[str, Any] = {k: tuple(x) if isinstance(x, list) else x for k, x in of.items()}
     fields["keys"] = tuple(key for row in of["keys"] for key in _keys(**row))
-    return Target(name, **fields | {"notes": tuple(common.get(note, note) for note in of.get("notes", ()))})
+    fields["notes"] = tuple(common.get(note, note) for note in of.get("notes", ()))
+    return Target(name, **fields)
 
 
 def _keys(key: str = "", text: str = "", units: Sequence[str] = (), **row: Any) -> Iterator[Key | Text]:
