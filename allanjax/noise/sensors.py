@@ -126,7 +126,8 @@ def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
     classes = term_classes()
     axes = []
     for sensor, k in itertools.product(KINDS, range(3)):
-        found = {classes[term]: Tabulated(*row[1 + k], unit=row[0]) for term, row in table[sensor].items()}
+        rows = ((classes[term], row[0], row[1 + k]) for term, row in table[sensor].items())
+        found = {term: Tabulated(value, error, unit) for term, unit, (value, error) in rows}
         axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(found)))
     return SensorPreset(name, table["description"], tuple(axes))
 
