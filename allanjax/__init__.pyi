@@ -96,10 +96,10 @@ from allanjax.spectrum.autocorrelation import Autocorrelation as Autocorrelation
 from allanjax.spectrum.autocorrelation import autocorrelation as autocorrelation
 from allanjax.spectrum.psd import PowerSpectrum as PowerSpectrum
 from allanjax.spectrum.psd import power_spectrum as power_spectrum
+from allanjax.wavelets.decomposition import Denoised as Denoised
 from allanjax.wavelets.decomposition import WaveletDecomposition as WaveletDecomposition
+from allanjax.wavelets.decomposition import denoise as denoise
 from allanjax.wavelets.decomposition import wavelet_decomposition as wavelet_decomposition
-from allanjax.wavelets.denoising import Denoised as Denoised
-from allanjax.wavelets.denoising import denoise as denoise
 from allanjax.wavelets.variance import WaveletVariance as WaveletVariance
 from allanjax.wavelets.variance import wavelet_variance as wavelet_variance
 

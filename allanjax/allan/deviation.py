@@ -17,10 +17,10 @@ from allanjax.allan.clusters import Kind, Spacing, check_member, cluster_sizes, 
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.estimators import DataType, allan_variance_estimates
 from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
-from allanjax.base.chi_squared import quantile
+from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
+from allanjax.base.late import presented
 from allanjax.record.axes import OfAxes
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
@@ -157,11 +157,8 @@ class AllanDeviation(ByValue, OfAxes):
         Raises:
             AllanjaxError: `level` not between 0 and 1.
         """
-        if not 0 < level < 1:
-            raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
-        lower = self.deviation * np.sqrt(self.edf / quantile((1 + level) / 2, self.edf))
-        upper = self.deviation * np.sqrt(self.edf / quantile((1 - level) / 2, self.edf))
-        return lower, upper
+        lower, upper = chi_squared_factors(self.edf, level)
+        return self.deviation * np.sqrt(lower), self.deviation * np.sqrt(upper)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Table with one row a cluster time: each axis's deviation, 68 % interval and degrees of freedom.

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from allanjax.base.plain import speak_plainly
+from allanjax.base.tables import speak_plainly
 from allanjax.cli import (
     calibrate,
     characterize,

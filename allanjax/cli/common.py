@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.plain import is_unicode
+from allanjax.base.tables import is_unicode
 from allanjax.fleet.files import matching_files
 
 if TYPE_CHECKING:

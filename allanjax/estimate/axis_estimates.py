@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import TextProperty
+from allanjax.base.late import TextProperty
 from allanjax.noise.estimate import Estimate, called
 from allanjax.record.axes import Axis
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
+from allanjax.base.late import presented
 from allanjax.base.tables import html_table, text_table
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective

@@ -23,11 +23,10 @@ from jaxtyping import Array, Bool, Float
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, plain
-from allanjax.kalman.constant import Constant
 from allanjax.kalman.filtering import ModelsLike, check_noise, missing_of, model_of, with_constant
-from allanjax.kalman.recursion import Rows, run_bank
+from allanjax.kalman.likelihood import Constant
+from allanjax.kalman.recursion import FilterModel, Rows, in_blocks, padded, room_for, run_bank, stacked
 from allanjax.kalman.result import BiasTrack, BiasTracks
-from allanjax.kalman.system import FilterModel, in_blocks, padded, room_for, stacked
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Recording
 

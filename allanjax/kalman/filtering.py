@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.kalman.constant import Constant
-from allanjax.kalman.recursion import Rows, run_filter, run_smoother
+from allanjax.kalman.likelihood import Constant
+from allanjax.kalman.recursion import FilterModel, Rows, in_blocks, padded, room_for, run_filter, run_smoother
 from allanjax.kalman.result import Filtered, FilteredAxis
-from allanjax.kalman.system import FilterModel, in_blocks, padded, room_for
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.io.given import RecordingLike, as_recording

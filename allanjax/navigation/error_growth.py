@@ -14,7 +14,7 @@ from jaxtyping import Float
 from allanjax.base.earth import EARTH_RADIUS
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
+from allanjax.base.late import presented
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import duration, finite_or_none, plain, significant
 

@@ -14,7 +14,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.plain import printable
+from allanjax.base.tables import printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis

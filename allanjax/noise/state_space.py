@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike, Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
+from allanjax.base.late import presented
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import significant
 from allanjax.record.units import Sensor, default_coefficient_unit, si_unit

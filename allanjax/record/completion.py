@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.fft import dct, idct, rfft
 
+from allanjax.base.arrays import seed_of
 from allanjax.base.errors import RecordingError
-from allanjax.base.seeds import seed_of
 from allanjax.base.wording import duration, plain
 
 #: Largest share of an axis's samples that is completed.

@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
-from allanjax.base.plain import printable
-from allanjax.base.presented import presented
-from allanjax.base.tables import html_table
+from allanjax.base.late import presented
+from allanjax.base.tables import html_table, printable
 from allanjax.base.wording import duration
 from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
 from allanjax.record.columns import Column, recognise

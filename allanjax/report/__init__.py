@@ -3,7 +3,7 @@
 Importing this room gives results their methods that draw, tell and export (see `base.presented`).
 """
 
-from allanjax.base.presented import present
+from allanjax.base.late import present
 
 present(
     {

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from allanjax.base.plain import printable
+from allanjax.base.tables import printable
 from allanjax.base.wording import duration, plain
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.result import AxisCritique, Critique

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
@@ -27,7 +28,6 @@ from allanjax.report.figure import (
     wrapped,
 )
 from allanjax.report.frame import PRECISE, Frame, Panel, Residual, rows_of
-from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 if TYPE_CHECKING:

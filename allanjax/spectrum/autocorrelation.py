@@ -24,8 +24,8 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.presented import presented
 from allanjax.base.wording import duration
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model

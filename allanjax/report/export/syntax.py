@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.plain import ERRORS
+from allanjax.base.tables import ERRORS
 from allanjax.report.export.targets import Key, Syntax, Target
 
 _WIDTH = 110
