@@ -21,7 +21,7 @@ from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.record.axes import OfAxes
+from allanjax.record.columns import OfAxes
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording

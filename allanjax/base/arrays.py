@@ -1,4 +1,4 @@
-"""Arrays: NumPy or JAX, so that what is only evaluated compiles nothing; and seeds of draws that belong to data."""
+"""NumPy or JAX, so that what is only evaluated compiles nothing; and seeds of draws that belong to data."""
 
 from types import ModuleType
 from typing import Any

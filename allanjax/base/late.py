@@ -1,6 +1,5 @@
 """What is loaded late: public names of a package (PEP 562), and methods of results that `report` implements.
 
-
 A stub `__init__.pyi` says to type checkers and editors where each name comes from. It is read while the
 program runs, too, as Scientific Python's SPEC 1 has it, so that there is one list. Importing a package takes
 no longer than what is used of it.

@@ -1,4 +1,4 @@
-"""Tables of results as text and as HTML, and text in ASCII for an output without Unicode: `deg/sqrt(h)`, `+-`.
+"""Tables of results as text and as HTML; and text in ASCII for an output without Unicode, `deg/sqrt(h)`.
 
 Empty columns of tables are left out.
 """

@@ -78,8 +78,7 @@ def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "
 
 def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
     """Write the JSON file and the figures; returns their paths."""
-    from allanjax.report.critique_figure import plot_critique
-    from allanjax.report.critique_jobs import figure_names
+    from allanjax.report.critique_figure import figure_names, plot_critique
     from allanjax.report.critique_json import write_json
 
     named = dataclasses.replace(critique, name=file.name)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
 from allanjax.noise.estimate import Estimate, called
-from allanjax.record.axes import Axis
+from allanjax.record.columns import Axis
 
 if TYPE_CHECKING:
     import pandas as pd

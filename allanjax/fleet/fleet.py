@@ -28,9 +28,9 @@ from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import cells, judged, left_out
 from allanjax.fleet.table import rows_of, table_of, write_table
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.record.gaps import rows_between
+from allanjax.record.completion import rows_between
 from allanjax.record.io import ReadOptions, read_recording
-from allanjax.record.io.chunks import open_chunks
+from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -34,7 +34,7 @@ from allanjax.base.wording import significant
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
-from allanjax.record.axes import Axis
+from allanjax.record.columns import Axis
 from allanjax.record.units import (
     SENSORS,
     SI,

@@ -15,10 +15,18 @@ from allanjax.base.errors import RecordingError
 from allanjax.base.late import presented
 from allanjax.base.tables import html_table, printable
 from allanjax.base.wording import duration
-from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
-from allanjax.record.columns import Column, recognise
-from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, stretches_of
+from allanjax.record.columns import Axis, Column, DeadAxis, axes_of, default_names, recognise, scales_of
+from allanjax.record.completion import (
+    Gap,
+    bridged,
+    check_choice,
+    completed,
+    gaps_of,
+    gaps_within,
+    rows_between,
+    stretches_of,
+    told,
+)
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 

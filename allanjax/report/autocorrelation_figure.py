@@ -17,12 +17,12 @@ from allanjax.report.figure import (
     facts_of,
     label_in,
     place,
+    rows_of,
     save,
     save_and_close,
     style,
     write_title,
 )
-from allanjax.report.frame import rows_of
 from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 
 if TYPE_CHECKING:

@@ -18,16 +18,20 @@ from allanjax.noise.parameter import Parametrized
 from allanjax.report.figure import (
     FREQUENCY,
     MODEL,
+    PRECISE,
+    Frame,
     KeyEntry,
+    Panel,
     Points,
+    Residual,
     drawn_terms,
     facts_of,
     label_in,
+    rows_of,
     term_entries,
     term_style,
     wrapped,
 )
-from allanjax.report.frame import PRECISE, Frame, Panel, Residual, rows_of
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 if TYPE_CHECKING:

@@ -12,17 +12,19 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.report.figure import (
     COLOURS,
+    Frame,
+    Panel,
     Points,
     add_grid,
     facts_of,
     label_in,
     place,
+    rows_of,
     save_and_close,
     style,
     unit_of,
     write_title,
 )
-from allanjax.report.frame import Frame, Panel, rows_of
 from allanjax.spectrum.autocorrelation import square_unit
 from allanjax.wavelets.decomposition import WaveletDecomposition
 from allanjax.wavelets.variance import WaveletVariance

@@ -30,7 +30,7 @@ from allanjax.base.wording import duration
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, models_of
-from allanjax.record.axes import OfAxes, names_of
+from allanjax.record.columns import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale

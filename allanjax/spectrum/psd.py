@@ -29,7 +29,7 @@ from allanjax.noise.terms import (
     Quantization,
     RateRandomWalk,
 )
-from allanjax.record.axes import OfAxes, names_of
+from allanjax.record.columns import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import default_coefficient_unit, unit_scale

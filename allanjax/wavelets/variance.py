@@ -28,7 +28,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import AngleRandomWalk
-from allanjax.record.axes import OfAxes, names_of
+from allanjax.record.columns import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.validation import Source, check_values

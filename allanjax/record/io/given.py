@@ -10,8 +10,7 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.errors import AllanjaxError
 from allanjax.record.columns import recognise
 from allanjax.record.io import read
-from allanjax.record.io.assembly import assemble
-from allanjax.record.io.chunks import ChunkedRecording
+from allanjax.record.io.assembly import ChunkedRecording, assemble
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.table import Table
 from allanjax.record.recording import Axis, Recording
