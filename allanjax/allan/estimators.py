@@ -38,17 +38,17 @@ _ROW = 16
 
 
 def allan_variance_estimates(
-    values: Float[ArrayLike, "samples axes"],
-    sizes: Int[ArrayLike, " m"],
-    rate: Float[ArrayLike, ""] = 1.0,
+    values: Float[np.ndarray, "samples axes"],
+    sizes: Int[np.ndarray, " m"],
+    rate: float = 1.0,
     *,
     kind: Kind = "allan",
     overlapping: bool = True,
     data_type: DataType = "rate",
-) -> Float[Array, "m axes"]:
+) -> Float[np.ndarray, "m axes"]:
     """Variances at the given cluster sizes, in the square of the rate's unit.
 
-    Compiled once for each octave of lengths; arrays of JAX of less than 2¹⁷ samples once for each length.
+    Compiled once for each octave of lengths.
 
     With x_k the phase after k samples and t0 the sample interval, averages over all starts k (every m-th, if
     not overlapping) of
@@ -64,30 +64,20 @@ def allan_variance_estimates(
         kind, overlapping, data_type: as in `allan_deviation`.
 
     The cores share out long records, which are read where they lie, all axes at once; beside them there is
-    memory for their phases only. Differentiable in `values` in forward mode (`jax.jvp`, `jax.jacfwd`); not in
-    reverse mode, since the loop over the differences is only as long as each cluster size needs.
+    memory for their phases only.
     """
-    n = np.shape(values)[0] - (data_type == "phase")
-    sizes = np.asarray(sizes)
+    n = len(values) - (data_type == "phase")
     every = np.pad(sizes, (0, -len(sizes) % _SIZES))
     options = {"kind": kind, "overlapping": overlapping}
-    traced = isinstance(values, jax.core.Tracer)
-    if traced or n < _LONG or jax.default_backend() != "cpu":
-        if not isinstance(values, jax.Array):
-            values = _padded(np.asarray(values, dtype=float))
-        sums = _sums_of_axes(values, every, len(sizes), n, data_type=data_type, **options)
+    if n < _LONG or jax.default_backend() != "cpu":
+        # To the next power of two.
+        padded = np.pad(values, ((0, (1 << (len(values) - 1).bit_length()) - len(values)), (0, 0)))
+        sums = np.asarray(_sums_of_axes(padded, every, len(sizes), n, data_type=data_type, **options))
     else:
-        sums = _sums_of_long_record(np.asarray(values), every, len(sizes), n, data_type, options)
-    if not isinstance(sums, jax.core.Tracer):
-        sums = np.asarray(sums)
+        sums = _sums_of_long_record(values, every, len(sizes), n, data_type, options)
     sums = sums[: len(sizes)] * (rate**2 if data_type == "phase" else 1.0)
     scale = 6.0 if kind == "hadamard" else 2.0
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
-
-
-def _padded(table: Float[np.ndarray, "samples axes"]) -> Float[np.ndarray, "padded axes"]:
-    """Table with zeros after the samples, to the next power of two."""
-    return np.pad(table, ((0, (1 << (len(table) - 1).bit_length()) - len(table)), (0, 0)))
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping", "data_type"))

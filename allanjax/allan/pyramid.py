@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 from allanjax.allan.stretches import stretch
 from allanjax.base.errors import AllanjaxError
 
-# A pass up the pyramid of block means (see `pyramid`): four levels at once, compiled.
+# A pass up the pyramid of block means: four levels at once, compiled.
 #
 # The pass goes in chunks that stay in a core's cache. A chunk sees a little of the next one, so that chunks
 # do not depend on each other. Where there are no blocks there is NaN, and differences that meet it do not

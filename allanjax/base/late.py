@@ -82,7 +82,7 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
 
     @functools.wraps(method)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        return _function(method.__qualname__)(*args, **kwargs)
+        return _function(method, args[:1])(*args, **kwargs)
 
     return call
 
@@ -110,7 +110,9 @@ def present(functions: Mapping[str, str]) -> None:
     _FUNCTIONS.update(functions)
 
 
-def _function(name: str) -> Callable[..., Any]:
-    """Function registered for a method, its module imported."""
+def _function(method: Callable[..., Any], of: tuple[Any, ...]) -> Callable[..., Any]:
+    """Function registered for a method, its module imported; of a shared one that for the result's class."""
+    own = (f"{owner.__name__}.{method.__name__}" for result in of for owner in type(result).__mro__)
+    name = next(name for name in (method.__qualname__, *own) if name in _FUNCTIONS)
     module, _, function = _FUNCTIONS[name].rpartition(".")
     return getattr(importlib.import_module(module), function)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, stage, work_through
+from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, epilog, fitting, stage, work_through
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -31,10 +31,7 @@ EPILOG = epilog(
 def command(
     files: Files,
     reading: ReadOptions,
-    vibrating: Annotated[
-        bool,
-        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
-    ] = False,
+    vibrating: Vibrating = False,
     refit: Annotated[
         bool,
         typer.Option("--refit", help="Print the coefficients of the samples less what was found, too."),

@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import epilog, failures_told
-from allanjax.cli.saved_fits import Sheet, fit_or_sheet
+from allanjax.cli.common import Sheet, epilog, failures_told, fit_or_sheet
 from allanjax.report.export.exporting import Axes, converted, exported
 from allanjax.report.export.targets import TARGETS
 

@@ -132,7 +132,7 @@ def _filtered(
     room, size = room_for([of_axis.space]), of_axis.space.size
     # All states, so that programs are those of their room.
     rows = np.concatenate([np.eye(room, size), of_axis.drift[None]])
-    system, offset = padded(of_axis.space, rows), float(z[there].mean())
+    system, offset = padded(of_axis.space, rows, room), float(z[there].mean())
     record = in_blocks(z - offset, missing)
     innovations, told, states = run_filter(system, record)
     e, std = (np.asarray(x)[:n] for x in innovations)

@@ -64,7 +64,6 @@ class Constant:
         with np.errstate(divide="ignore", invalid="ignore"):
             information = precision + np.cumsum(ones**2 / s)
             weighted = -offset * precision + np.cumsum(e * ones / s)
-        with np.errstate(divide="ignore", invalid="ignore"):
             value = np.where(information > 0.0, weighted / information, 0.0)
             variance = np.where(information > 0.0, 1.0 / information, np.inf)
         if known:

@@ -436,16 +436,9 @@ def factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return scale[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
 
 
-def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int | None = None) -> System:
-    """Matrices with room for one of a few numbers of states, or for `room` of them; `rows` are told of.
-
-    Raises:
-        AllanjaxError: the model has more states than a filter takes.
-    """
-    n = space.size
-    if room is None:
-        room = room_for([space])
-    grown = [(0, room - n)] * 2
+def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int) -> System:
+    """Matrices with room for so many states, see `room_for`; `rows` are told of."""
+    grown = [(0, room - space.size)] * 2
     parts: Any = (
         np.pad(space.A, grown),
         np.pad(space.H[0], grown[0]),
@@ -493,12 +486,11 @@ def _followed(
 
 
 def room_for(spaces: Sequence[StateSpace]) -> int:
-    """Number of states that a program for all of these has."""
+    """Number of states that a program for all of these has; AllanjaxError if they are too many."""
     most = max(space.size for space in spaces)
-    for size in _SIZES:
-        if most <= size:
-            return size
-    raise AllanjaxError(f"a filter takes at most {_SIZES[-1]} states, and the model has {most}")
+    if most > _SIZES[-1]:
+        raise AllanjaxError(f"a filter takes at most {_SIZES[-1]} states, and the model has {most}")
+    return next(size for size in _SIZES if most <= size)
 
 
 def stacked(systems: Sequence[System]) -> System:

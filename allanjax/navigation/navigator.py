@@ -20,7 +20,6 @@ from allanjax.navigation.likely import (
     Drawn,
     NoiseLike,
     Sensors,
-    ends,
     in_si,
     one_by_one,
     sensors_of,
@@ -214,7 +213,7 @@ def navigate(
             f"no channel has a sensor: name axes as gyro_x, accel_z, not {', '.join(sensors.axes)}"
         )
     time = steps / sensors.rate
-    growths = tuple(_growth(q, of, time, sensors.estimated) for q, of in found.items() if of)
+    growths = tuple(_growth(q, of, time, sensors) for q, of in found.items() if of)
     result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
     return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
 
@@ -284,19 +283,17 @@ def _times(drawn: Drawn, factor: float) -> Drawn:
 
 
 def _growth(
-    quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], estimated: bool
+    quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], sensors: Sensors
 ) -> ErrorGrowth:
     summed = {name: together(parts) for name, parts in channels.items()}
-    error = np.array([np.sqrt(drawn.total) for drawn in summed.values()])
-    lower, upper = np.sqrt(np.array([ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
-    nothing = np.full_like(error, np.nan)
+    lower, upper = np.sqrt(np.array([sensors.ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
     return ErrorGrowth(
         quantity=quantity,
         channels=tuple(summed),
         time=time,
-        error=error,
-        lower=lower if estimated else nothing,
-        upper=upper if estimated else nothing,
+        error=np.array([np.sqrt(drawn.total) for drawn in summed.values()]),
+        lower=lower,
+        upper=upper,
         causes={
             name: {title: np.sqrt(part) for title, part in drawn.mean.items()}
             for name, drawn in summed.items()

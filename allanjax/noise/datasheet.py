@@ -42,6 +42,7 @@ from allanjax.record.units import (
     convert,
     default_coefficient_unit,
     density_power,
+    parse_quantity,
     parse_sample_unit,
     si_unit,
 )
@@ -76,7 +77,6 @@ _WHY = {
     "reading": 'the least Allan deviation ("minimum"), which is 0.664 B, or the coefficient ("B")',
     "rate": "steps of a rate are white noise by the sample rate",
 }
-_QUANTITY = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S.*?)\s*")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -405,12 +405,12 @@ class _Sheet:
 
     def _quantity(self, text: Any, key: str) -> tuple[float, str]:
         """Number and unit of a figure, whose unit may end in rms."""
-        match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
-        if match is None or not 0.0 < float(match["number"]) < math.inf:
+        number, unit = parse_quantity(text) or (0.0, "")
+        if not 0.0 < number < math.inf:
             raise self._error(
                 key, f'must be a positive number with its unit, as in "0.1 deg/s", not {text!r}'
             )
-        return float(match["number"]), re.sub(r"\s+rms$", "", match["unit"])
+        return number, re.sub(r"\s+rms$", "", unit)
 
     def _converted(self, number: float, unit: str, si: str, key: str) -> float:
         try:

@@ -13,7 +13,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage, Response
 from allanjax.noise.terms import NoiseTerm
-from allanjax.record.units import SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
+from allanjax.record.units import NUMBER, SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     from allanjax.record.columns import Column
@@ -25,9 +25,7 @@ ModelLike: TypeAlias = Model | NoiseTerm | str
 # A term, a parameter in its brackets, and a value with its unit.
 _TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
 _ARGUMENT = re.compile(r"(?P<name>\w+)\s*=\s*(?P<value>.+)", re.DOTALL)
-_VALUE = re.compile(
-    r"(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*(?P<held>\bheld)?"
-)
+_VALUE = re.compile(rf"(?P<number>{NUMBER})\s*(?P<unit>.*?)\s*(?P<held>\bheld)?")
 # SI units of parameters that are no amplitudes, by their kind.
 _KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
 

@@ -1,18 +1,24 @@
-"""Recognition of a column by its label: sensor, axis and unit, or time stamps."""
+"""Columns, recognised by their labels as axes, time stamps or others; axes of a recording, and dead ones."""
 
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.base.late import presented
 from allanjax.record.units import COUNT_SIZES, SENSORS, SampleUnit, Sensor, parse_sample_unit, same_unit
 from allanjax.record.validation import Source
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Roles of columns, explained at `Column`.
 Role = Literal["axis", "time", "counter", "auxiliary"]
@@ -253,6 +259,28 @@ class OfAxes:
             value = getattr(self, name)
             own[name] = value[:, [k]] if isinstance(value, np.ndarray) else (value[k],)
         return replace(cast(Any, self), **own)
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
+        """Draw the curves with their intervals, a panel an axis, gyros above accelerometers.
+
+        `plot_allan` and `plot_psd` draw Allan deviations and spectra, with the model of a fit if wanted.
+
+        Args:
+            axes: names of the axes to draw; all of them by default.
+            path: a file to save the picture to, by its suffix .png, .svg or .pdf.
+            ax: matplotlib axes to draw a single axis into, without title and key.
+
+        Raises:
+            AllanjaxError: there is no such axis, or `ax` is given for more than one axis.
+        """
+        raise NotImplementedError
 
 
 def names_of(axes: Sequence[Axis] | None, count: int) -> tuple[str, ...]:

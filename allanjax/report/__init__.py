@@ -1,6 +1,6 @@
 """Presentation of results to people: figures, tables, stories and files.
 
-Importing this room gives results their methods that draw, tell and export (see `base.presented`).
+Importing this room gives results their methods that draw, tell and export (see `base.late`).
 """
 
 from allanjax.base.late import present

@@ -153,6 +153,21 @@ def _close(figure: Figure) -> None:
     FigureCanvasAgg(figure)
 
 
+def check_room(ax: Axes | None, count: int) -> None:
+    """Raise AllanjaxError if so many panels are to be drawn into the caller's axes."""
+    if ax is not None and count > 1:
+        raise AllanjaxError('ax= has room for one axis: name it, e.g. axes="gyro_x"')
+
+
+def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
+    """Figure of the caller's axes, saved if there is a path; it is theirs to close."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
 def place(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
     """Add axes in a place of the figure [inches]."""
     whole, total = figure.get_size_inches()
@@ -372,14 +387,9 @@ class Frame:
 
     def _draw_into(self, ax: Axes, panels: Sequence[Panel], path: str | os.PathLike[str] | None) -> Figure:
         """Draw a panel into the caller's axes; the figure, saved if there is a path, is theirs to close."""
-        if len(panels) > 1:
-            raise AllanjaxError('ax= has room for one axis: name it, e.g. axes="gyro_x"')
+        check_room(ax, len(panels))
         self._draw_row(panels, [ax], [])
-        figure = ax.get_figure(root=True)
-        assert figure is not None
-        if path is not None:
-            save(figure, path)
-        return figure
+        return figure_of(ax, path)
 
     def _draw_row(self, row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:
         _set_scales(row, panels, strips)

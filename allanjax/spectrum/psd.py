@@ -8,7 +8,6 @@ a ramp or a strong line can bury the floor. The cost of the window: neighbouring
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Literal, get_args
@@ -19,7 +18,6 @@ from jaxtyping import ArrayLike, Float, Int
 from allanjax.base.chi_squared import chi_squared_factors, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.late import presented
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.terms import (
     AngleRandomWalk,
@@ -29,16 +27,13 @@ from allanjax.noise.terms import (
     Quantization,
     RateRandomWalk,
 )
-from allanjax.record.columns import OfAxes, names_of
-from allanjax.record.io.given import RecordingLike, samples_of
-from allanjax.record.recording import Axis, Recording
+from allanjax.record.columns import OfAxes
+from allanjax.record.io.given import RecordingLike, living_samples
+from allanjax.record.recording import Axis
 from allanjax.record.units import default_coefficient_unit, unit_scale
-from allanjax.record.validation import Source, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Distance from which on ordinates are taken as uncorrelated under any window.
 _CORRELATED = 32
@@ -525,17 +520,6 @@ class PowerSpectrum(ByValue, OfAxes):
             columns[f"{name} [{unit}]" if unit else name] = self.density[:, k] / scale
         return pd.DataFrame(columns)
 
-    @presented
-    def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        ax: Axes | None = None,
-    ) -> Figure:
-        """Draw the densities with their 68 % intervals; see `plot_psd`."""
-        raise NotImplementedError
-
     def _index(self, axis: str) -> int:
         """Index of an axis by its name; AllanjaxError if there is none."""
         if axis not in self.names:
@@ -601,9 +585,7 @@ def power_spectrum(
 
     if method not in get_args(Method):
         raise AllanjaxError(f"unknown method {method!r}: expected 'logarithmic' or 'welch'")
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    labels = names_of(axes, values.shape[1])
-    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
+    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
     n = len(values)
     length = n
     if method == "welch":

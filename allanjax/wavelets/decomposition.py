@@ -28,8 +28,7 @@ from allanjax.noise.terms import AngleRandomWalk, Quantization
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.autocorrelation import square_unit
-from allanjax.wavelets.filters import WaveletFilter, pywavelets
-from allanjax.wavelets.variance import bands, moments
+from allanjax.wavelets.variance import WaveletFilter, bands, moments, pywavelets
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,6 +12,7 @@ from typing import Any
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.tables import ERRORS
+from allanjax.record.units import NUMBER
 from allanjax.report.export.targets import Key, Syntax, Target
 
 _WIDTH = 110
@@ -157,7 +158,6 @@ _WRITERS: Mapping[Syntax, Callable[[Target, Sequence[str], Sequence[Entry]], str
 #: The values at a place of a file: names of the levels, and one number or several.
 Found = tuple[tuple[str, ...], tuple[float, ...]]
 
-_NUMBER_IN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LINE = re.compile(r"(?P<indent> *)(?:- )?(?P<name>[^#\s:][^#]*?)\s*:(?:\s+(?P<rest>.*))?$")
 
 
@@ -198,7 +198,7 @@ def _numbers(text: str) -> tuple[float, ...]:
     text = text.partition("#")[0].strip()
     inner = text[1:-1] if text.startswith("[") and text.endswith("]") else text
     parts = [part.strip().strip("\"'") for part in inner.split(",")]
-    return tuple(map(float, parts)) if all(re.fullmatch(_NUMBER_IN, part) for part in parts) else ()
+    return tuple(map(float, parts)) if all(re.fullmatch(NUMBER, part) for part in parts) else ()
 
 
 def _read_yaml(target: Target, text: str) -> Iterator[Found]:
