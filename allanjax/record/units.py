@@ -122,17 +122,10 @@ _ANY_CASE = {
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _SYMBOLS = str.maketrans(
-    {
-        "µ": "u",
-        "μ": "u",
-        "%": "percent",
-        "°": "deg",
-        "º": "deg",
-        "″": "arcsec",
-        "”": "arcsec",
-        '"': "arcsec",
-        "′": "arcmin",
-    }
+    {"%": "percent", "′": "arcmin"}
+    | dict.fromkeys("µμ", "u")
+    | dict.fromkeys("°º", "deg")
+    | dict.fromkeys('″”"', "arcsec")
     | dict.fromkeys("·⋅×", "*")
 )
 # A unit per unit of another channel, whose own is not known, e.g. `deg/s/[temperature]`.
