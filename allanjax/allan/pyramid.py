@@ -25,7 +25,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from allanjax.allan.stretches import stretch
+from allanjax.allan.estimators import stretch
 from allanjax.base.errors import AllanjaxError
 
 # A pass up the pyramid of block means: four levels at once, compiled.

@@ -28,7 +28,7 @@ class Key:
     Attributes:
         name: where it stands: names of the levels with "/" between them; of lines the whole line, with {}
             for the value.
-        formula: of N, K, q, T, B (see `values`), in SI, and the rate r [Hz]; as Python has it.
+        formula: of N, K, q, T, B (see `exporting`), in SI, and the rate r [Hz]; as Python has it.
         unit: the target's unit.
         sensor: whose value it is; None for one of the recording.
         of: of which axes it is.
