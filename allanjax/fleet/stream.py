@@ -33,7 +33,7 @@ from allanjax.inspection import Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.validation import Source
-from allanjax.spectrum.segments import SegmentedLevel, SegmentSpectra
+from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 
 if TYPE_CHECKING:
     from allanjax.record.io.assembly import ChunkedRecording
