@@ -11,7 +11,7 @@ after the start, where they change slowly, they are computed at every 64th sampl
 over all samples between, see `Skip`), and gains between are interpolated: to 10⁻⁶, as their relative change
 in a step is the inverse of the number of samples so far, or less. A missing sample begins all this anew. Two
 columns are filtered with the same gains: the samples, and ones, by which an unknown constant is estimated
-without a state of its own (see `constant`).
+without a state of its own (see `likelihood`).
 
 Lengths are padded to a few, and so are the numbers of states: samples and matrices are data, and few programs
 compile.

@@ -206,12 +206,12 @@ class FilteredAxis(BiasTrack):
 
     @property
     def whiteness(self) -> ChiSquared:
-        """Test that innovations are white, see `innovations.whiteness`."""
+        """Test that innovations are white: of Ljung and Box, with up to 40 lags."""
         return whiteness(self.standardized)
 
     @property
     def nis(self) -> ChiSquared:
-        """Test that innovations have the size that the filter says, see `innovations.normalized_square`."""
+        """Test that innovations have the size that the filter says: of their normalized squares."""
         return normalized_square(self.standardized)
 
     def _columns(self) -> dict[str, Any]:

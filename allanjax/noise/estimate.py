@@ -59,7 +59,7 @@ class Estimate(ByValue):
         remark: what to bear in mind, e.g. that it lies beyond the record.
         bayes_factor: of an amplitude's posterior, see `posterior.marginals`; else None.
         sampled: of a posterior, whether draws of it exist.
-        band, degrees_of_freedom, excess: of a spectrum's N, see `spectrum.flat_band`; else None.
+        band, degrees_of_freedom, excess: of a spectrum's N, see `spectrum.psd`; else None.
     """
 
     axis: Axis

@@ -414,7 +414,7 @@ class PowerSpectrum(ByValue, OfAxes):
         - the points scatter around the constant as their degrees of freedom allow (p > 0.001): no line in it.
 
         Of the flat bands it is the one whose mean has the least expected square error: 2 over its degrees of
-        freedom, plus the square of what other noise seems to contribute (`flat_band.coloured_density`).
+        freedom, plus the square of what other noise seems to contribute (`coloured_density`).
 
         Raises:
             AllanjaxError: there is no such axis, or no flat band.
@@ -437,7 +437,7 @@ class PowerSpectrum(ByValue, OfAxes):
 
         In (3.41) N is in deg/√h and the density in (deg/h)²/Hz; here both are SI, see `in_unit`. Intervals
         are those of the mean's χ² law, and reach below it by what flicker, rate random walk and quantization
-        seem to contribute to the band (see `flat_band.spectral_coefficient`).
+        seem to contribute to the band (see `spectral_coefficient`).
 
         Args:
             axis: the axis's name.
