@@ -30,7 +30,7 @@ scatter from record to record.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -40,9 +40,6 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
-
-if TYPE_CHECKING:
-    pass
 
 # Quadrature nodes between two neighbouring kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
@@ -310,7 +307,8 @@ def _edf(
         thin = max(1.0, m / _FINEST_MODIFIED)
         n, rate, m = round(n / thin), rate / thin, round(m / thin)
         M = n + 2 - 3 * m
-        u, w = _integers(np.arange(min(M, 4 * m)))
+        u = np.arange(min(M, 4 * m)).astype(float)
+        w = np.where(u > 0, 2.0, 1.0)
         inner = np.arange(-m + 1.0, m)
         share = (m - np.abs(inner)) / m**2
     else:
@@ -323,8 +321,3 @@ def _edf(
     total = (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
     scatter = (w * (M - u / stride) * total**2).sum()
     return float(M**2 * total[0] ** 2 / scatter)
-
-
-def _integers(u: Int[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Nodes and weights of a plain sum of an even function over these integers u ≥ 0 and their negatives."""
-    return u.astype(float), np.where(u > 0, 2.0, 1.0)

@@ -5,10 +5,9 @@ square of a difference of the phase (angle or velocity, the running integral of 
 difference (Allan), the third (Hadamard), or the second averaged over one cluster time (modified Allan).
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,11 +16,10 @@ from allanjax.allan.clusters import Kind, Spacing, check_member, cluster_sizes, 
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.estimators import DataType, allan_variance_estimates
 from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
-from allanjax.base.chi_squared import quantile
+from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
-from allanjax.record.axes import OfAxes
+from allanjax.record.columns import OfAxes
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
 from allanjax.record.recording import Axis, Recording
@@ -29,8 +27,6 @@ from allanjax.record.units import default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Estimators of the variance, explained at `allan_deviation`.
 Estimator = Literal["exact", "pyramid"]
@@ -157,11 +153,8 @@ class AllanDeviation(ByValue, OfAxes):
         Raises:
             AllanjaxError: `level` not between 0 and 1.
         """
-        if not 0 < level < 1:
-            raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
-        lower = self.deviation * np.sqrt(self.edf / quantile((1 + level) / 2, self.edf))
-        upper = self.deviation * np.sqrt(self.edf / quantile((1 - level) / 2, self.edf))
-        return lower, upper
+        lower, upper = chi_squared_factors(self.edf, level)
+        return self.deviation * np.sqrt(lower), self.deviation * np.sqrt(upper)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Table with one row a cluster time: each axis's deviation, 68 % interval and degrees of freedom.
@@ -178,17 +171,6 @@ class AllanDeviation(ByValue, OfAxes):
                 columns[f"{name}{label}" + (f" [{unit}]" if unit else "")] = x[:, k] / scale
             columns[f"{name} degrees of freedom"] = self.edf[:, k]
         return pd.DataFrame(columns)
-
-    @presented
-    def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        ax: "Axes | None" = None,
-    ) -> "Figure":
-        """Draw the deviations with their 68 % intervals; see `plot_allan`."""
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         overlap = "overlapping" if self.overlapping else "non-overlapping"
@@ -266,9 +248,8 @@ def allan_deviation(
         return _of_all_stretches(replace(found, edf=found.edf / _lost(data)), data)
     n = values.shape[0] - (data_type == "phase")
     sizes = cluster_sizes(n, rate, cluster_times, kind)
-    variance = np.asarray(
-        allan_variance_estimates(values, sizes, rate, kind=kind, overlapping=overlapping, data_type=data_type)
-    )
+    options: dict[str, Any] = {"kind": kind, "overlapping": overlapping, "data_type": data_type}
+    variance = allan_variance_estimates(values, sizes, rate, **options)
     # A sample that is not finite makes variances of its axis NaN: checking the samples first would take
     # longer.
     if not np.isfinite(variance).all():

@@ -18,7 +18,51 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.allan.clusters import WEIGHTS, Kind, difference_count
-from allanjax.allan.stretches import aligned, stretch
+
+# JAX reads a NumPy array where it lies if it begins at a multiple of so many bytes, and copies every other.
+_ALIGNMENT = 64
+# Values that a stretch may have before its first row, so that it begins at such a multiple.
+_SPARE = _ALIGNMENT // 8
+
+
+def aligned(*shape: int) -> Float[np.ndarray, "..."]:
+    """Array of this shape, of values not yet set, that JAX reads where it lies."""
+    size = int(np.prod(shape))
+    memory = np.empty(size + _SPARE)
+    first = -memory.ctypes.data % _ALIGNMENT // 8
+    return memory[first : first + size].reshape(shape)
+
+
+def stretch(
+    table: Any, begin: int, rows: int, fill: float | Float[np.ndarray, " axes"], read: int | None = None
+) -> tuple[Float[np.ndarray, " values"], int]:
+    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX reads where it lies.
+
+    Args:
+        table: the samples; a copy is made of what is not float64 in C order, and of a stretch at its ends.
+        begin: index of the first row, which may be negative.
+        rows: number of rows, which may go beyond the table.
+        fill: what stands in rows that the table does not have.
+        read: how many of the rows are read, if not all.
+
+    Returns:
+        So many rows and eight values more, and the index of the first row's first value among them.
+    """
+    axes = table.shape[1]
+    size = rows * axes + _SPARE
+    if table.dtype == np.float64 and table.flags.c_contiguous and table.flags.aligned:
+        values = table.reshape(-1)
+        spare = (values.ctypes.data // 8 + begin * axes) % _SPARE
+        first = begin * axes - spare
+        if 0 <= first <= len(values) - size:
+            return values[first : first + size], spare
+    copied = aligned(size)
+    filled = copied[: rows * axes].reshape(rows, axes)
+    start, end = (min(max(k, 0), len(table)) for k in (begin, begin + rows))
+    filled[: start - begin] = filled[end - begin : read] = fill
+    filled[start - begin : end - begin] = table[start:end]
+    return copied, 0
+
 
 #: Quantities that samples may be of: rates, or phases (angles or velocities).
 DataType = Literal["rate", "phase"]
@@ -38,17 +82,17 @@ _ROW = 16
 
 
 def allan_variance_estimates(
-    values: Float[ArrayLike, "samples axes"],
-    sizes: Int[ArrayLike, " m"],
-    rate: Float[ArrayLike, ""] = 1.0,
+    values: Float[np.ndarray, "samples axes"],
+    sizes: Int[np.ndarray, " m"],
+    rate: float = 1.0,
     *,
     kind: Kind = "allan",
     overlapping: bool = True,
     data_type: DataType = "rate",
-) -> Float[Array, "m axes"]:
+) -> Float[np.ndarray, "m axes"]:
     """Variances at the given cluster sizes, in the square of the rate's unit.
 
-    Compiled once for each octave of lengths; arrays of JAX of less than 2¹⁷ samples once for each length.
+    Compiled once for each octave of lengths.
 
     With x_k the phase after k samples and t0 the sample interval, averages over all starts k (every m-th, if
     not overlapping) of
@@ -64,30 +108,20 @@ def allan_variance_estimates(
         kind, overlapping, data_type: as in `allan_deviation`.
 
     The cores share out long records, which are read where they lie, all axes at once; beside them there is
-    memory for their phases only. Differentiable in `values` in forward mode (`jax.jvp`, `jax.jacfwd`); not in
-    reverse mode, since the loop over the differences is only as long as each cluster size needs.
+    memory for their phases only.
     """
-    n = np.shape(values)[0] - (data_type == "phase")
-    sizes = np.asarray(sizes)
+    n = len(values) - (data_type == "phase")
     every = np.pad(sizes, (0, -len(sizes) % _SIZES))
     options = {"kind": kind, "overlapping": overlapping}
-    traced = isinstance(values, jax.core.Tracer)
-    if traced or n < _LONG or jax.default_backend() != "cpu":
-        if not isinstance(values, jax.Array):
-            values = _padded(np.asarray(values, dtype=float))
-        sums = _sums_of_axes(values, every, len(sizes), n, data_type=data_type, **options)
+    if n < _LONG or jax.default_backend() != "cpu":
+        # To the next power of two.
+        padded = np.pad(values, ((0, (1 << (len(values) - 1).bit_length()) - len(values)), (0, 0)))
+        sums = np.asarray(_sums_of_axes(padded, every, len(sizes), n, data_type=data_type, **options))
     else:
-        sums = _sums_of_long_record(np.asarray(values), every, len(sizes), n, data_type, options)
-    if not isinstance(sums, jax.core.Tracer):
-        sums = np.asarray(sums)
+        sums = _sums_of_long_record(values, every, len(sizes), n, data_type, options)
     sums = sums[: len(sizes)] * (rate**2 if data_type == "phase" else 1.0)
     scale = 6.0 if kind == "hadamard" else 2.0
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
-
-
-def _padded(table: Float[np.ndarray, "samples axes"]) -> Float[np.ndarray, "padded axes"]:
-    """Table with zeros after the samples, to the next power of two."""
-    return np.pad(table, ((0, (1 << (len(table) - 1).bit_length()) - len(table)), (0, 0)))
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping", "data_type"))

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace, special_functions
+from allanjax.base.errors import AllanjaxError
 
 # Normal score of p = 10⁻⁶: beyond it a misfit is no matter of chance.
 _BEYOND_DOUBT = 4.75
@@ -30,6 +31,16 @@ def quantile(probability: ArrayLike, dof: ArrayLike) -> Float[np.ndarray, ...]:
     from scipy.special import gammaincinv
 
     return 2.0 * gammaincinv(np.asarray(dof, float) / 2.0, np.asarray(probability, float))
+
+
+def chi_squared_factors(
+    dof: ArrayLike, level: float
+) -> tuple[Float[np.ndarray, ...], Float[np.ndarray, ...]]:
+    """Confidence limits of a variance relative to its estimate, by the χ² law."""
+    if not 0 < level < 1:
+        raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
+    nu = np.asarray(dof)
+    return nu / quantile((1 + level) / 2, nu), nu / quantile((1 - level) / 2, nu)
 
 
 def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...]) -> Float[Array, ...]:

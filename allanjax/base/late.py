@@ -1,4 +1,4 @@
-"""Public names of a package that are loaded when they are asked for (PEP 562), as its stub lists them.
+"""What is loaded late: public names of a package (PEP 562), and methods of results that `report` implements.
 
 A stub `__init__.pyi` says to type checkers and editors where each name comes from. It is read while the
 program runs, too, as Scientific Python's SPEC 1 has it, so that there is one list. Importing a package takes
@@ -6,10 +6,13 @@ no longer than what is used of it.
 """
 
 import ast
-from collections.abc import Iterator
+import functools
+import importlib
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 
 class LateNames:
@@ -58,3 +61,58 @@ class LateNames:
         """Modules that are taken as a whole, and what they list."""
         for module in self._wholes:
             yield module, import_module(module).__all__
+
+
+# Methods of results that draw, print or export: declared with the result, implemented in `report`.
+#
+# A result is data, and the rooms that make results know nothing of pictures. So a result declares such a
+# method with its signature and docstring, and `report`, which knows all results, says by `present` which
+# function of its own that is. The function's module is imported when the method is called for the first
+# time: drawing libraries take long to load.
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+# Functions by the qualified names of the methods that they are.
+_FUNCTIONS: dict[str, str] = {}
+
+
+def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Decorator of a method without a body: calls go to the function that `present` has registered for it."""
+
+    @functools.wraps(method)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        return _function(method, args[:1])(*args, **kwargs)
+
+    return call
+
+
+class _Text(str):
+    """Text of a property that was a method: called as that, it warns and returns the text."""
+
+    def __call__(self) -> str:
+        warnings.warn("this text is a property now: leave out the ()", DeprecationWarning, stacklevel=2)
+        return str(self)
+
+
+class TextProperty:
+    """Decorator of a method that returns a text: a property, which may still be called."""
+
+    def __init__(self, method: Callable[[Any], str]) -> None:
+        self._method, self.__doc__ = method, method.__doc__
+
+    def __get__(self, of: Any, owner: type) -> Any:
+        return self if of is None else _Text(self._method(of))
+
+
+def present(functions: Mapping[str, str]) -> None:
+    """Register functions as methods of results, e.g. {"Fit.plot": "package.module.function"}."""
+    _FUNCTIONS.update(functions)
+
+
+def _function(method: Callable[..., Any], of: tuple[Any, ...]) -> Callable[..., Any]:
+    """Function registered for a method, its module imported; of a shared one that for the result's class."""
+    own = (f"{owner.__name__}.{method.__name__}" for result in of for owner in type(result).__mro__)
+    name = next(name for name in (method.__qualname__, *own) if name in _FUNCTIONS)
+    module, _, function = _FUNCTIONS[name].rpartition(".")
+    return getattr(importlib.import_module(module), function)

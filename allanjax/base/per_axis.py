@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.plain import printable
-from allanjax.base.tables import WIDTH, html_table, text_table
+from allanjax.base.tables import WIDTH, html_table, printable, text_table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,10 +10,27 @@ import numpy as np
 from allanjax.base.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravity
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.wording import duration, significant
-from allanjax.calibration.noise import Part, parts_of_fit, parts_of_model
-from allanjax.calibration.orientation import Orientation, OrientationLike, as_orientation, orientation_in
-from allanjax.calibration.result import USEFUL, AxisCalibration, Calibration, Misfit, Position, place_of
-from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
+from allanjax.calibration.result import (
+    USEFUL,
+    AxisCalibration,
+    Calibration,
+    Misfit,
+    Orientation,
+    OrientationLike,
+    Position,
+    as_orientation,
+    orientation_in,
+    place_of,
+)
+from allanjax.calibration.sensor_errors import (
+    Covariances,
+    Part,
+    Setting,
+    World,
+    errors_of,
+    parts_of_fit,
+    parts_of_model,
+)
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect

@@ -1,27 +1,12 @@
 """The command line: `allanjax check`, `characterize`, `critique`, `fleet` and others."""
 
 import sys
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
-from allanjax.base.plain import speak_plainly
-from allanjax.cli import (
-    calibrate,
-    characterize,
-    check,
-    convert,
-    critique,
-    demo,
-    export,
-    fleet,
-    horizon,
-    kalman,
-    navigate,
-    schema,
-    simulate,
-    statespace,
-)
+from allanjax.base.tables import speak_plainly
 from allanjax.cli.common import INTERRUPTED, epilog
 
 app = typer.Typer(
@@ -65,22 +50,8 @@ def _common(
     pass
 
 
-# A module a command, in the order of `allanjax --help`: its help, examples and function.
-for _module in (
-    check,
-    characterize,
-    critique,
-    fleet,
-    export,
-    horizon,
-    navigate,
-    statespace,
-    kalman,
-    calibrate,
-    simulate,
-    convert,
-    schema,
-    demo,
-):
-    _name = _module.__name__.rpartition(".")[2]
+# The order of `allanjax --help`; each is in the module of its name: its help, examples and function.
+_COMMANDS = "check characterize critique fleet export horizon navigate statespace kalman calibrate"
+for _name in f"{_COMMANDS} simulate convert schema demo".split():
+    _module = import_module(f"allanjax.cli.{_name}")
     app.command(_name, help=_module.HELP, epilog=_module.EPILOG)(_module.command)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, epilog, failures_told, prepare, print_json, stage
+from allanjax.cli.common import RESULTS, Out, epilog, failures_told, prepare, print_json, saved_fit, stage
 from allanjax.cli.options import with_options
-from allanjax.cli.saved_fits import saved_fit
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from allanjax.cli.options import with_options
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import accumulate
 from allanjax.record.io import read_recording
-from allanjax.record.io.chunks import open_chunks
+from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
     from allanjax.estimate.check import Check

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from allanjax.base.errors import RecordingError
-from allanjax.cli.common import Files, Input, Outcome, epilog, stage, work_through
+from allanjax.cli.common import Files, Input, Outcome, Vibrating, epilog, stage, work_through
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -26,10 +26,7 @@ EPILOG = epilog(
 def command(
     files: Files,
     reading: ReadOptions,
-    vibrating: Annotated[
-        bool,
-        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
-    ] = False,
+    vibrating: Vibrating = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, checks, errors}.")
     ] = False,

@@ -41,9 +41,9 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --sheet only.")] = False,
 ) -> None:
     if show_list:
-        from allanjax.noise.sheets import sheets
+        from allanjax.noise.datasheet import known_sheets
 
-        for name, figures in sheets().items():
+        for name, figures in known_sheets().items():
             print(f"{name:12} {figures['source']}")
         return
     if (sheet is None) == (value is None) or (sheet is not None and (to or sided)):

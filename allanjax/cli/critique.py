@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, stage, work_through
+from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, epilog, fitting, stage, work_through
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -31,10 +31,7 @@ EPILOG = epilog(
 def command(
     files: Files,
     reading: ReadOptions,
-    vibrating: Annotated[
-        bool,
-        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
-    ] = False,
+    vibrating: Vibrating = False,
     refit: Annotated[
         bool,
         typer.Option("--refit", help="Print the coefficients of the samples less what was found, too."),
@@ -78,8 +75,7 @@ def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "
 
 def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
     """Write the JSON file and the figures; returns their paths."""
-    from allanjax.report.critique_figure import plot_critique
-    from allanjax.report.critique_jobs import figure_names
+    from allanjax.report.critique_figure import figure_names, plot_critique
     from allanjax.report.critique_json import write_json
 
     named = dataclasses.replace(critique, name=file.name)

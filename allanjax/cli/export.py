@@ -7,12 +7,9 @@ from typing import Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import epilog, failures_told
-from allanjax.cli.saved_fits import Sheet, fit_or_sheet
-from allanjax.report.export.assembly import Axes
-from allanjax.report.export.converting import converted
-from allanjax.report.export.exporting import exported
-from allanjax.report.export.table import TARGETS
+from allanjax.cli.common import Sheet, epilog, failures_told, fit_or_sheet
+from allanjax.report.export.exporting import Axes, converted, exported
+from allanjax.report.export.targets import TARGETS
 
 HELP = (
     "Write a result, a data sheet or another target's file as an estimator's, autopilot's or simulator's "

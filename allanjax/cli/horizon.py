@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import epilog, failures_told, prepare, print_json
-from allanjax.cli.saved_fits import OptionalFit, Sheet, fit_or_sheet
+from allanjax.cli.common import OptionalFit, Sheet, epilog, failures_told, fit_or_sheet, prepare, print_json
 
 HELP = (
     "Say which white noise N and random walk K (or Gauss–Markov process) a Kalman filter needs that is "

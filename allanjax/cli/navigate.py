@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from allanjax.cli.common import epilog, failures_told, prepare, print_json
-from allanjax.cli.saved_fits import OptionalFit, Sheet, fit_or_sheet
+from allanjax.cli.common import OptionalFit, Sheet, epilog, failures_told, fit_or_sheet, prepare, print_json
 
 HELP = (
     "Say how fast the errors of attitude, velocity and position grow in a navigator at rest with these "

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import Vibrating
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.units import Sensor
@@ -105,10 +106,7 @@ def _fit_options(
         bool,
         typer.Option("--as-is", help="Use all of a recording, also where it was handled or disturbed."),
     ] = False,
-    vibrating: Annotated[
-        bool,
-        typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest."),
-    ] = False,
+    vibrating: Vibrating = False,
     plain: Annotated[
         bool,
         typer.Option(

@@ -6,9 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from allanjax.cli.common import epilog, failures_told, prepare, stage
+from allanjax.cli.common import Sheet, epilog, failures_told, prepare, stage
 from allanjax.cli.options import parsed_model
-from allanjax.cli.saved_fits import Sheet
 from allanjax.record.units import Sensor
 
 HELP = "Simulate a static recording of a known sensor or of noise terms, and write it to a file."

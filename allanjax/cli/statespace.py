@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import epilog, failures_told, prepare
-from allanjax.cli.saved_fits import SavedFit, measured_axis, saved_fit
+from allanjax.cli.common import SavedFit, epilog, failures_told, measured_axis, prepare, saved_fit
 
 HELP = (
     "Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis: x' = A x + w, "

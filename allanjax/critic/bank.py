@@ -18,7 +18,7 @@ from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from allanjax.base.seeds import seed_of
+from allanjax.base.arrays import seed_of
 from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.base.equality import ByValue
-from allanjax.base.presented import presented
+from allanjax.base.late import presented
 from allanjax.critic.parameters import Detail
 from allanjax.noise.estimate import Estimate, title_of
 

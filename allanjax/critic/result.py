@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
+from allanjax.base.late import presented
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import presented
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
 from allanjax.critic.parameters import values_of

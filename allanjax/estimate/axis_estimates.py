@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import TextProperty
-from allanjax.noise.estimate import Estimate
-from allanjax.noise.names import called
-from allanjax.record.axes import Axis
+from allanjax.base.late import TextProperty
+from allanjax.noise.estimate import Estimate, called
+from allanjax.record.columns import Axis
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -30,8 +30,7 @@ from allanjax.estimate.whittle import WhittleFit, fit_axis, spectrum_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis, Recording
-from allanjax.wavelets.filters import WaveletFilter
-from allanjax.wavelets.variance import geometry_of, mean_squares
+from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares
 
 # Cluster sizes and terms that a fit's arrays have room for: with four an octave, sizes of 6·10⁷ samples.
 _CAPACITY = (96, 6)

@@ -28,8 +28,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.noise.model import Model
-from allanjax.noise.state_block import Block, filtered_block, settled
-from allanjax.noise.state_space import StateSpace
+from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
 from allanjax.noise.terms import DriftRamp, Sinusoid
 
 

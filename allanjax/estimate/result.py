@@ -14,8 +14,8 @@ from jaxtyping import ArrayLike, Float
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import TextProperty, presented
 from allanjax.base.wording import duration, significant
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.correction import correction_of, further_terms

@@ -17,8 +17,7 @@ from allanjax.estimate.whittle import fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis
-from allanjax.spectrum.cosine import Bins, SpectralStatistics
-from allanjax.spectrum.segments import SegmentSpectra
+from allanjax.spectrum.cosine import Bins, SegmentSpectra, SpectralStatistics
 
 
 def check_terms(model: Model) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
+from allanjax.base.late import presented
 from allanjax.base.tables import html_table, text_table
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
@@ -28,9 +28,9 @@ from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import cells, judged, left_out
 from allanjax.fleet.table import rows_of, table_of, write_table
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.record.gaps import rows_between
+from allanjax.record.completion import rows_between
 from allanjax.record.io import ReadOptions, read_recording
-from allanjax.record.io.chunks import open_chunks
+from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
     import pandas as pd

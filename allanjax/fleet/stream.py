@@ -31,13 +31,12 @@ from allanjax.estimate.result import Fit
 from allanjax.estimate.stream_fits import check_terms, fit_stream, select_stream_terms
 from allanjax.inspection import Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
-from allanjax.record.axes import Axis, DeadAxis, axes_of, scales_of
-from allanjax.record.columns import recognise
+from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.validation import Source
-from allanjax.spectrum.segments import SegmentedLevel, SegmentSpectra
+from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 
 if TYPE_CHECKING:
-    from allanjax.record.io.chunks import ChunkedRecording
+    from allanjax.record.io.assembly import ChunkedRecording
 
 # Samples that are gathered before they are processed: a call of a compiled program costs as much as many.
 _GATHERED = 1 << 17

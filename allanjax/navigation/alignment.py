@@ -12,10 +12,10 @@ from jaxtyping import Float
 from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.late import TextProperty
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import TextProperty
 from allanjax.base.wording import duration, finite_or_none, significant
-from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, ends, in_si, one_by_one, sensors_of
+from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI
@@ -257,7 +257,7 @@ def _of_axis(
         return np.sqrt(variance + bias**2) / per_angle
 
     error, known, above = (angle(x) for x in (drawn.total, drawn.known, drawn.upper))
-    lower, upper = (angle(end) for end in ends(drawn))
+    lower, upper = (angle(end) for end in sensors.ends(drawn))
     white = drawn.mean.get(f"{noise.axis.name} angle random walk")
     reached: dict[str, Any] = {}
     if wanted is not None:
@@ -273,8 +273,8 @@ def _of_axis(
         axis=noise.axis,
         time=time,
         error=error,
-        lower=lower if sensors.estimated else np.full_like(error, np.nan),
-        upper=upper if sensors.estimated else np.full_like(error, np.nan),
+        lower=lower,
+        upper=upper,
         best=float(error.min()),
         best_interval=_interval(known.min(axis=1), above.min(axis=1), sensors.estimated),
         best_time=float(_nearly_best(time, error[None])[0]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
@@ -20,13 +19,12 @@ from allanjax.noise.notation import ModelLike, as_model
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.columns import recognise
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI, Sensor, convert
+from allanjax.record.units import SI, Sensor, convert, parse_quantity
 
 # Draws of the powers; of a posterior with shapes, each of which is a model of its own, fewer.
 _DRAWS, _SHAPES = 400, 100
 # Least probability of a set of terms for which an interval has to hold by itself.
 _LIKELY = 0.05
-_VALUE = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*")
 
 
 class Drawn(NamedTuple):
@@ -111,6 +109,15 @@ class Sensors(NamedTuple):
     def estimated(self) -> bool:
         """Whether the powers were estimated, and have intervals."""
         return np.isfinite(self.record)
+
+    def ends(self, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of the central 95 % interval of a quantity, the lower of what was found, the upper of all.
+
+        They are nan of what is taken as exact.
+        """
+        if not self.estimated:
+            return (np.full_like(drawn.total, np.nan),) * 2
+        return np.quantile(drawn.known, 0.025, axis=0), np.quantile(drawn.upper, 0.975, axis=0)
 
     def along(self, sensor: Sensor, letter: str) -> AxisNoise | None:
         """The axis of this sensor along x, y or z; one without a letter stands for all three."""
@@ -202,18 +209,13 @@ def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None
     """
     number, text = value, unit
     if isinstance(value, str):
-        found = _VALUE.fullmatch(value)
-        if found is None or not found["unit"]:
+        found = parse_quantity(value)
+        if found is None:
             raise AllanjaxError(f"{name}: cannot read {value!r}; write a number and a unit, e.g. 0.1 {unit}")
-        number, text = float(found["number"]), found["unit"]
+        number, text = found
     if not 0.0 <= float(number) < np.inf:
         raise AllanjaxError(f"{name} must be finite and not negative, got {value}")
     return float(convert(float(number), text, unit, sensor))
-
-
-def ends(drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the central 95 % interval of a quantity: the lower of what was found, the upper of all."""
-    return np.quantile(drawn.known, 0.025, axis=0), np.quantile(drawn.upper, 0.975, axis=0)
 
 
 def together(parts: Sequence[Drawn]) -> Drawn:

@@ -3,19 +3,365 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, get_args
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.base.earth import EARTH_RADIUS, STANDARD_GRAVITY
+from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration
-from allanjax.navigation.error_growth import ErrorGrowth, Navigation, Quantity
-from allanjax.navigation.growth import ErrorVariances
-from allanjax.navigation.likely import AxisNoise, Drawn, NoiseLike, Sensors, ends, in_si, sensors_of, together
+from allanjax.base.late import presented
+from allanjax.base.tables import html_table, text_table
+from allanjax.base.wording import duration, finite_or_none, plain, significant
+from allanjax.navigation.likely import (
+    AxisNoise,
+    Drawn,
+    NoiseLike,
+    Sensors,
+    in_si,
+    one_by_one,
+    sensors_of,
+    together,
+)
+from allanjax.noise.model import Model
 from allanjax.record.units import SI
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+#: Errors of a navigator.
+Quantity = Literal["attitude", "velocity", "position"]
+#: Units in which they are computed, and in which they are told with their size in SI.
+UNITS: dict[str, str] = {"attitude": "rad", "velocity": "m/s", "position": "m"}
+SHOWN: dict[str, tuple[str, float]] = {
+    "attitude": ("deg", math.pi / 180.0),
+    "velocity": ("m/s", 1.0),
+    "position": ("m", 1.0),
+}
+_HEADINGS = ("error", "after", "1σ", "95 % interval", "mostly from")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ErrorGrowth(ByValue):
+    """Standard deviation of an error over time, in each direction.
+
+    Attributes:
+        quantity: "attitude" (about the direction), "velocity" or "position" (along it).
+        channels: the directions, of "north", "east" and "down".
+        time: times [s] since the start.
+        error: standard deviation [rad, m/s or m].
+        lower, upper: ends of its 95 % interval; nan for models that are taken as exact.
+        causes: by direction, standard deviations of what each cause does by itself.
+    """
+
+    quantity: Quantity
+    channels: tuple[str, ...]
+    time: Float[np.ndarray, " t"]
+    error: Float[np.ndarray, "channels t"]
+    lower: Float[np.ndarray, "channels t"]
+    upper: Float[np.ndarray, "channels t"]
+    causes: Mapping[str, Mapping[str, Float[np.ndarray, " t"]]]
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the errors."""
+        return UNITS[self.quantity]
+
+    def of(self, channel: str) -> Float[np.ndarray, " t"]:
+        """Standard deviation in one direction.
+
+        Raises:
+            AllanjaxError: there is no such direction.
+        """
+        if channel not in self.channels:
+            raise AllanjaxError(f"{self.quantity}: no error {channel}; there are {', '.join(self.channels)}")
+        return self.error[self.channels.index(channel)]
+
+    def __repr__(self) -> str:
+        unit, scale = SHOWN[self.quantity]
+        last = (f"{c} {significant(float(self.of(c)[-1]) / scale)} {unit}" for c in self.channels)
+        return f"<ErrorGrowth {self.quantity} after {plain(float(self.time[-1]), 4)} s: {', '.join(last)}>"
+
+    def largest(self, channel: str) -> list[str]:
+        """The cause that contributes most, at each time."""
+        causes = self.causes[channel]
+        names = list(causes)
+        return [names[k] for k in np.argmax(np.stack(list(causes.values())), axis=0)]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a direction and time, in SI."""
+        import pandas as pd
+
+        tables = [
+            pd.DataFrame(
+                {
+                    "quantity": self.quantity,
+                    "channel": channel,
+                    "time": self.time,
+                    "error": self.error[k],
+                    "lower_95": self.lower[k],
+                    "upper_95": self.upper[k],
+                    "unit": self.unit,
+                    "largest cause": self.largest(channel),
+                }
+            )
+            for k, channel in enumerate(self.channels)
+        ]
+        return pd.concat(tables, ignore_index=True)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The numbers as plain dictionaries and lists, in SI; None where there is no interval."""
+
+        def numbers(values: Float[np.ndarray, " t"]) -> list[float | None]:
+            return [finite_or_none(x) for x in values]
+
+        return {
+            "unit": self.unit,
+            "channels": {
+                channel: {
+                    "error": numbers(self.error[k]),
+                    "lower_95": numbers(self.lower[k]),
+                    "upper_95": numbers(self.upper[k]),
+                    "causes": {cause: numbers(x) for cause, x in self.causes[channel].items()},
+                }
+                for k, channel in enumerate(self.channels)
+            },
+        }
+
+    def rows(self, at: Sequence[int]) -> list[tuple[str, ...]]:
+        """Rows of the printed table, at these indices of the times."""
+        unit, scale = SHOWN[self.quantity]
+        cells: list[tuple[str, ...]] = []
+        for k, channel in enumerate(self.channels):
+            largest = self.largest(channel)
+            for j in at:
+                value = self.error[k, j]
+                share = (self.causes[channel][largest[j]][j] / value) ** 2 if value > 0.0 else 1.0
+                low, high = (significant(float(x[k, j]) / scale) for x in (self.lower, self.upper))
+                cells.append(
+                    (
+                        f"{self.quantity} {channel}",
+                        f"{plain(float(self.time[j]), 4)} s",
+                        f"{significant(float(value) / scale)} {unit}",
+                        f"{low} … {high}" if np.isfinite(self.lower[k, j]) else "",
+                        f"{largest[j]} {share:.0%}",
+                    )
+                )
+        return cells
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Navigation(ByValue, Mapping[str, ErrorGrowth]):
+    """Growth of a resting navigator's errors: `result["position"].of("north")`.
+
+    Attributes:
+        name: the recording's name.
+        rate: sample rate [Hz].
+        calibration: time at rest before the start [s], over which the biases were averaged.
+        gravity: of the Earth [m/s²].
+        schuler: whether the loop of gravity is in the errors; without it they hold for short times only.
+        growths: of attitude, velocity and position, as far as there are sensors for them.
+        notes: what to bear in mind.
+    """
+
+    name: str
+    rate: float
+    calibration: float
+    gravity: float
+    schuler: bool
+    growths: tuple[ErrorGrowth, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def quarter_period(self) -> float:
+        """A quarter of the Schuler period 2π√(R/g) [s], up to which the short-term errors hold."""
+        return math.pi / 2.0 * math.sqrt(EARTH_RADIUS / self.gravity)
+
+    def __getitem__(self, quantity: str) -> ErrorGrowth:
+        """The growth of "attitude", "velocity" or "position"."""
+        for growth in self.growths:
+            if growth.quantity == quantity:
+                return growth
+        raise AllanjaxError(f"no error of {quantity!r}; there are {', '.join(self)}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter([growth.quantity for growth in self.growths])
+
+    def __len__(self) -> int:
+        return len(self.growths)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a quantity, direction and time, in SI."""
+        import pandas as pd
+
+        return pd.concat([growth.to_dataframe() for growth in self.growths], ignore_index=True)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as plain dictionaries, lists and numbers, in SI."""
+        return {
+            "name": self.name,
+            "rate_hz": self.rate,
+            "calibration_s": self.calibration,
+            "gravity_m_s2": self.gravity,
+            "schuler": self.schuler,
+            "time_s": [float(t) for t in self.growths[0].time],
+            "errors": {growth.quantity: growth.to_dict() for growth in self.growths},
+            "notes": list(self.notes),
+        }
+
+    @presented
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the errors against time with their causes, a panel a quantity and direction."""
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        name = f"{self.name}: " if self.name else ""
+        loop = "with the Schuler loop" if self.schuler else "short-term"
+        return (
+            f"{name}errors of a navigator at rest, {loop}, biases averaged over {duration(self.calibration)}"
+        )
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        time = self.growths[0].time
+        # The times nearest to powers of ten, and the end.
+        decades = np.arange(math.ceil(math.log10(time[0])), math.log10(time[-1]))
+        told = {int(np.argmin(np.abs(np.log10(time) - decade))) for decade in decades}
+        at = sorted(told | {len(time) - 1}) if len(time) > 6 else list(range(len(time)))
+        return [row for growth in self.growths for row in growth.rows(at)]
+
+    def __str__(self) -> str:
+        table = text_table(self._title(), _HEADINGS, self._rows(), right=_HEADINGS[1:3])
+        return "\n".join([table, *(f"note: {note}" for note in self.notes)])
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<p>note: {note}</p>" for note in self.notes)
+        return html_table(self._title(), _HEADINGS, self._rows()) + notes
+
+
+# Variance of the errors of a navigator at rest that integrates the noise of one sensor.
+#
+# A level navigator that is started without error integrates a constant error once (attitude from a gyro,
+# velocity from an accelerometer), twice (position from an accelerometer; velocity from a gyro, times g) or
+# three times (position from a gyro, times g): W(t) = t, t²/2, t³/6 (Hou 2004, 2.38–2.40). With the Schuler
+# loop, ω² = g/R, it is sin(ωt)/ω, (1 − cos ωt)/ω², (ωt − sin ωt)/ω³; the vertical channel has −2g/R in the
+# place of ω², and grows exponentially.
+#
+# That response to a bias is all that the errors need. The mean ε_k of the sensor's error over a sample
+# interval h acts from its beginning to its end, and the bias was taken to be the mean over a calibration of
+# duration C before the start. With the phase θ, the integral of the error,
+#
+#     e(t) = Σ_k [W(t − kh) − W(t − kh − h)]/h · [θ(kh + h) − θ(kh)] − W(t)·[θ(0) − θ(−C)]/C,
+#
+# a sum of phases whose weights annihilate constants and lines, so that its variance is the sum of products of
+# weights with the phase covariance G (`noise.process`), exactly, for any noise.
+
+# Phase angle ωt below which the sine is taken by its series, and how many terms of it.
+_SMALL, _TERMS = 1.0, 9
+
+
+def bias_response(
+    time: Float[np.ndarray, " t"], order: int, stiffness: float = 0.0
+) -> Float[np.ndarray, " t"]:
+    """Error W(t) [s^order] at times [s] that a unit constant error makes when integrated so many times.
+
+    `stiffness` [1/s²] is ω² of the loop: 0 without it, g/R of Schuler's, −2g/R of the vertical channel.
+    """
+    x = stiffness * time**2
+    series = np.zeros_like(time)
+    for k in range(_TERMS, -1, -1):
+        series = series * np.where(np.abs(x) < _SMALL, -x, 0.0) + 1.0 / math.factorial(2 * k + order)
+    if np.all(np.abs(x) < _SMALL):
+        return series * time**order
+    w = math.sqrt(abs(stiffness))
+    sine, cosine = (np.sin, np.cos) if stiffness > 0.0 else (np.sinh, np.cosh)
+    far = (sine(w * time) / w, (1.0 - cosine(w * time)) / stiffness, (time - sine(w * time) / w) / stiffness)
+    return np.where(np.abs(x) < _SMALL, series * time**order, far[order - 1])
+
+
+class _Functional(NamedTuple):
+    """An error as a sum of phases: products of weights by lag, weights, and that of the bias."""
+
+    products: Float[np.ndarray, " lags"]
+    weights: Float[np.ndarray, " phases"]
+    bias: float
+
+
+class ErrorVariances:
+    """Variances of errors for the noise of any axis, whose common part is computed once."""
+
+    def __init__(
+        self,
+        orders: Sequence[int],
+        steps: Int[np.ndarray, " t"],
+        calibration: int,
+        rate: float,
+        stiffness: float = 0.0,
+    ) -> None:
+        """Prepare the errors.
+
+        Args:
+            orders: how many times they are integrated: 1, 2 or 3.
+            steps: numbers of samples since the start.
+            calibration: number of samples before it over which the bias was averaged.
+            rate: sample rate [Hz].
+            stiffness: see `bias_response`.
+        """
+        self._orders, self._steps, self._rate = orders, steps, rate
+        self._functionals = [
+            [_functional(order, int(n), calibration, rate, stiffness) for n in steps] for order in orders
+        ]
+        whole = np.arange(steps.max() + 1)
+        self._lags = np.concatenate([whole, whole + calibration]) / rate
+        self._known: list[tuple[Model, np.ndarray]] = []
+        #: Errors after the steps that a unit bias makes, by order.
+        self.of_bias = np.array([bias_response(steps / rate, order, stiffness) for order in orders])
+
+    def __call__(self, model: Model) -> Float[np.ndarray, "terms orders t"]:
+        """Variances for each term of the model by itself."""
+        found = [self._of_term(one) for one in one_by_one(model)]
+        return np.stack(found) if found else np.zeros((0, len(self._orders), len(self._steps)))
+
+    def _of_term(self, one: Model) -> Float[np.ndarray, "orders t"]:
+        """Variances for a model of one term, which other axes and sets of terms may have, too."""
+        for model, variance in self._known:
+            if eqx.tree_equal(model, one):
+                return variance
+        # One call, for G is known up to a constant and t² that each call may choose.
+        near, far = np.split(np.asarray(one.sampled(self._rate).phase_covariance(self._lags)), 2)
+        variance = np.array([[_variance(f, near, far) for f in row] for row in self._functionals])
+        self._known.append((one, variance))
+        return variance
+
+
+def _functional(order: int, n: int, calibration: int, rate: float, stiffness: float) -> _Functional:
+    """The error after n samples."""
+    response = bias_response(np.arange(n + 1) / rate, order, stiffness)
+    of_samples = np.diff(response)[::-1] * rate
+    weights = -np.diff(of_samples, prepend=0.0, append=0.0)
+    bias = response[-1] * rate / calibration
+    weights[0] -= bias
+    size = 2 ** math.ceil(math.log2(2 * n + 2))
+    products = np.fft.irfft(np.abs(np.fft.rfft(weights, size)) ** 2, size)[: n + 1]
+    products[1:] *= 2.0
+    return _Functional(products, weights, float(bias))
+
+
+def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.ndarray, " lags"]) -> float:
+    """Variance of an error, from G at the lags of phases among each other and to the calibration's start."""
+    n = len(f.weights)
+    # Not `@`: BLAS would start threads for each of many short products.
+    within = np.einsum("i,i", f.products, near[:n]) + f.bias**2 * near[0]
+    return max(float(within + 2.0 * f.bias * np.einsum("i,i", f.weights, far[:n])), 0.0)
+
 
 # Samples from the start to the last time, at most: their covariances are held in memory.
 _MOST = 2**21
@@ -86,7 +432,7 @@ def navigate(
             f"no channel has a sensor: name axes as gyro_x, accel_z, not {', '.join(sensors.axes)}"
         )
     time = steps / sensors.rate
-    growths = tuple(_growth(q, of, time, sensors.estimated) for q, of in found.items() if of)
+    growths = tuple(_growth(q, of, time, sensors) for q, of in found.items() if of)
     result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
     return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
 
@@ -156,19 +502,17 @@ def _times(drawn: Drawn, factor: float) -> Drawn:
 
 
 def _growth(
-    quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], estimated: bool
+    quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], sensors: Sensors
 ) -> ErrorGrowth:
     summed = {name: together(parts) for name, parts in channels.items()}
-    error = np.array([np.sqrt(drawn.total) for drawn in summed.values()])
-    lower, upper = np.sqrt(np.array([ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
-    nothing = np.full_like(error, np.nan)
+    lower, upper = np.sqrt(np.array([sensors.ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
     return ErrorGrowth(
         quantity=quantity,
         channels=tuple(summed),
         time=time,
-        error=error,
-        lower=lower if estimated else nothing,
-        upper=upper if estimated else nothing,
+        error=np.array([np.sqrt(drawn.total) for drawn in summed.values()]),
+        lower=lower,
+        upper=upper,
         causes={
             name: {title: np.sqrt(part) for title, part in drawn.mean.items()}
             for name, drawn in summed.items()

@@ -13,16 +13,15 @@ from jaxtyping import Float
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import presented
 from allanjax.base.wording import finite_or_none, plain, significant
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit
-from allanjax.noise.butterworth import Butterworth
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, NoiseTerm
-from allanjax.noise.response import LowPass1
+from allanjax.noise.response import Butterworth, LowPass1
 from allanjax.noise.simulate import simulate_recording
 from allanjax.noise.terms import AngleRandomWalk, Quantization, RateRandomWalk
 from allanjax.record.io.given import RecordingLike, as_recording

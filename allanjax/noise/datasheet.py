@@ -15,12 +15,15 @@ is asked for; what is assumed is stated.
 from __future__ import annotations
 
 import dataclasses
+import difflib
+import functools
 import html
 import math
 import os
 import re
 import tomllib
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +31,10 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.tables import html_table, text_table
 from allanjax.base.wording import significant
-from allanjax.noise import sheets
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
-from allanjax.record.axes import Axis
+from allanjax.record.columns import Axis
 from allanjax.record.units import (
     SENSORS,
     SI,
@@ -40,6 +42,7 @@ from allanjax.record.units import (
     convert,
     default_coefficient_unit,
     density_power,
+    parse_quantity,
     parse_sample_unit,
     si_unit,
 )
@@ -74,7 +77,6 @@ _WHY = {
     "reading": 'the least Allan deviation ("minimum"), which is 0.664 B, or the coefficient ("B")',
     "rate": "steps of a rate are white noise by the sample rate",
 }
-_QUANTITY = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S.*?)\s*")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -209,20 +211,44 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
 
 def datasheets() -> tuple[str, ...]:
     """Names of the sensors whose data sheets `datasheet` knows; each sheet has its `source`."""
-    return tuple(sheets.sheets())
+    return tuple(known_sheets())
+
+
+@functools.cache
+def known_sheets() -> Mapping[str, Mapping[str, Any]]:
+    """What each data sheet says, by the name of its sensor, in the form that `datasheet` takes."""
+    text = files(__package__).joinpath("sheets.toml").read_text(encoding="utf-8")
+    return {name: {"name": name, **figures} for name, figures in tomllib.loads(text).items()}
+
+
+def _find(name: str) -> Mapping[str, Any] | None:
+    """The data sheet of a sensor, however its name is hyphenated and capitalised; None if there is none."""
+    return {_plain(known): figures for known, figures in known_sheets().items()}.get(_plain(name))
+
+
+def _closest(name: str) -> str:
+    """Words on the names that are there, the most similar ones first."""
+    known, own = {_plain(there): there for there in known_sheets()}, _plain(name)
+    near = [there for plain, there in known.items() if own and plain.startswith(own)]
+    near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
+    return (f"did you mean {' or '.join(near)}? " if near else "") + f"there are {', '.join(known_sheets())}"
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name).casefold()
 
 
 def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
     """What a data sheet says, and its name in messages."""
     if isinstance(source, Mapping):
         return "data sheet", source
-    if isinstance(source, str) and (known := sheets.find(source)) is not None:
+    if isinstance(source, str) and (known := _find(source)) is not None:
         return f"data sheet {known['name']}", known
     try:
         return str(source), tomllib.loads(Path(source).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
-            names = sheets.closest(source)
+            names = _closest(source)
             raise AllanjaxError(f"{source!r} is no known data sheet and no file: {names}") from None
         why = error.strerror if isinstance(error, OSError) else error
         raise AllanjaxError(f"{source}: {why}; give a file of TOML with [gyro] or [accel]") from error
@@ -379,12 +405,12 @@ class _Sheet:
 
     def _quantity(self, text: Any, key: str) -> tuple[float, str]:
         """Number and unit of a figure, whose unit may end in rms."""
-        match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
-        if match is None or not 0.0 < float(match["number"]) < math.inf:
+        number, unit = parse_quantity(text) or (0.0, "")
+        if not 0.0 < number < math.inf:
             raise self._error(
                 key, f'must be a positive number with its unit, as in "0.1 deg/s", not {text!r}'
             )
-        return float(match["number"]), re.sub(r"\s+rms$", "", match["unit"])
+        return number, re.sub(r"\s+rms$", "", unit)
 
     def _converted(self, number: float, unit: str, si: str, key: str) -> float:
         try:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.plain import printable
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
-from allanjax.record.units import Sensor, convert, default_coefficient_unit, si_unit
+from allanjax.record.units import SENSORS, Sensor, convert, default_coefficient_unit, si_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -52,7 +59,7 @@ class Estimate(ByValue):
         remark: what to bear in mind, e.g. that it lies beyond the record.
         bayes_factor: of an amplitude's posterior, see `posterior.marginals`; else None.
         sampled: of a posterior, whether draws of it exist.
-        band, degrees_of_freedom, excess: of a spectrum's N, see `spectrum.flat_band`; else None.
+        band, degrees_of_freedom, excess: of a spectrum's N, see `spectrum.psd`; else None.
     """
 
     axis: Axis
@@ -301,3 +308,107 @@ def title_of(label: str, sensor: Sensor) -> str:
         words = words.replace("angle random walk", "velocity random walk")
         words = words.replace("rate random walk", "acceleration random walk")
     return words
+
+
+# Usual names of the basic terms, besides their own and their symbols.
+_CALLED: dict[str, dict[Sensor, str]] = {
+    "angle_random_walk": {"gyro": "arw", "accel": "vrw velocity_random_walk"},
+    "rate_random_walk": {"gyro": "rrw", "accel": "rrw acceleration_random_walk"},
+    "bias_instability": dict.fromkeys(SENSORS, "bi flicker flicker_noise"),
+    "quantization": dict.fromkeys(SENSORS, "qn quantization_noise"),
+    "drift_ramp": dict.fromkeys(SENSORS, "ramp rate_ramp"),
+}
+
+
+def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
+    """Label of the coefficient with this usual name; None if there is none, or several.
+
+    Labels themselves, in any case and with spaces; symbols such as "N"; abbreviations such as "ARW" of a gyro
+    and "VRW" of an accelerometer (whose "ARW" is the angle random walk for some, the acceleration random
+    walk for others, and therefore nothing here).
+    """
+    if name in coefficients:
+        return name
+    by_symbol = [label for label, c in coefficients.items() if c.symbol == name]
+    if len(by_symbol) == 1:
+        return by_symbol[0]
+    spelt = re.sub(r"[\s-]+", "_", name.strip().lower())
+    for label, c in coefficients.items():
+        if spelt in (label, *_CALLED.get(label, {}).get(c.axis.sensor, "").split()):
+            return label
+    return None
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class AxisReadings(ByValue):
+    """What is read off the curve of one axis.
+
+    Attributes:
+        axis: whose it is.
+        estimates: by label; None where the curve does not show the quantity.
+        reasons: by label, why there is none.
+    """
+
+    axis: Axis
+    estimates: Mapping[str, Estimate | None]
+    reasons: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+
+    def __getitem__(self, label: str) -> Estimate | None:
+        """The estimate of this label, None where there is none."""
+        return self.estimates[label]
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Rows of the printed table."""
+        found = []
+        for label, estimate in self.estimates.items():
+            title = title_of(label, self.axis.sensor)
+            if estimate is None:
+                found.append((self.axis.name, title, "", f"none: {self.reasons.get(label, '')}"))
+                continue
+            shown = estimate.in_unit()
+            band = "" if shown.band is None else f", {shown.band[0]:.3g} to {shown.band[1]:.3g} Hz"
+            interval = f"{shown.describe_interval()} (95 %){band}"
+            found.append((self.axis.name, title, shown.describe().split(" (95 %")[0], interval))
+        return found
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Table with one row a quantity, in usual units; numbers are missing where there is none."""
+        import pandas as pd
+
+        rows = []
+        for label, estimate in self.estimates.items():
+            row: dict[str, object] = {"axis": self.axis.name, "coefficient": label}
+            if estimate is not None:
+                shown = estimate.in_unit()
+                lower, upper = shown.interval
+                row |= {"value": shown.value, "std": shown.std, "lower_95": lower, "upper_95": upper}
+                row |= {"unit": shown.unit}
+            rows.append(row | {"reason": self.reasons.get(label, "")})
+        columns = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "reason"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def __repr__(self) -> str:
+        told = [f"{label} {e.in_unit().describe()}" for label, e in self.estimates.items() if e is not None]
+        return f"<AxisReadings {self.axis.name}: {', '.join(told) or 'none'}>"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Readings(ByValue, PerAxis[AxisReadings]):
+    """What is read off the curves of several axes.
+
+    Attributes:
+        title: what is read off what, and by which rule.
+        results: one an axis.
+    """
+
+    CALLED: ClassVar[str] = "the reading"
+    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "quantity", "read ± 1σ", "interval, or why there is none")
+
+    title: str
+    results: tuple[AxisReadings, ...]
+
+    def _title(self) -> str:
+        return self.title
+
+    def _cells(self) -> list[tuple[str, str, str, str]]:
+        return [row for result in self.results for row in result.rows()]

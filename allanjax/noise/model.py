@@ -18,12 +18,10 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
-from allanjax.noise.filtered import Filtered
 from allanjax.noise.parameter import Parameter, Parametrized
-from allanjax.noise.process import Process
+from allanjax.noise.process import Filtered, Process
 from allanjax.noise.response import Response
-from allanjax.noise.state_block import Block, filtered_block, together
-from allanjax.noise.state_space import StateSpace
+from allanjax.noise.state_space import Block, StateSpace, filtered_block, together
 from allanjax.record.units import Sensor
 
 

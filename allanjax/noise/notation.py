@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.noise import terms as all_terms
-from allanjax.noise.butterworth import Biquad, Butterworth
 from allanjax.noise.model import Model
-from allanjax.noise.moving_average import MovingAverage
 from allanjax.noise.parameter import Parameter, Parametrized
-from allanjax.noise.response import LowPass1, LowPass2, Response
+from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage, Response
 from allanjax.noise.terms import NoiseTerm
-from allanjax.record.units import SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
+from allanjax.record.units import NUMBER, SENSORS, Sensor, convert, default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     from allanjax.record.columns import Column
@@ -27,9 +25,7 @@ ModelLike: TypeAlias = Model | NoiseTerm | str
 # A term, a parameter in its brackets, and a value with its unit.
 _TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
 _ARGUMENT = re.compile(r"(?P<name>\w+)\s*=\s*(?P<value>.+)", re.DOTALL)
-_VALUE = re.compile(
-    r"(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*(?P<held>\bheld)?"
-)
+_VALUE = re.compile(rf"(?P<number>{NUMBER})\s*(?P<unit>.*?)\s*(?P<held>\bheld)?")
 # SI units of parameters that are no amplitudes, by their kind.
 _KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
 
@@ -211,3 +207,33 @@ def _amplitude_scale(unit: str, p: Parameter, sensor: Sensor | None) -> float:
         else:
             return unit_scale(unit, s)
     raise UnitError(f"{p.name} ({p.symbol}): {problem}")
+
+
+class Modelled(Protocol):
+    """The result of an axis that has a noise model, such as an axis of a fit."""
+
+    @property
+    def model(self) -> Model:
+        """The model with its values."""
+
+
+#: A noise model of all axes, or a fit, which has one of each axis.
+Modelling: TypeAlias = ModelLike | Mapping[str, Modelled]
+
+
+def models_of(given: Modelling, names: Sequence[str]) -> list[Model]:
+    """Model of each of these axes, complete with values.
+
+    Raises:
+        AllanjaxError: the fit lacks an axis or has no result for one; a parameter has no value.
+    """
+    if isinstance(given, Mapping):
+        missing = [name for name in names if name not in given]
+        if missing:
+            raise AllanjaxError(f"the fit has no axis {missing[0]!r}; it has {', '.join(given)}")
+        models = [given[name].model for name in names]
+    else:
+        models = [as_model(given)] * len(names)
+    for model in models:
+        model.check_complete()
+    return models

@@ -18,6 +18,7 @@ import abc
 import math
 from typing import Any, NamedTuple, Self
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,9 +26,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
-from allanjax.noise.exponential import exponential_covariance
-from allanjax.noise.parameter import Parametrized, Value, parameter
-from allanjax.noise.recursion import linear_recurrence
+from allanjax.noise.numerics import exponential_covariance, linear_recurrence
+from allanjax.noise.parameter import Parametrized, Value, option, parameter
 
 
 class Poles(NamedTuple):
@@ -221,3 +221,269 @@ class LowPass2(RecursiveFilter):
 
     def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
         return np.array(self._zero(rate)), np.poly(self.poles(rate).pole).real
+
+
+# Digital filters by the bilinear transformation as responses: Butterworth's, and any of two poles.
+#
+# With t = tan(πf_c/rate) and v = tan²(πf/rate) its power response 1/(1 + (v/t²)^m) has its poles at v =
+# −q², q = t·e^{iφ}, φ = π(2k + 1 − m)/2m, k = 0 … m − 1. In w = (1 − q)/(1 + q) they are inside the unit
+# circle, and
+#
+#     R = g + Σ c(1 − w²)/D(w),    c = q/[m(1 − q²)],    g = 1/[1 + (−1)^m t^{−2m}],
+#
+# D(w) = (1 − w)² + 4ws, s = sin²(πf/rate): partial fractions in s, v = s/(1 − s). The filter itself is a
+# chain of stages y_k = w·y_{k−1} + (1 − w)/2·(x_k + x_{k−1}), what the bilinear transformation makes of one
+# pole (Oppenheim & Schafer, Discrete-Time Signal Processing, 7.1). Of two poles q_1, q_2 of any quality
+# factor the 1/m is 1/(1 − q_k²/q_j²) of each.
+
+#: Largest bandwidth, in units of half the sample rate: at 1 the filter would let all pass.
+LARGEST_BANDWIDTH = 0.995
+
+# Tangents t = tan(πf_c/rate) of odd orders are moved away from 1 as far as this.
+_NEAR_ONE = 1e-5
+
+
+class _Bilinear(RecursiveFilter):
+    """A filter of analog poles −q, which the bilinear transformation makes digital."""
+
+    bandwidth: eqx.AbstractVar[Value]
+
+    @abc.abstractmethod
+    def _analog(self, tangent: Any) -> Any:
+        """The poles' q for t = tan(πf_c/rate)."""
+
+    def sampled(self, rate: float) -> Self:
+        value, half = self.bandwidth, rate / 2.0
+        if isinstance(value, int | float | np.floating) and value > half:
+            raise AllanjaxError(
+                f"{self.name()}: bandwidth must be below half the sample rate, {half:g} Hz, got {value:g}"
+            )
+        return self
+
+    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
+        q = self._analog(self._tangent(rate))
+        y = x + 0j
+        for w in jnp.asarray((1.0 - q) / (1.0 + q)):
+            before = jnp.concatenate([jnp.zeros(1), y[:-1]])
+            y = linear_recurrence(w, (1.0 - w) / 2.0 * (y + before))
+        return jnp.real(y)
+
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        q = self._analog(self._tangent(rate))
+        w = (1.0 - q) / (1.0 + q)
+        return np.prod((1.0 - w) / 2.0).real * np.poly(-np.ones(len(w))), np.poly(w).real
+
+    def _half_angle(self, rate: float) -> Any:
+        """Half the bandwidth in radians per sample interval."""
+        xp = namespace(self, rate)
+        return math.pi * xp.minimum(xp.asarray(self.bandwidth, float) / rate, LARGEST_BANDWIDTH / 2.0)
+
+    def _tangent(self, rate: float) -> Any:
+        """Tangent t = tan(πf_c/rate)."""
+        return namespace(self, rate).tan(self._half_angle(rate))
+
+    def _passed(self, frequency: Float[ArrayLike, ...], rate: float) -> tuple[Any, Any]:
+        """Shares of t² and v in t² + v, up to a common factor, neither of which is infinite."""
+        xp, half = namespace(self, frequency, rate), self._half_angle(rate)
+        a = math.pi * xp.asarray(frequency, float) / rate
+        return (xp.cos(a) * xp.sin(half)) ** 2, (xp.sin(a) * xp.cos(half)) ** 2
+
+
+class Biquad(_Bilinear):
+    """Digital low-pass filter of two poles, bilinear: an IIR section as in many sensors, or `bessel(2, …)`.
+
+    Its power response is 1/[(1 − x)² + x/Q_c²], x = [tan(πf/rate)/tan(πf_c/rate)]². `bandwidth` f_c in Hz,
+    below half the sample rate; `quality_factor` Q_c above ½, 1/√2 of a Butterworth filter.
+    """
+
+    bandwidth: Value = parameter("f_c", "frequency")
+    quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
+
+    def poles(self, rate: float) -> Poles:
+        q = self._analog(self._tangent(rate))
+        return Poles((1.0 - q) / (1.0 + q), self._share(q) * q / (1.0 - q**2))
+
+    def constant(self, rate: float) -> Float[ArrayLike, ""]:
+        q = self._analog(self._tangent(rate))
+        xp = namespace(self, rate)
+        return xp.real(xp.sum(-self._share(q) * q**2 / (1.0 - q**2)))
+
+    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
+        passed, stopped = self._passed(frequency, rate)
+        return passed**2 / ((passed - stopped) ** 2 + passed * stopped / self.quality_factor**2)
+
+    @property
+    def half_power(self) -> float:
+        return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
+
+    def _analog(self, tangent: Any) -> Any:
+        xp = namespace(self, tangent)
+        real = 0.5 / xp.asarray(self.quality_factor, float)
+        q = tangent * (real + 1j * xp.sqrt(1.0 - real**2))
+        return xp.stack([q, xp.conj(q)])
+
+    @staticmethod
+    def _share(q: Any) -> Any:
+        return 1.0 / (1.0 - (q / q[::-1]) ** 2)
+
+
+class Butterworth(_Bilinear):
+    """Digital Butterworth low-pass filter, bilinear: SciPy's `butter(order, f_c, fs=rate)`.
+
+    Its power response is 1/(1 + [tan(πf/rate)/tan(πf_c/rate)]^{2·order}). `bandwidth` f_c in Hz, at which the
+    power is halved, below half the sample rate; from 0.995 of that on the filter is the one of 0.995. `order`
+    1 to 4, which no fit estimates.
+    """
+
+    bandwidth: Value = parameter("f_c", "frequency")
+    order: int = option(default=2)
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.order, int) or self.order not in range(1, 5):
+            raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, got {self.order!r}")
+
+    def poles(self, rate: float) -> Poles:
+        q = self._analog(self._apart(rate))
+        return Poles((1.0 - q) / (1.0 + q), q / (self.order * (1.0 - q**2)))
+
+    def constant(self, rate: float) -> Float[ArrayLike, ""]:
+        return 1.0 / (1.0 + (-1.0) ** self.order * self._apart(rate) ** (-2 * self.order))
+
+    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
+        passed, stopped = self._passed(frequency, rate)
+        return passed**self.order / (passed**self.order + stopped**self.order)
+
+    def _apart(self, rate: float) -> Any:
+        """Tangent with which no pole is at 0, where partial fractions do not exist: odd orders, t = 1.
+
+        Of quantization noise they are good to 10⁻⁵ there, of other noise to 10⁻⁵ of the bandwidth.
+        """
+        xp, t = namespace(self, rate), self._tangent(rate)
+        return t + xp.where(xp.abs(t - 1.0) < _NEAR_ONE, 2.0 * _NEAR_ONE, 0.0) * (self.order % 2)
+
+    def _analog(self, tangent: Any) -> Any:
+        m = self.order
+        return tangent * np.exp(0.5j * np.pi * (2.0 * np.arange(m) + 1.0 - m) / m)
+
+
+# The moving average as a response: an integrating converter, or samples that are means of faster ones.
+#
+# White noise averaged over τ and read every h has the autocovariance (τ − |d|h)+, straight between
+# multiples of h. With τ/h = m + δ, 0 ≤ δ < 1, it is that of means of m values and of m + 1 values in the
+# proportion of 1 − δ to δ, and so is the power response,
+#
+#     R = [(1 − δ)F_m + δF_{m+1}]/[(1 − δ)m² + δ(m + 1)²],    F_m = sin²(πmf/rate)/sin²(πf/rate),
+#
+# with all aliases of sinc²(fτ). Of other noise it is taken to be the same factor.
+
+#: Product of bandwidth and duration: sinc²(x) = 1/2, Brent's method.
+HALF_POWER = 0.44294647068945237
+#: Longest duration [samples]; a filter that averages more leaves nothing to see.
+LONGEST = 64
+
+_LARGEST = HALF_POWER * (1.0 + 1e-9)
+# Samples on either side beyond which a mean without delay, by a Fourier transform, is as good as over.
+_REACH = 2048
+# Zeros of the response make a maximum of the likelihood of every number of samples [samples].
+_STARTS = (1.5, 2, 2.5, 3, 3.5, *range(4, LONGEST))
+
+
+class MovingAverage(Response):
+    """Mean of what came in over the last τ = 0.443/f_c, as of an integrating converter.
+
+    `bandwidth` f_c in Hz, at which the power of slow noise is halved; a mean of m samples has 0.443·rate/m.
+    It is between 0.443/64 and 0.443 of the sample rate: from 64 samples to one, which changes nothing.
+    """
+
+    bandwidth: Value = parameter("f_c", "frequency", starts=tuple(HALF_POWER / m for m in _STARTS))
+
+    @classmethod
+    def of(cls, duration: float) -> Self:
+        """Mean over a duration [s]."""
+        return cls(HALF_POWER / duration)
+
+    @property
+    def duration(self) -> float:
+        """The duration τ [s]."""
+        return HALF_POWER / float(self.bandwidth)
+
+    def sampled(self, rate: float) -> Self:
+        value = self.bandwidth
+        lowest, highest = HALF_POWER * rate / LONGEST, _LARGEST * rate
+        if isinstance(value, int | float | np.floating) and not (lowest * (1.0 - 1e-9) <= value <= highest):
+            raise AllanjaxError(
+                f"moving_average: bandwidth must be from {lowest:.4g} Hz (64 samples) to {highest:.4g} Hz "
+                f"(one sample) at {rate:g} Hz, got {value:g}"
+            )
+        return self
+
+    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
+        xp = namespace(self, frequency, rate)
+        samples = self._samples(rate)
+        x = xp.asarray(frequency, float) / rate
+        m = xp.floor(samples)
+        share = samples - m
+
+        def mean(m: Any) -> Any:
+            """F_m."""
+            return (m * xp.sinc(m * x) / xp.sinc(x)) ** 2
+
+        norm = (1.0 - share) * m**2 + share * (m + 1.0) ** 2
+        return ((1.0 - share) * mean(m) + share * mean(m + 1.0)) / norm
+
+    def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+        """Phase covariance G after the filter: that before it, weighted (τ − |d|h)+ at d samples away."""
+        xp = namespace(self, process, lag, rate)
+        samples = self._samples(rate)
+        count = LONGEST if xp is jnp else math.ceil(samples)
+        d = np.arange(1 - count, count)
+        weight = xp.maximum(samples - abs(d), 0.0)
+        # In one call: G is up to a multiple of lag² that is common to a call.
+        moved = process.phase_covariance(abs(xp.asarray(lag)[..., None] + d / rate))
+        return moved @ weight / xp.sum(weight)
+
+    @property
+    def ahead(self) -> int:
+        return _REACH
+
+    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
+        """Samples after the filter, which delays nothing; it leaves the line from first to last as it is."""
+        n = len(x)
+        line = x[0] + (x[-1] - x[0]) * jnp.arange(n) / (n - 1)
+        amplitude = jnp.sqrt(self.power(jnp.fft.rfftfreq(n, 1.0 / rate), rate))
+        return jnp.fft.irfft(amplitude * jnp.fft.rfft(x - line), n) + line
+
+    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+        """Coefficients of a mean over whole samples, else of the filter of least delay of this response."""
+        samples = float(self._samples(rate))
+        count = math.ceil(samples - 1e-9)
+        if abs(samples - count) <= 1e-9:
+            return np.full(count, 1.0 / count), np.ones(1)
+        weight = np.maximum(samples - np.arange(count + 1), 0.0)
+        b = _spectral_factor(weight)
+        return b / b.sum(), np.ones(1)
+
+    def _samples(self, rate: float) -> Any:
+        """The duration in sample intervals, between 1 and 64."""
+        xp = namespace(self, rate)
+        return xp.clip(HALF_POWER * rate / xp.asarray(self.bandwidth, float), 1.0, float(LONGEST))
+
+
+def _spectral_factor(weight: Float[np.ndarray, " q"]) -> Float[np.ndarray, " q"]:
+    """Filter b of this autocorrelation Σ_i b_i b_{i+d}, by Newton's method (Wilson 1969, SIAM J. NA 6:1)."""
+    from scipy.linalg import hankel, toeplitz
+
+    # From any filter without zeros inside the unit circle; it stays so.
+    b = np.zeros_like(weight)
+    b[0] = np.sqrt(weight[0] + 2.0 * weight[1:].sum())
+    for _ in range(60):
+        first = np.pad(b[:1], (0, len(b) - 1))
+        both = hankel(b) + toeplitz(first, b)
+        step = np.linalg.solve(both, weight - np.correlate(b, b, "full")[len(b) - 1 :])
+        b = b + step
+        if np.abs(step).max() <= 1e-14 * np.abs(b).max():
+            break
+    return b

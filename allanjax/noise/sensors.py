@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from types import MappingProxyType
+from typing import Any
 
 import jax
 from jaxtyping import PRNGKeyArray
@@ -13,16 +17,11 @@ from jaxtyping import PRNGKeyArray
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import Model
+from allanjax.noise.notation import term_classes
 from allanjax.noise.simulate import as_key, simulate_recording
-from allanjax.noise.terms import (
-    AngleRandomWalk,
-    BiasInstability,
-    DriftRamp,
-    NoiseTerm,
-    Quantization,
-    RateRandomWalk,
-)
+from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Recording
+from allanjax.record.units import SENSORS as KINDS
 from allanjax.record.units import unit_scale
 
 
@@ -122,84 +121,19 @@ class SensorPreset(ByValue):
         )
 
 
-# Unit, and value and error of the axes x, y, z.
-_Row = tuple[str, tuple[float, float], tuple[float, float], tuple[float, float]]
+def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
+    """Preset of a unit, from its table in `sensors.toml`."""
+    classes = term_classes()
+    axes = []
+    for sensor, k in itertools.product(KINDS, range(3)):
+        rows = ((classes[term], row[0], row[1 + k]) for term, row in table[sensor].items())
+        found = {term: Tabulated(value, error, unit) for term, unit, (value, error) in rows}
+        axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(found)))
+    return SensorPreset(name, table["description"], tuple(axes))
 
 
-def _axes(sensor: str, rate: float, table: Mapping[type[NoiseTerm], _Row]) -> tuple[AxisPreset, ...]:
-    """Presets of the axes x, y, z of a sensor, from the row of each term in the thesis's table."""
-    return tuple(
-        AxisPreset(
-            f"{sensor}_{axis}",
-            rate,
-            MappingProxyType({term: Tabulated(*pairs[k], unit) for term, (unit, *pairs) in table.items()}),
-        )
-        for k, axis in enumerate("xyz")
-    )
-
-
+_TABLES = tomllib.loads(files(__package__).joinpath("sensors.toml").read_text(encoding="utf-8"))
 #: The thesis's units by key: "cimu", "hg1700", "motionpak2".
 SENSORS: Mapping[str, SensorPreset] = MappingProxyType(
-    {
-        "cimu": SensorPreset(
-            "cimu",
-            "Honeywell CIMU, navigation grade (table 5.2)",
-            _axes(
-                "gyro",
-                200.0,
-                {
-                    Quantization: ("arcsec", (0.9732, 0.0738), (0.5174, 0.0197), (0.5770, 0.0155)),
-                    AngleRandomWalk: ("deg/√h", (0.0015, 0.0005), (0.0019, 0.0006), (0.0018, 0.0006)),
-                },
-            )
-            + _axes(
-                "accel",
-                200.0,
-                {
-                    Quantization: ("m/h", (1.6801, 0.1275), (1.2980, 0.0985), (0.8785, 0.0666)),
-                    DriftRamp: ("m/s/h²", (2.6364, 0.8795), (0.8915, 0.2974), (0.3915, 0.1309)),
-                },
-            ),
-        ),
-        "hg1700": SensorPreset(
-            "hg1700",
-            "Honeywell HG1700, tactical grade (table 5.4)",
-            _axes(
-                "gyro",
-                100.0,
-                {
-                    Quantization: ("arcsec", (5.1154, 0.0683), (1.2742, 0.0032), (1.2316, 0.0028)),
-                    AngleRandomWalk: ("deg/√h", (0.0936, 0.0312), (0.0883, 0.0295), (0.0753, 0.0251)),
-                },
-            )
-            + _axes(
-                "accel",
-                100.0,
-                {
-                    Quantization: ("m/h", (2.1188, 0.0673), (2.1988, 0.1176), (2.1845, 0.0583)),
-                    RateRandomWalk: ("m/s/h/√h", (0.7637, 0.2548), (1.1572, 0.3860), (3.3514, 1.1180)),
-                },
-            ),
-        ),
-        "motionpak2": SensorPreset(
-            "motionpak2",
-            "Systron Donner MotionPak II-3g, consumer grade (table 5.5)",
-            _axes(
-                "gyro",
-                100.0,
-                {
-                    AngleRandomWalk: ("deg/√h", (0.5121, 0.0068), (0.4859, 0.0065), (0.4891, 0.0065)),
-                    BiasInstability: ("deg/h", (13.58, 1.36), (11.69, 1.17), (16.79, 1.68)),
-                },
-            )
-            + _axes(
-                "accel",
-                1000.0,
-                {
-                    AngleRandomWalk: ("m/s/√h", (0.01664, 3e-5), (0.01593, 3e-5), (0.01612, 3e-5)),
-                    BiasInstability: ("m/s/h", (4.36, 0.04), (4.09, 0.08), (4.36, 0.08)),
-                },
-            ),
-        ),
-    }
+    {name: _preset(name, table) for name, table in _TABLES.items()}
 )

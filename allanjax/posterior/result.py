@@ -12,8 +12,8 @@ from jaxtyping import ArrayLike, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.presented import TextProperty, presented
 from allanjax.base.wording import duration
 from allanjax.estimate.axis_estimates import AxisEstimates
 from allanjax.estimate.result import Fit

@@ -12,14 +12,21 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
-from allanjax.base.plain import printable
-from allanjax.base.presented import presented
-from allanjax.base.tables import html_table
+from allanjax.base.late import presented
+from allanjax.base.tables import html_table, printable
 from allanjax.base.wording import duration
-from allanjax.record.axes import Axis, DeadAxis, axes_of, default_names, scales_of
-from allanjax.record.columns import Column, recognise
-from allanjax.record.completion import bridged, completed, told
-from allanjax.record.gaps import Gap, check_choice, gaps_of, gaps_within, rows_between, stretches_of
+from allanjax.record.columns import Axis, Column, DeadAxis, axes_of, default_names, recognise, scales_of
+from allanjax.record.completion import (
+    Gap,
+    bridged,
+    check_choice,
+    completed,
+    gaps_of,
+    gaps_within,
+    rows_between,
+    stretches_of,
+    told,
+)
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 
@@ -166,12 +173,13 @@ class Recording(ByValue):
     @property
     def columns(self) -> dict[str, Float[np.ndarray, " samples"]]:
         """Times, samples in each axis's own unit, and auxiliary channels, by labels that state the units."""
-        samples = zip(self.axes, self.own_values.T, strict=True)
-        return {
-            "time [s]": self.time,
-            **{f"{axis.name} [{axis.unit}]": values for axis, values in samples},
-            **self.auxiliary,
-        }
+        return self._columns(self.own_values, [axis.unit for axis in self.axes])
+
+    def _columns(
+        self, samples: Float[np.ndarray, "samples axes"], units: Sequence[str]
+    ) -> dict[str, Float[np.ndarray, " samples"]]:
+        labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
+        return {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **self.auxiliary}
 
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
         """Table with one row a sample and the `columns`, which `from_dataframe`, `fit` and others take again.
@@ -185,12 +193,9 @@ class Recording(ByValue):
 
         samples = self.values if si else self.own_values
         units = [SI[axis.sensor]["rate"] if si else axis.unit for axis in self.axes]
-        labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
         if self.missing is not None:
             samples = np.where(self.missing, np.nan, samples)
-        return pd.DataFrame(
-            {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **self.auxiliary}
-        )
+        return pd.DataFrame(self._columns(samples, units))
 
     @staticmethod
     @presented

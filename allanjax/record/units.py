@@ -104,6 +104,9 @@ _PROPOSED = (
     *("deg/h²", "rad/s²", "m/s/h²", "m/s³", "arcsec", "deg", "rad", "m/s", "s", "h", "Hz"),
 )
 
+#: Number as people write it, for regular expressions.
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*")
 # Number that is a factor of a unit, not a power.
 _NUMBER = r"(?<![\w.^])(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 
@@ -119,17 +122,10 @@ _ANY_CASE = {
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _SYMBOLS = str.maketrans(
-    {
-        "µ": "u",
-        "μ": "u",
-        "%": "percent",
-        "°": "deg",
-        "º": "deg",
-        "″": "arcsec",
-        "”": "arcsec",
-        '"': "arcsec",
-        "′": "arcmin",
-    }
+    {"%": "percent", "′": "arcmin"}
+    | dict.fromkeys("µμ", "u")
+    | dict.fromkeys("°º", "deg")
+    | dict.fromkeys('″”"', "arcsec")
     | dict.fromkeys("·⋅×", "*")
 )
 # A unit per unit of another channel, whose own is not known, e.g. `deg/s/[temperature]`.
@@ -267,6 +263,12 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
             + (f"possible are {', '.join(alike)}" if alike else "give units of the same dimension")
         )
     return value * (source.scale / target.scale)
+
+
+def parse_quantity(text: Any) -> tuple[float, str] | None:
+    """Number and unit of a text such as "0.1 deg/s"; None if it is no text of this kind, or has no unit."""
+    found = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+    return (float(found[1]), found[2]) if found and found[2] else None
 
 
 def is_unit(text: str) -> bool:

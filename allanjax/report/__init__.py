@@ -1,9 +1,9 @@
 """Presentation of results to people: figures, tables, stories and files.
 
-Importing this room gives results their methods that draw, tell and export (see `base.presented`).
+Importing this room gives results their methods that draw, tell and export (see `base.late`).
 """
 
-from allanjax.base.presented import present
+from allanjax.base.late import present
 
 present(
     {
@@ -26,9 +26,9 @@ present(
         "Recording.from_dataframe": "allanjax.record.io.given.from_dataframe",
         "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",
         "SampleRates.plot": "allanjax.report.rates_figure.plot_sample_rates",
-        "StateSpace.to_c_header": "allanjax.report.state_space_files.to_c_header",
-        "StateSpace.to_matlab": "allanjax.report.state_space_files.to_matlab",
-        "StateSpace.to_numpy": "allanjax.report.state_space_files.to_numpy",
+        "StateSpace.to_c_header": "allanjax.report.files.to_c_header",
+        "StateSpace.to_matlab": "allanjax.report.files.to_matlab",
+        "StateSpace.to_numpy": "allanjax.report.files.to_numpy",
         "WaveletDecomposition.plot": "allanjax.report.wavelet_figure.plot_decomposition",
         "WaveletVariance.plot": "allanjax.report.wavelet_figure.plot_wavelet_variance",
     }

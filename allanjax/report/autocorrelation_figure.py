@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.report.figure import (
     POINTS,
     add_grid,
+    check_room,
     facts_of,
+    figure_of,
     label_in,
     place,
-    save,
+    rows_of,
     save_and_close,
     style,
     write_title,
 )
-from allanjax.report.frame import rows_of
 from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 
 if TYPE_CHECKING:
@@ -57,14 +57,10 @@ def plot_autocorrelation(
     import matplotlib.pyplot as plt
 
     rows = rows_of(found.names, found.axes, axes)
+    check_room(ax, sum(map(len, rows)))
     if ax is not None:
-        ((k,),) = rows if sum(map(len, rows)) == 1 else _too_many()
-        _draw(ax, found, k)
-        figure = ax.get_figure(root=True)
-        assert figure is not None
-        if path is not None:
-            save(figure, path)
-        return figure
+        _draw(ax, found, rows[0][0])
+        return figure_of(ax, path)
     with style():
         columns = max(map(len, rows))
         width = _LEFT + columns * (_WIDTH + _GAP) - _GAP + _RIGHT
@@ -80,10 +76,6 @@ def plot_autocorrelation(
                 if column:
                     panel.set_ylabel("")
         return save_and_close(figure, path)
-
-
-def _too_many() -> list[list[int]]:
-    raise AllanjaxError('ax= has room for one axis: name it, e.g. axes="gyro_x"')
 
 
 def _draw(panel: Axes, found: Autocorrelation, k: int) -> None:

@@ -17,7 +17,7 @@ from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
-from allanjax.report.critique_words import side_of_limit
+from allanjax.report.critique_story import side_of_limit
 
 SCHEMA_VERSION = 1
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.kalman.bank import Adapted, AdaptedAxis
+from allanjax.kalman.filtering import Adapted, AdaptedAxis
 from allanjax.kalman.result import BiasTracks, FilteredAxis
 from allanjax.record.units import rate_unit_of
 from allanjax.report.figure import (

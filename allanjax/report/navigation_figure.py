@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.base.wording import duration
-from allanjax.navigation.error_growth import SHOWN, ErrorGrowth, Navigation
+from allanjax.navigation.navigator import SHOWN, ErrorGrowth, Navigation
 from allanjax.report.figure import (
     COLOURS,
     DASHES,

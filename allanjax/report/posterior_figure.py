@@ -35,12 +35,12 @@ from allanjax.report.figure import (
     mark_2_and_5,
     place,
     points_entry,
+    rows_of,
     save_and_close,
     style,
     unit_of,
     write_title,
 )
-from allanjax.report.frame import rows_of
 from allanjax.spectrum.psd import density_unit
 
 _COLOUR = COLOURS[0]

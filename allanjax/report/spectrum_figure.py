@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
@@ -17,17 +18,20 @@ from allanjax.noise.parameter import Parametrized
 from allanjax.report.figure import (
     FREQUENCY,
     MODEL,
+    PRECISE,
+    Frame,
     KeyEntry,
+    Panel,
     Points,
+    Residual,
     drawn_terms,
     facts_of,
     label_in,
+    rows_of,
     term_entries,
     term_style,
     wrapped,
 )
-from allanjax.report.frame import PRECISE, Frame, Panel, Residual, rows_of
-from allanjax.spectrum.flat_band import chi_squared_factors
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 if TYPE_CHECKING:

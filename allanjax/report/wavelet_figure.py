@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.report.figure import (
     COLOURS,
+    Frame,
+    Panel,
     Points,
     add_grid,
     facts_of,
     label_in,
     place,
+    rows_of,
     save_and_close,
     style,
     unit_of,
     write_title,
 )
-from allanjax.report.frame import Frame, Panel, rows_of
 from allanjax.spectrum.autocorrelation import square_unit
 from allanjax.wavelets.decomposition import WaveletDecomposition
 from allanjax.wavelets.variance import WaveletVariance
@@ -92,23 +93,16 @@ def plot_decomposition(
     import matplotlib.pyplot as plt
 
     recording = decomposition.recording
-    names = [a.name for a in recording.axes]
-    name = names[0] if axis is None else axis
-    if name not in names:
-        raise AllanjaxError(f"no axis {name!r} to plot; there are {', '.join(names)}")
-    k = names.index(name)
+    k = rows_of(recording.names, None, axis)[0][0]
+    name = recording.names[k]
     unit, scale = unit_of(recording.axes[k])
     shown = sorted(levels) if levels else list(range(1, decomposition.levels + 1))
     parts = [("measured", recording)]
     for level in shown:
         low, high = (plain(float(f), 2) for f in decomposition.band[level - 1])
         parts.append((f"level {level}\n{low}–{high} Hz", decomposition.details(level)))
-    parts.append(
-        (
-            f"below\n{plain(float(decomposition.band[shown[-1] - 1, 0]), 2)} Hz",
-            decomposition.approximation(shown[-1]),
-        )
-    )
+    lowest = plain(float(decomposition.band[shown[-1] - 1, 0]), 2)
+    parts.append((f"below\n{lowest} Hz", decomposition.approximation(shown[-1])))
     with style():
         height = _TOP + _BOTTOM + len(parts) * (_PANEL + _GAP)
         figure = plt.figure(figsize=(_WIDTH, height))

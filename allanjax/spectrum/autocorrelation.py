@@ -14,7 +14,6 @@ standard error.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -25,22 +24,17 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.presented import presented
 from allanjax.base.wording import duration
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
-from allanjax.noise.modelled import Modelling, models_of
-from allanjax.noise.readings import AxisReadings, Readings
-from allanjax.record.axes import OfAxes, names_of
-from allanjax.record.io.given import RecordingLike, samples_of
-from allanjax.record.recording import Axis, Recording
+from allanjax.noise.notation import Modelling, models_of
+from allanjax.record.columns import OfAxes, names_of
+from allanjax.record.io.given import RecordingLike, living_samples
+from allanjax.record.recording import Axis
 from allanjax.record.units import default_coefficient_unit, unit_scale
-from allanjax.record.validation import Source, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # By default lags go to this part of the record.
 _LONGEST = 0.1
@@ -142,17 +136,6 @@ class Autocorrelation(ByValue, OfAxes):
             columns[f"{name} standard error{unit}"] = self.standard_error[:, k] / scale
         return pd.DataFrame(columns)
 
-    @presented
-    def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        ax: Axes | None = None,
-    ) -> Figure:
-        """Draw the autocorrelation with its 95 % band; see `plot_autocorrelation`."""
-        raise NotImplementedError
-
     def __str__(self) -> str:
         lines = [repr(self)]
         for k, (name, remark) in enumerate(zip(self.names, self.remarks, strict=True)):
@@ -211,9 +194,8 @@ def autocorrelation(
         AllanjaxError: no rate or not a positive one, samples that are not finite or constant, a longest lag
             beyond the record; a fit without a result for an axis, a model without a value.
     """
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
     labels = names_of(axes, values.shape[1])
-    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
     n = len(values)
     longest = _LONGEST * n / rate if longest_lag is None else longest_lag
     lags = int(np.floor(longest * rate * (1.0 + 1e-9))) + 1

@@ -6,7 +6,8 @@ a ramp or a strong line can bury the floor. The cost of the window: neighbouring
 (by 4/9 in power, and 1/36 two apart), so that a mean of many has 1/1.94 of the degrees of freedom.
 """
 
-import os
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Literal, get_args
@@ -14,30 +15,282 @@ from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
+from allanjax.base.chi_squared import chi_squared_factors, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
-from allanjax.noise.estimate import Estimate
-from allanjax.noise.readings import AxisReadings, Readings
-from allanjax.noise.terms import AngleRandomWalk
-from allanjax.record.axes import OfAxes, names_of
-from allanjax.record.io.given import RecordingLike, samples_of
-from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import default_coefficient_unit, unit_scale
-from allanjax.record.validation import Source, check_values
-from allanjax.spectrum.flat_band import (
-    chi_squared_factors,
-    coloured_density,
-    flattest,
-    spectral_coefficient,
+from allanjax.noise.estimate import AxisReadings, Estimate, Readings
+from allanjax.noise.terms import (
+    AngleRandomWalk,
+    BiasInstability,
+    DriftRamp,
+    NoiseTerm,
+    Quantization,
+    RateRandomWalk,
 )
-from allanjax.spectrum.slopes import SLOPES, slope_stretch
-from allanjax.spectrum.windows import ordinate_correlation, window_weights, without_line
+from allanjax.record.columns import OfAxes
+from allanjax.record.io.given import RecordingLike, living_samples
+from allanjax.record.recording import Axis
+from allanjax.record.units import default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+# Distance from which on ordinates are taken as uncorrelated under any window.
+_CORRELATED = 32
+# Correlations of ordinates depend on the window's shape alone: a short one shows them.
+_SHORT_WINDOW = 4096
+
+
+def window_weights(name: str, length: int) -> Float[np.ndarray, " length"]:
+    """Weights of a window by its name in `scipy.signal`; AllanjaxError if there is none."""
+    if name == "hann":
+        # The one that is usual, as `scipy.signal` has it, which takes half a second to load.
+        return np.sin(np.pi * np.arange(length) / length) ** 2
+    from scipy.signal import get_window
+
+    try:
+        return get_window(name, length)
+    except (ValueError, TypeError) as error:
+        raise AllanjaxError(
+            f"unknown window {name!r}: expected one that scipy.signal.get_window knows by name, e.g. 'hann'"
+        ) from error
+
+
+def without_line(x: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """Samples minus their least-squares straight line, in far less time than `scipy.signal.detrend`."""
+    t = np.arange(len(x)) - (len(x) - 1) / 2.0
+    x = x - x.mean()
+    return x - (t @ x) / (t @ t) * t
+
+
+def ordinate_correlation(window: str, length: int, segments: int) -> Float[np.ndarray, " lags"]:
+    """Squared correlation of ordinates d = 0, 1, 2, … apart, summed over the segments.
+
+    c(d) = Σ_m (1 − |m|/segments) |Σ_t w(t) w(t + m·step) e^{2πi·d·t/length}|² / (Σ w²)² with a step of half
+    the length. Welch (1967) has d = 0. Only neighbouring segments overlap, m = ±1.
+    """
+    short = min(length, _SHORT_WINDOW) // 2 * 2
+    w = window_weights(window, short)
+    half = short // 2
+    squares = abs(np.fft.rfft(w**2)) ** 2
+    if segments > 1:
+        squares = squares + 2.0 * (1.0 - 1.0 / segments) * abs(np.fft.rfft(w[:half] * w[half:], short)) ** 2
+    return squares[:_CORRELATED] / (w @ w) ** 2
+
+
+# The flat band of a power spectral density, and the noise in it that is not white.
+#
+# The flat part of real spectra is a shallow valley between noises that fall and noises that rise with
+# frequency. Its mean is above the white noise's density by what these contribute, which no test on the valley
+# alone can tell. So a rough sum of white and other noise is fitted to the whole spectrum, to know how much.
+
+# A flat part spans this factor in frequency, has so many points, and a slope known to be less than this.
+_OCTAVE = 2.0
+_FEWEST_POINTS = 5
+_STEEPEST = 0.5
+# Slope and curvature together lower χ² by no more than they do on average where there is neither.
+_BENT = 2.0
+# The points scatter around one level as their degrees of freedom say.
+_SCATTER_P_VALUE = 1e-3
+
+# Points this many standard deviations off the sum, such as lines, weigh less.
+_OUTLYING = 3.0
+_REWEIGHTINGS = 12
+
+
+def coloured_density(
+    frequency: Float[np.ndarray, " m"],
+    density: Float[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    rate: float,
+) -> Float[np.ndarray, " m"]:
+    """Contribution of flicker, random walk and quantization to the density [its unit] at each frequency [Hz].
+
+    That is c₁/f + c₂/f² + c₃ sin²(πf/rate) of their sum with a constant, see `component_densities`.
+    """
+    shapes = np.stack(
+        [np.ones_like(frequency), 1.0 / frequency, frequency**-2.0, np.sin(np.pi * frequency / rate) ** 2],
+        axis=1,
+    )
+    return component_densities(density, dof, shapes)[:, 1:].sum(axis=1)
+
+
+def component_densities(
+    density: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"], shapes: Float[np.ndarray, "m k"]
+) -> Float[np.ndarray, "m k"]:
+    """Densities [that of the first argument] of which a rough sum of these shapes is made.
+
+    It is fitted with coefficients that are not negative, weighted with the degrees of freedom at the sum
+    itself, robust to lines.
+    """
+    from scipy.optimize import nnls
+
+    precision = np.sqrt(dof / 2.0)
+    model, outlying = density, np.zeros_like(density)
+    for _ in range(_REWEIGHTINGS):
+        weight = precision / model / np.sqrt(np.maximum(outlying / _OUTLYING, 1.0))
+        scaled = shapes * weight[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        coefficients = nnls(scaled / size, density * weight)[0] / size
+        model = shapes @ coefficients
+        outlying = abs(density / model - 1.0) * precision
+    return shapes * coefficients
+
+
+def flattest(
+    frequency: Float[np.ndarray, " m"],
+    density: Float[np.ndarray, " m"],
+    coloured: Float[np.ndarray, " m"],
+    count: Int[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    share: Float[np.ndarray, " m"],
+) -> tuple[int, int] | None:
+    """First and last point of the band that `PowerSpectrum.flat_band` describes; None if there is none.
+
+    Args:
+        frequency, density, dof: of the points of a spectrum.
+        coloured: what is not white in the density.
+        count: ordinates in each point.
+        share: what each point contributes to the degrees of freedom of a long band.
+
+    The logarithm of χ² over its ν degrees of freedom has the mean ψ(ν/2) − ln(ν/2) and the variance ψ'(ν/2).
+    """
+    from scipy.special import digamma, polygamma
+
+    x = np.log(frequency / frequency[-1])
+    y = np.log(density) - digamma(dof / 2.0) + np.log(dof / 2.0)
+    w = share / dof / polygamma(1, dof / 2.0)
+    first, last = np.triu_indices(len(x), _FEWEST_POINTS - 1)
+    wide = frequency[last] >= _OCTAVE * frequency[first]
+    first, last = first[wide], last[wide]
+    if not first.size:
+        return None
+
+    def sums(v: Float[np.ndarray, " m"]) -> Float[np.ndarray, " bands"]:
+        total = np.append(0.0, np.cumsum(v))
+        return total[last + 1] - total[first]
+
+    # Weighted sums of powers of x over every band at once, and what the fits of constant and parabola leave.
+    moments = np.stack([sums(w * x**p) for p in range(5)], axis=1)
+    right = np.stack([sums(w * x**p * y) for p in range(3)], axis=1)
+    degree = np.arange(3)
+    parabola = np.linalg.solve(moments[:, degree[:, None] + degree], right[:, :, None])[:, :, 0]
+    around_level = sums(w * y**2) - right[:, 0] ** 2 / moments[:, 0]
+    around_parabola = sums(w * y**2) - (parabola * right).sum(axis=1)
+    spread = moments[:, 2] - moments[:, 1] ** 2 / moments[:, 0]
+    slope = (right[:, 1] - moments[:, 1] * right[:, 0] / moments[:, 0]) / spread
+    flat = abs(slope) + 2.0 / np.sqrt(spread) < _STEEPEST
+    flat &= around_level - around_parabola <= _BENT
+    flat &= upper_tail(around_level, last - first) > _SCATTER_P_VALUE
+    if not flat.any():
+        return None
+    error = 2.0 / sums(share) + (sums(count * coloured) / sums(count * density)) ** 2
+    best = np.argmin(np.where(flat, error, np.inf))
+    return int(first[best]), int(last[best])
+
+
+def spectral_coefficient(
+    term: type[NoiseTerm], square: float, others: float, dof: float, axis: Axis, band: tuple[float, float]
+) -> Estimate:
+    """Coefficient of a noise term from the mean of a density over that of the term with coefficient 1.
+
+    Of white noise the density over 2: N = √(density / 2), Hou (2004) eq. (3.41).
+
+    Args:
+        term: the term's class.
+        square: that mean, the coefficient's square [SI].
+        others: what other noise contributes to it.
+        dof: degrees of freedom of that mean.
+        axis: whose it is.
+        band: lowest and highest frequency [Hz] averaged.
+    """
+    from scipy.special import ndtri
+
+    value = float(np.sqrt(square))
+    excess = value * (1.0 - float(np.sqrt(max(1.0 - others / square, 0.0))))
+
+    def interval(level: float) -> tuple[float, float]:
+        lower, upper = (value * float(np.sqrt(factor)) for factor in chi_squared_factors(dof, level))
+        uncertainty = ndtri((1.0 + level) / 2.0) * excess / 2.0
+        return max(value - excess - float(np.hypot(value - lower, uncertainty)), 0.0), upper
+
+    return Estimate(
+        source="spectrum",
+        label=term.name(),
+        term=term.name(),
+        parameter=term.amplitude_parameter(),
+        axis=axis,
+        value=value,
+        std=float(np.hypot(value / np.sqrt(2.0 * dof), excess)),
+        interval=interval(0.95),
+        interval_68=interval(0.68),
+        band=(float(band[0]), float(band[1])),
+        degrees_of_freedom=dof,
+        excess=excess,
+    )
+
+
+# Coefficients of noise terms read off a spectrum, each where the spectrum has the term's slope.
+#
+# IEEE Std 952 and Hou (2004) section 3.4.2 tell the terms by the slopes of the log-log plot: +2
+# quantization, 0 angle (velocity) random walk, −1 bias instability, −2 rate random walk, −3 the flicker
+# rate ramp that stands for a drift ramp (4.58). A coefficient is the value of a line of that slope at the
+# term's frequency: the density over that of the term with coefficient 1, (4.28), (3.41), (4.38), (4.52),
+# (4.58), averaged where it is constant.
+
+#: The terms that slopes tell, by falling slope, and these slopes.
+SLOPES: dict[type[NoiseTerm], int] = {
+    Quantization: 2,
+    AngleRandomWalk: 0,
+    BiasInstability: -1,
+    RateRandomWalk: -2,
+    DriftRamp: -3,
+}
+# Of the lowest ordinates the record's straight line has taken a part.
+_TAKEN = 2
+# A term is read where it contributes more than this share.
+_SHARE = 0.5
+
+
+def unit_densities(frequency: Float[np.ndarray, " m"], rate: float) -> Float[np.ndarray, "m terms"]:
+    """One-sided density of each of these terms with coefficient 1, at frequencies [Hz].
+
+    It is that of samples, means over their intervals, with aliases: near the Nyquist frequency it leaves the
+    straight line, as a real spectrum does. Quantization has 8 sin²(πf/rate)·rate (4.28).
+    """
+    terms = [term().with_unit_amplitude() for term in SLOPES]
+    densities = [t.psd(frequency) if t.deterministic else t.sampled_psd(frequency, rate) for t in terms]
+    return np.stack([2.0 * np.asarray(density) for density in densities], axis=1)
+
+
+def slope_stretch(
+    frequency: Float[np.ndarray, " m"],
+    density: Float[np.ndarray, " m"],
+    count: Int[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    share: Float[np.ndarray, " m"],
+    rate: float,
+    term: type[NoiseTerm],
+) -> tuple[slice, float, float] | None:
+    """Stretch of frequencies with a term's slope, by the rule of `PowerSpectrum.readings`; None if none.
+
+    Returns:
+        The stretch, and in it the mean of the squared coefficient and of what other terms contribute to it.
+        The arguments are those of `flattest`; `rate` is the sample rate [Hz].
+    """
+    shapes = unit_densities(frequency, rate)
+    parts = component_densities(density, dof, shapes)
+    k = list(SLOPES).index(term)
+    square = density / shapes[:, k]
+    others = (parts.sum(axis=1) - parts[:, k]) / shapes[:, k]
+    found = flattest(*(x[_TAKEN:] for x in (frequency, square, others, count, dof, share)))
+    if found is None:
+        return None
+    stretch = slice(found[0] + _TAKEN, found[1] + _TAKEN + 1)
+    weight = count[stretch] / count[stretch].sum()
+    mean, rest = float(weight @ square[stretch]), float(weight @ others[stretch])
+    return (stretch, mean, rest) if rest < _SHARE * mean else None
+
 
 #: Estimators of the density, explained at `power_spectrum`.
 Method = Literal["logarithmic", "welch"]
@@ -125,7 +378,7 @@ class PowerSpectrum(ByValue, OfAxes):
         lower, upper = chi_squared_factors(self.dof, level)
         return self.density * lower[:, None], self.density * upper[:, None]
 
-    def degrees_of_freedom(self, count: ArrayLike) -> Float[np.ndarray, "..."]:
+    def degrees_of_freedom(self, count: ArrayLike) -> Float[np.ndarray, ...]:
         """Degrees of freedom of the mean of `count` adjacent ordinates (Percival & Walden 1993, section 6).
 
         2·count·segments / Σ_d (1 − |d|/count) c(|d|), with c the `correlation` and |d| < count.
@@ -135,7 +388,7 @@ class PowerSpectrum(ByValue, OfAxes):
         share = np.maximum(1.0 - lag / B[..., None], 0.0)
         return 2.0 * B * self.segments / (self.correlation[0] + 2.0 * share @ self.correlation[1:])
 
-    def averaged(self) -> "PowerSpectrum":
+    def averaged(self) -> PowerSpectrum:
         """The spectrum averaged over frequency after Hou (2004) table 3.4; itself, if it is already."""
         if self.count.max() > 1:
             return self
@@ -161,7 +414,7 @@ class PowerSpectrum(ByValue, OfAxes):
         - the points scatter around the constant as their degrees of freedom allow (p > 0.001): no line in it.
 
         Of the flat bands it is the one whose mean has the least expected square error: 2 over its degrees of
-        freedom, plus the square of what other noise seems to contribute (`flat_band.coloured_density`).
+        freedom, plus the square of what other noise seems to contribute (`coloured_density`).
 
         Raises:
             AllanjaxError: there is no such axis, or no flat band.
@@ -184,7 +437,7 @@ class PowerSpectrum(ByValue, OfAxes):
 
         In (3.41) N is in deg/√h and the density in (deg/h)²/Hz; here both are SI, see `in_unit`. Intervals
         are those of the mean's χ² law, and reach below it by what flicker, rate random walk and quantization
-        seem to contribute to the band (see `flat_band.spectral_coefficient`).
+        seem to contribute to the band (see `spectral_coefficient`).
 
         Args:
             axis: the axis's name.
@@ -254,7 +507,7 @@ class PowerSpectrum(ByValue, OfAxes):
         coloured = coloured_density(s.frequency, s.density[:, k], s.dof, s.rate)
         return coloured if s is self else np.interp(self.frequency, s.frequency, coloured)
 
-    def to_dataframe(self) -> "pd.DataFrame":
+    def to_dataframe(self) -> pd.DataFrame:
         """Table with one row a frequency: its degrees of freedom, and each axis's density.
 
         Headings state the units, (deg/h)²/Hz or µg²/Hz; densities of an array without units are in its own.
@@ -266,17 +519,6 @@ class PowerSpectrum(ByValue, OfAxes):
             unit, scale = ("", 1.0) if self.axes is None else density_unit(self.axes[k])
             columns[f"{name} [{unit}]" if unit else name] = self.density[:, k] / scale
         return pd.DataFrame(columns)
-
-    @presented
-    def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        ax: "Axes | None" = None,
-    ) -> "Figure":
-        """Draw the densities with their 68 % intervals; see `plot_psd`."""
-        raise NotImplementedError
 
     def _index(self, axis: str) -> int:
         """Index of an axis by its name; AllanjaxError if there is none."""
@@ -343,9 +585,7 @@ def power_spectrum(
 
     if method not in get_args(Method):
         raise AllanjaxError(f"unknown method {method!r}: expected 'logarithmic' or 'welch'")
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    labels = names_of(axes, values.shape[1])
-    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
+    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
     n = len(values)
     length = n
     if method == "welch":

@@ -9,36 +9,271 @@ long as the scale, to rounding.
 
 from __future__ import annotations
 
-import os
+import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from allanjax.allan.covariance import AllanCovariance
+from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.presented import presented
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import AngleRandomWalk
-from allanjax.record.axes import OfAxes, names_of
-from allanjax.record.io.given import RecordingLike, samples_of
-from allanjax.record.recording import Axis, Recording
-from allanjax.record.validation import Source, check_values
+from allanjax.record.columns import OfAxes
+from allanjax.record.io.given import RecordingLike, living_samples
+from allanjax.record.recording import Axis
 from allanjax.spectrum.autocorrelation import square_unit
-from allanjax.spectrum.flat_band import chi_squared_factors
-from allanjax.wavelets.covariance import WaveletCovariance
-from allanjax.wavelets.filters import WaveletFilter
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+_HAAR = (1.0, 1.0)
+
+
+def pywavelets() -> ModuleType:
+    """PyWavelets' module; AllanjaxError with the remedy if it is not installed."""
+    try:
+        import pywt
+    except ImportError as error:
+        raise AllanjaxError('this needs PyWavelets: pip install "allanjax[wavelets]"') from error
+    return pywt
+
+
+@dataclasses.dataclass(frozen=True)
+class WaveletFilter:
+    """Filters of the maximal overlap transform (MODWT), those of an orthogonal wavelet over √2.
+
+    Attributes:
+        name: the wavelet's name in PyWavelets, e.g. "haar" or "sym4".
+        low: scaling filter, of sum 1.
+        high: wavelet filter, of sum 0; square sums of both are 1/2.
+        vanishing_moments: degrees of polynomials, from 0 on, that the wavelet filter takes to zero.
+    """
+
+    name: str
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    vanishing_moments: int
+
+    @classmethod
+    def of(cls, name: str) -> WaveletFilter:
+        """Filters of the wavelet of this name.
+
+        Raises:
+            AllanjaxError: no such wavelet, one that is not orthogonal, or PyWavelets is not installed, which
+                "haar" does without.
+        """
+        if name == "haar":
+            half = np.array(_HAAR) / 2.0
+            return cls(name, tuple(half), (half[0], -half[1]), 1)
+        pywt = pywavelets()
+        if name not in pywt.wavelist(kind="discrete") or not pywt.Wavelet(name).orthogonal:
+            raise AllanjaxError(
+                f"no orthogonal wavelet {name!r}: give a name of PyWavelets, such as haar, db2, db4, sym4, "
+                "coif1"
+            )
+        found = pywt.Wavelet(name)
+        low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (found.dec_lo, found.dec_hi))
+        return cls(name, low, high, found.vanishing_moments_psi)
+
+    def length(self, level: int) -> int:
+        """Samples that a coefficient at this level depends on, (2^level − 1)(L − 1) + 1."""
+        return (2**level - 1) * (len(self.low) - 1) + 1
+
+    def most_levels(self, n: int) -> int:
+        """Highest level with a coefficient that n samples determine without an assumption on what is beyond.
+
+        Raises:
+            AllanjaxError: there is none.
+        """
+        levels = int(np.log2(max((n - 1) / (len(self.low) - 1) + 1.0, 1.0)) + 1e-9)
+        if levels < 1:
+            raise AllanjaxError(f"{n} samples are too few for {self.name}: it needs {self.length(1)}")
+        return levels
+
+    def impulse(self, level: int) -> Float[np.ndarray, " length"]:
+        """Equivalent wavelet filter of a level: its coefficients are these sums of samples."""
+        found = _spread(self.high, level - 1)
+        for k in range(level - 1):
+            found = np.convolve(found, _spread(self.low, k))
+        return found
+
+    def gain(
+        self, levels: int, frequency: Float[np.ndarray, "octaves points"], resolved: int
+    ) -> Float[np.ndarray, "levels octaves points"]:
+        """Squared gains of the wavelet filters of levels 1 … `levels`, at frequencies [cycles per sample].
+
+        Points are in octaves, the highest first: of octave k, which ends at 2^−(k+1), the filters of the
+        steps up to k + `resolved` of the cascade vary slowly from point to point. Those beyond vary so fast
+        that their mean is taken, which is the energy of the rest of the cascade.
+        """
+        octave = np.arange(len(frequency))[:, None]
+        passed, gains = np.ones_like(frequency), []
+        for k in range(levels):
+            slow = k <= octave + resolved
+            gains.append(np.where(slow, passed * self._step(self.high, 2**k * frequency), passed / 2.0))
+            passed = np.where(slow, passed * self._step(self.low, 2**k * frequency), passed / 2.0)
+        return np.stack(gains)
+
+    @staticmethod
+    def _step(
+        coefficients: tuple[float, ...], frequency: Float[np.ndarray, "octaves points"]
+    ) -> Float[np.ndarray, "octaves points"]:
+        """Squared gain of a filter, from its autocorrelation."""
+        r = np.correlate(coefficients, coefficients, "full")[len(coefficients) - 1 :]
+        cosines = np.cos(2.0 * np.pi * np.arange(1, len(r))[:, None, None] * frequency)
+        return np.maximum(r[0] + 2.0 * np.tensordot(r[1:], cosines, 1), 0.0)
+
+
+def _spread(coefficients: tuple[float, ...], step: int) -> Float[np.ndarray, " length"]:
+    """Coefficients with 2^step − 1 zeros between neighbours."""
+    found = np.zeros(2**step * (len(coefficients) - 1) + 1)
+    found[:: 2**step] = coefficients
+    return found
+
+
+@functools.cache
+def wavelet_filter(name: str) -> WaveletFilter:
+    """Filters of the wavelet of this name, as `WaveletFilter.of` finds them."""
+    return WaveletFilter.of(name)
+
+
+# Expectation and covariance of wavelet variances under a noise model.
+#
+# A coefficient W_j at level j is a sum of samples whose weights h_j sum to zero, that is, of phases whose
+# weights annihilate a constant and a trend: its covariance follows from the phase covariance G, or from the
+# spectrum S of the samples, which is the cosine sum of −δ²G (`noise.process`). With H_j the transfer function
+# of h_j, frequencies in cycles per sample and R the sample rate,
+#
+#     E V_j = 2R ∫₀^½ |H_j|² S df,    Σ_s C_jk(s)² = 2R² ∫₀^½ |H_j|² |H_k|² S² df,
+#
+# where V_j is the mean of W_j² over the M_j coefficients that no end of the record has touched, and C_jk(s)
+# the covariance of W_j and W_k at lag s. For many coefficients cov(V_j, V_k) is 2 Σ_s C_jk(s)²/max(M_j, M_k)
+# (Percival & Walden 2000, section 8.3). At the highest levels they are few: there it is multiplied by the
+# ratio of the exact sum over pairs of coefficients to this one under white noise, which all noise resembles
+# within the octave of a level.
+#
+# S is smooth: it enters by its values at a few frequencies an octave, whose weights are integrals of the
+# gains times Lagrange polynomials. They are data, so that one program serves records of any length and
+# rate. The Haar wavelet has another formula, which is exact: its variance is half the Allan variance
+# (`allan.covariance`).
+
+# Octaves of frequency with nodes, so many nodes each, and the points at which their weights are integrated.
+_OCTAVES, _NODES, _POINTS = 32, 8, 2048
+# Steps of the cascade beyond a point's octave whose gains these points resolve.
+_RESOLVED = 6
+# Highest levels for which the pairs of coefficients are counted one by one, on a record thinned to these.
+_COUNTED = 8
+
+
+class WaveletCovariance(AllanCovariance):
+    """Quadrature for the covariance of wavelet variance estimates: all of it that no model enters.
+
+    What `AllanCovariance` has for lags, this has for frequencies [Hz], the same for all pairs of levels.
+
+    Attributes:
+        gains: weights of the spectrum at the frequencies in the expectation of each level.
+    """
+
+    gains: Float[np.ndarray, "lags m"]
+
+    @classmethod
+    def of_levels(
+        cls, n: int, rate: float, wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], capacity: int = 0
+    ) -> WaveletCovariance:
+        """Quadrature for estimates at these levels, 1 and up, of n rate samples at `rate` [Hz].
+
+        `capacity`: number of levels that arrays are padded to, if there are fewer.
+        """
+        m, size = len(levels), max(capacity, len(levels))
+        i, j = np.triu_indices(m)
+        count = n - np.array([wavelet.length(k) for k in levels]) + 1
+        nodes, points, basis = _quadrature()
+        gain = wavelet.gain(int(levels[-1]), points, _RESOLVED)[levels - 1].swapaxes(0, 1)
+        # Widths of the points' cells, octave by octave.
+        width = 0.5 ** np.arange(2, _OCTAVES + 2)[:, None, None] / _POINTS
+        gains = 2.0 * rate * width * (basis @ gain.swapaxes(1, 2))
+        squares = np.stack([(gain * polynomial) @ gain.swapaxes(1, 2) for polynomial in basis], axis=1)
+        products = 2.0 * rate**2 * width * squares[..., i, j]
+        few = _few_coefficients(count, wavelet, levels)[i, j]
+        weights = (2.0 * few / np.maximum(count[i], count[j]) * products).reshape(-1, len(i))
+        place = np.full((size, size), len(i))
+        place[i, j] = place[j, i] = np.arange(len(i))
+        pairs = size * (size + 1) // 2
+        more = ((0, 0), (0, pairs - len(i)))
+        return cls(
+            np.asarray(1.0 / rate),
+            np.asarray(n / rate),
+            np.asarray(m),
+            np.pad(2.0 ** (levels - 1), (0, size - m), constant_values=1.0),
+            np.pad(np.stack([i, j]), more),
+            place,
+            np.repeat(rate * nodes.reshape(-1, 1), pairs, axis=1),
+            np.pad(weights, more),
+            np.pad(gains.reshape(-1, m), ((0, 0), (0, size - m))),
+        )
+
+    def kernel(self, term: Process) -> Float[Array, "lags pairs"]:
+        """Spectrum of one noise term at the quadrature's frequencies, the same for all pairs."""
+        return jnp.broadcast_to(self._density(term)[:, None], self.lags.shape)
+
+    def mean(self, term: Process) -> Float[Array, " m"]:
+        """Expected wavelet variances of one term [rate²]; zero where there is no estimate."""
+        return self._density(term) @ self.gains
+
+    def _density(self, term: Process) -> Float[Array, " lags"]:
+        rate: Any = 1.0 / jnp.asarray(self.sample_interval)
+        return jnp.asarray(term.sampled_psd(jnp.asarray(self.lags)[:, 0], rate))
+
+
+def _quadrature() -> tuple[
+    Float[np.ndarray, "octaves nodes"], Float[np.ndarray, "octaves points"], Float[np.ndarray, "nodes points"]
+]:
+    """Nodes and points [cycles per sample] in every octave, the highest first, and Lagrange polynomials."""
+    x = (1.0 - np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)) / 2.0
+    t = (np.arange(_POINTS) + 0.5) / _POINTS
+    basis = np.ones((_NODES, _POINTS))
+    for k in range(_NODES):
+        for other in np.delete(x, k):
+            basis[k] *= (t - other) / (x[k] - other)
+    low = 0.5 ** np.arange(2, _OCTAVES + 2)[:, None]
+    return low * (1.0 + x), low * (1.0 + t), basis
+
+
+def _few_coefficients(
+    count: Int[np.ndarray, " m"], wavelet: WaveletFilter, levels: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, "m m"]:
+    """Factor of the covariance where coefficients are few, exact under white noise; 1 at lower levels.
+
+    With r the cross-correlation of two filters, it is Σ_s w(s) r(s)²/(M_j M_k) over Σ_s r(s)²/max(M_j, M_k),
+    w(s) being the number of pairs of coefficients at lag s.
+    """
+    found = np.ones((len(levels), len(levels)))
+    thin = max(int(levels[-1]) - _COUNTED, 0)
+    counted = np.flatnonzero(levels > thin)
+    impulses = [wavelet.impulse(int(levels[k]) - thin) for k in counted]
+    size = 1 << (2 * len(impulses[-1])).bit_length()
+    transforms = [np.fft.rfft(h, size) for h in impulses]
+    lag = np.rint(np.fft.fftfreq(size) * size)
+    for a, (k, H) in enumerate(zip(counted, transforms, strict=True)):
+        for other, G in zip(counted[a:], transforms[a:], strict=True):
+            squares = np.fft.irfft(H * G.conj(), size) ** 2
+            Mh, Mg = count[[k, other]] / 2**thin
+            pairs = np.clip(np.minimum(Mh + lag, Mg) - np.maximum(lag, 0), 0.0, None)
+            exact = (pairs * squares).sum() / (Mh * Mg)
+            found[k, other] = found[other, k] = exact / squares.sum() * max(Mh, Mg)
+    return found
+
 
 # Levels for which compiled functions have room: those of 10⁷ samples.
 _CAPACITY = 24
@@ -130,17 +365,6 @@ class WaveletVariance(ByValue, OfAxes):
             columns[f"{name} degrees of freedom"] = self.edf[:, k]
         return pd.DataFrame(columns)
 
-    @presented
-    def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        ax: Axes | None = None,
-    ) -> Figure:
-        """Draw the variances with their 68 % intervals against the scale; see `plot_wavelet_variance`."""
-        raise NotImplementedError
-
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.variance.shape[1]} axes"
         first, last = self.scale[[0, -1]]
@@ -184,9 +408,7 @@ def wavelet_variance(
         AllanjaxError: no rate or not a positive one, samples that are not finite or constant, too few for
             the levels, an unknown wavelet; PyWavelets is not installed ("haar" needs it not).
     """
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    labels = names_of(axes, values.shape[1])
-    check_values(values, labels, Source(data.name or "recording" if isinstance(data, Recording) else "array"))
+    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
     found, n = WaveletFilter.of(wavelet), len(values)
     most = found.most_levels(n)
     if levels is not None and not 1 <= levels <= most:

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bags import Topic, write_bag
-from flight_logs import structured, write_dataflash, write_ulog
+from logs import Topic, structured, write_bag, write_dataflash, write_ulog
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.record.io import read

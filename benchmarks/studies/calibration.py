@@ -19,11 +19,9 @@ import numpy as np
 from scipy.stats import t as student
 
 import allanjax as aj
-from allanjax.calibration.noise import parts_of_model
-from allanjax.calibration.orientation import as_orientation
-from allanjax.calibration.result import Position
-from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of
-from allanjax.record.axes import Axis
+from allanjax.calibration.result import Position, as_orientation
+from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of, parts_of_model
+from allanjax.record.columns import Axis
 from benchmarks.common.hidden_sensors import term_noise
 from benchmarks.common.ours import TERM_LABELS, true_model
 from benchmarks.common.study import rms, run_tasks, share, table

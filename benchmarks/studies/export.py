@@ -16,8 +16,7 @@ from typing import Any
 from export_arithmetic import ONE_TIME, WITH_TIME, error_of
 
 import allanjax as aj
-from allanjax.report.export.table import TARGETS
-from allanjax.report.export.targets import Target
+from allanjax.report.export.targets import TARGETS, Target
 from benchmarks.common.export_sensors import RATE, markov, model_of, recording, walk, with_one_time
 from benchmarks.common.study import table
 

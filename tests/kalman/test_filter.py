@@ -1,4 +1,4 @@
-"""Filters and smoothers, by dense covariances of the models and by a textbook filter."""
+"""Filters, smoothers and banks, by dense covariances of the models, a textbook filter and Bayes' rule."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -237,3 +237,92 @@ def test_tables_have_the_numbers():
     assert (told["bias"], told["bias_std"]) == (found.bias[-1], found.bias_std[-1])
     assert (told["drift"], told["samples"]) == (["rate_random_walk", "markov"], N)
     assert told["nis"]["statistic"] == found.nis.statistic
+
+
+# Three models and one padded length: one program.
+SLOW, LENGTH = 10.0, 240
+QUIETLY, LOUDLY, DRIFTINGLY = (1e-3, 1e-4), (4e-3, 1e-4), (1e-3, 1e-2)
+OF_BANK = {
+    name: aj.AngleRandomWalk(n) + aj.RateRandomWalk(k)
+    for name, (n, k) in {"quiet": QUIETLY, "noisy": LOUDLY, "drifting": DRIFTINGLY}.items()
+}
+QUIET, NOISY, _ = OF_BANK.values()
+
+
+def of_parts(*parts: tuple[float, float]) -> aj.Recording:
+    """Record of parts of equal length, each of an LENGTH and a K; the walk goes on through all."""
+    rng, each = np.random.default_rng(1), LENGTH // len(parts)
+    white = np.concatenate([n * np.sqrt(SLOW) * rng.standard_normal(each) for n, _ in parts])
+    steps = np.concatenate([k / np.sqrt(SLOW) * rng.standard_normal(each) for _, k in parts])
+    return aj.Recording.from_array(0.01 + white + np.cumsum(steps), SLOW, gyro_unit="rad/s", names=["gyro_x"])
+
+
+def test_weights_are_bayes_rule():
+    """Written out with probabilities, normalized at each sample; so are bias and its spread."""
+    change, record = 0.02, of_parts(QUIETLY, LOUDLY)
+    lost = np.arange(LENGTH) == 100
+    bank = aj.adaptive_filter(record, OF_BANK, switching=change * SLOW, missing=lost)
+    found, frame = bank.results[0], bank.to_dataframe()
+    assert found.labels == tuple(OF_BANK)
+    for k, label in enumerate(OF_BANK):
+        assert_array_equal(frame[f"weight_{label}"], found.weights[:, k])
+        assert_array_equal(frame[f"probability_{label}"], found.probability[:, k])
+    filters = [aj.kalman_filter(record, model, missing=lost).results[0] for model in OF_BANK.values()]
+    density = [np.exp(-0.5 * f.standardized**2) / (np.sqrt(2.0 * np.pi) * f.innovation_std) for f in filters]
+    density = np.where(np.isnan(density), 1.0, density).T
+    transition = np.full((3, 3), change / 2.0) + (1.0 - 1.5 * change) * np.eye(3)
+    weights, total = np.full(3, 1.0 / 3.0), 0.0
+    for k in range(LENGTH):
+        weights = transition @ weights * density[k]
+        total += np.log(weights.sum())
+        weights = weights / weights.sum()
+        assert_allclose(found.weights[k], weights, rtol=1e-8)
+        bias = weights @ [f.bias[k] for f in filters]
+        assert found.bias[k] == pytest.approx(bias, rel=1e-9)
+        if k:
+            variance = weights @ [f.bias_std[k] ** 2 + (f.bias[k] - bias) ** 2 for f in filters]
+            assert found.bias_std[k] == pytest.approx(np.sqrt(variance), rel=1e-6)
+    assert found.log_likelihood == pytest.approx(total, rel=1e-9)
+    later = np.ones(3)
+    for k in range(LENGTH - 1, -1, -1):
+        both = found.weights[k] * later
+        assert_allclose(found.probability[k], both / both.sum(), rtol=1e-7)
+        later = transition @ (density[k] * later)
+        later = later / later.sum()
+    low, high = found.bias_interval
+    assert_allclose(high - low, 2.0 * 1.959964 * found.bias_std, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("second", "label"), [(LOUDLY, "noisy"), (DRIFTINGLY, "drifting")])
+def test_a_change_half_way_is_found_and_dated(second, label):
+    """LENGTH four times as large, K a hundred times: both show in a second or two."""
+    found = aj.adaptive_filter(of_parts(QUIETLY, second), OF_BANK)["gyro_x"]
+    assert [(c.before, c.after) for c in found.changes] == [("quiet", label)]
+    assert found.changes[0].time == pytest.approx(12.0, abs=2.0)
+    assert found.weights[110, 0] > 0.95
+    assert found.weights[-1, found.labels.index(label)] > 0.9
+    assert found.switching == 1e-3
+
+
+def test_a_model_that_was_ruled_out_comes_back_only_if_it_may():
+    record = of_parts(QUIETLY, LOUDLY, QUIETLY)
+    can = aj.adaptive_filter(record, OF_BANK).results[0]
+    assert [c.after for c in can.changes] == ["noisy", "quiet"]
+    never = aj.adaptive_filter(record, OF_BANK, switching=0.0).results[0]
+    assert never.changes == ()
+    # Without a change the probability by all samples is the last weight.
+    assert_allclose(never.probability, np.tile(never.weights[-1], (LENGTH, 1)), atol=1e-9)
+
+
+REFUSED = [
+    ([QUIET], {}, "two models"), ([QUIET, NOISY], {"switching": 5.0}, "change"),
+    ([QUIET, NOISY], {"switching": -0.1}, "change"), ([QUIET, aj.AngleRandomWalk()], {}, "angle_random_walk"),
+    ([QUIET, NOISY], {"missing": np.zeros(3, bool)}, "missing"),
+    ([QUIET, NOISY], {"missing": np.ones(LENGTH, bool)}, "all samples are missing"),
+]  # fmt: skip
+
+
+def test_what_is_no_bank_is_said():
+    for models, options, word in REFUSED:
+        with pytest.raises(aj.AllanjaxError, match=word):
+            aj.adaptive_filter(of_parts(QUIETLY), models, **options)

@@ -75,7 +75,8 @@ OPEN = [
     ({"random_walk": "1 deg/s/√Hz"}, "noise_density"), ({"in_run_bias_instability": "1 deg/h"}, "reading"),
     ({"rms_noise": "1 deg/s"}, "bandwidth"), ({"rms_noise": "1 deg/s", "bandwidth": "9 Hz"}, "bandwidth_is"),
     ({"lsb": "0.1 deg/s"}, "rate"), ({"random_walk": 0.1}, "random_walk"),
-    ({"random_walk": "-1 deg/√h"}, "positive"), ({"random_walk": "0 deg/√h"}, "positive"),
+    ({"random_walk": "-1 deg/√h"}, "positive"), ({"random_walk": "12"}, "with its unit"),
+    ({"random_walk": "0 deg/√h"}, "positive"),
     ({"arw": "0.1 deg/√h"}, "arw"), ({}, "no figure"), ("0.1 deg/√h", "no table"),
 ]  # fmt: skip
 WRONG_UNITS = [

@@ -5,9 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from bags import KINDS, Topic, write_bag
-from flight_logs import structured, write_dataflash, write_ulog
 from imu_columns import SIX, noted, refused
+from logs import KINDS, Topic, structured, write_bag, write_dataflash, write_ulog
 from places import DATA
 
 import allanjax as aj

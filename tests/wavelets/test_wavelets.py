@@ -1,4 +1,4 @@
-"""Wavelet variances, octaves and de-noising, by brute-force filters, dense covariances and PyWavelets."""
+"""Wavelet and Allan variances, octaves, de-noising: by brute-force filters, dense matrices and PyWavelets."""
 
 import sys
 from types import SimpleNamespace
@@ -7,6 +7,7 @@ import dense
 import numpy as np
 import pytest
 import pywt
+from dense_fits import Variances
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
@@ -18,15 +19,17 @@ AXES = (aj.Axis("gyro_x", "gyro", "deg/s"), aj.Axis("accel_z", "accel", "g"))
 UNITS = {"gyro_x": ("deg/h", "(deg/h)²", np.pi / 180.0 / 3600.0), "accel_z": ("µg", "µg²", 9.80665e-6)}
 
 
-def model_of(quantization=1e-9, white=1e-9, flicker=1e-9, walk=1e-9, markov=1e-9) -> aj.Model:
+def model_of(
+    quantization=1e-9, white=1e-9, flicker=1e-9, walk=1e-9, markov=1e-9, T_c=1.0, ramp=1e-12
+) -> aj.Model:
     """One structure for all cases, compiled once: what a case leaves out is there with next to nothing."""
     model = aj.Quantization(quantization) + aj.AngleRandomWalk(white) + aj.BiasInstability(flicker)
-    return model + aj.RateRandomWalk(walk) + aj.Markov(markov, 3.0)
+    return model + aj.RateRandomWalk(walk) + aj.Markov(markov, T_c) + aj.DriftRamp(ramp)
 
 
 ALONE = {"white": 1.0, "quantization": 0.7, "flicker": 1.3, "walk": 0.4}
 CASES = {label: model_of(**{label: size}) for label, size in ALONE.items()}
-CASES["mixture"] = model_of(white=1.0, markov=0.5, walk=0.2)
+CASES["mixture"] = model_of(white=1.0, markov=0.5, walk=0.2, T_c=3.0)
 
 
 def filters(name: str, levels: int) -> list[np.ndarray]:
@@ -101,6 +104,40 @@ def test_expectation_and_covariance_are_those_of_the_dense_matrix(x, name, case)
     assert_allclose(found.edf.T, np.tile(2.0 * mean**2 / np.diag(covariance), (2, 1)), rtol=1e-5)
     if case == "white":
         assert_allclose(aj.wavelet_variance(x, RATE, wavelet=name).edf, found.edf, rtol=1e-6)
+
+
+# Tolerance relative to the variances: between kinks polynomials are summed exactly, the others nearly.
+OF_HAAR = {
+    "quantization": (model_of(quantization=1.0), 1e-8),
+    "white": (model_of(white=1.0), 1e-8),
+    "walk": (model_of(walk=1.0), 1e-7),
+    "flicker": (model_of(flicker=1.3), 1e-3),
+    "all powers": (model_of(quantization=0.5, white=1.0, walk=0.1), 1e-7),
+    "white and ramp": (model_of(white=1.0, ramp=0.05), 1e-7),
+    "walk and ramp": (model_of(walk=1.0, ramp=0.05), 1e-7),
+    "short markov": (model_of(markov=1.0, T_c=0.6), 1e-3),
+    "long markov": (model_of(white=1.0, markov=1.0, T_c=15.0), 1e-3),
+}
+
+
+@pytest.mark.parametrize("name", OF_HAAR)
+def test_covariance_is_the_sum_over_all_pairs_of_differences(name):
+    """Of Haar's twice those of overlapping Allan variances. A ramp is the same in every record."""
+    model, tolerance = OF_HAAR[name]
+    for n in (16, 17, 300):
+        x = np.random.default_rng(n).normal(size=n)
+        found = aj.wavelet_variance(x, RATE, model=model)
+        sizes = (found.scale * RATE).astype(int)
+        np.testing.assert_array_equal(sizes, 2 ** np.arange(len(sizes)))
+        differences = Variances.of_allan(x, RATE, sizes)
+        mean, C = differences.moments(model)
+        C -= differences.moments(model.terms[-1])[1]
+        scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
+        assert_allclose(4.0 * found.covariance(model) / scale, C / scale, atol=tolerance)
+        assert_allclose(2.0 * found.expectation(model), mean, rtol=1e-7)
+        assert_allclose(found.edf[:, 0], 2.0 * mean**2 / np.diag(C), rtol=2.0 * tolerance)
+    ramp = model_of(ramp=1.0)
+    assert abs(found.covariance(ramp)).max() < 1e-12 * found.expectation(ramp).max()
 
 
 def test_errors_and_intervals_are_those_of_the_chi_squared_law(x):

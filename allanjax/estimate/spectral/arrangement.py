@@ -19,10 +19,8 @@ from allanjax.estimate.spectral.components import (
 )
 from allanjax.estimate.spectral.levels import Levels, levels_of
 from allanjax.estimate.spectral.model import FULL, PLAIN, Layout, Others, Slots
-from allanjax.noise.butterworth import Biquad, Butterworth
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.moving_average import MovingAverage
-from allanjax.noise.response import LowPass1, LowPass2
+from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 

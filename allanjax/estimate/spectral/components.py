@@ -21,9 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from allanjax.estimate.spectral.levels import Levels
-from allanjax.noise.butterworth import LARGEST_BANDWIDTH
-from allanjax.noise.exponential import averaged_lags, mean_lags
-from allanjax.noise.moving_average import HALF_POWER, LONGEST
+from allanjax.noise.numerics import averaged_lags, mean_lags
+from allanjax.noise.response import HALF_POWER, LARGEST_BANDWIDTH, LONGEST
 
 
 def geometric(
@@ -155,7 +154,7 @@ def _samples(wc: Array) -> tuple[Array, Array, Array]:
 
 
 def _mean(angle: Float[Array, "nodes m"], wc: Array) -> Float[Array, "nodes m"]:
-    """Power response of a moving average, see `noise.moving_average`."""
+    """Power response of a moving average, see `noise.response`."""
     m, rest, norm = _samples(wc)
     s = jnp.sin(angle / 2.0) ** 2
     means = [jnp.sin(k * angle / 2.0) ** 2 / s for k in (m, m + 1.0)]
@@ -193,7 +192,7 @@ def _shares(angle: Float[Array, "nodes m"], wc: Array) -> tuple[Array, Array]:
 
 
 def _biquad(angle: Float[Array, "nodes m"], wc: Array, Q: Array) -> Float[Array, "nodes m"]:
-    """Power response of a digital filter of two poles, see `noise.butterworth`."""
+    """Power response of a digital filter of two poles, see `noise.response`."""
     passed, stopped = _shares(angle, wc)
     return passed**2 / ((passed - stopped) ** 2 + passed * stopped / Q**2)
 
@@ -244,7 +243,7 @@ def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Flo
 
 
 # Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one of each pair, and
-# how many each stands for: see `noise.butterworth`.
+# how many each stands for: see `noise.response`.
 _ANGLES = np.pi * np.array([[0.0, 0.0], [1.0 / 4.0, 0.0], [0.0, 1.0 / 3.0], [1.0 / 8.0, 3.0 / 8.0]])
 _COUNTS = np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 2.0], [2.0, 2.0]])
 _ORDERS = np.arange(1.0, 5.0)[:, None]

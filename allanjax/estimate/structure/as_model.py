@@ -7,10 +7,8 @@ import numpy as np
 from allanjax.estimate.spectral.components import BIQUAD, BUTTERWORTH_1, MOVING_AVERAGE, NONE, ONE_POLE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Structure
-from allanjax.noise.butterworth import Biquad, Butterworth
 from allanjax.noise.model import Model, NoiseTerm
-from allanjax.noise.moving_average import MovingAverage
-from allanjax.noise.response import LowPass1, LowPass2, Response
+from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage, Response
 from allanjax.noise.terms import AngleRandomWalk, Markov, Resonance, basic_terms
 
 

@@ -13,7 +13,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import Parts, Poles
-from allanjax.noise.state_block import Block
+from allanjax.noise.state_space import Block
 from allanjax.noise.terms.gauss_markov_sum import gauss_markov_sum
 from allanjax.noise.terms.markov import Markov
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, option, parameter
-from allanjax.noise.state_block import Block, block
+from allanjax.noise.state_space import Block, block
 
 
 class DriftRamp(NoiseTerm):

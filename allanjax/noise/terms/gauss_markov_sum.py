@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
-from allanjax.noise.state_block import Block, block, together, white_block
+from allanjax.noise.state_space import Block, block, together, white_block
 from allanjax.noise.terms.markov import Markov
 
 #: Largest relative error of the spectrum and of the Allan variance.

@@ -11,11 +11,10 @@ from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
-from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
+from allanjax.noise.numerics import exponential_covariance, exponential_density, linear_recurrence
 from allanjax.noise.parameter import Value, option, parameter
-from allanjax.noise.recursion import linear_recurrence
-from allanjax.noise.state_block import Block, exponential_block, oscillator_block
+from allanjax.noise.state_space import Block, exponential_block, oscillator_block
 from allanjax.noise.terms.resonance import Resonance
 
 

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.exponential import averaged_lags, exponential_remainder
 from allanjax.noise.model import NoiseTerm
+from allanjax.noise.numerics import averaged_lags, exponential_remainder, linear_recurrence
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import Parts, Poles
-from allanjax.noise.state_block import Block, mean_block
+from allanjax.noise.state_space import Block, mean_block
 
 # Sample intervals over the correlation time from which on only two lags are left.
 _SHORT = 30.0

@@ -8,7 +8,7 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.arrays import namespace, special_functions
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.state_block import Block
+from allanjax.noise.state_space import Block
 from allanjax.noise.terms.gauss_markov_sum import gauss_markov_sum
 
 # Distance of the exponent from 1 within which G is computed in the gauge of flicker noise.

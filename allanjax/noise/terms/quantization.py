@@ -12,7 +12,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import NO_POLES, Parts
-from allanjax.noise.state_block import Block, block
+from allanjax.noise.state_space import Block, block
 
 
 class Quantization(NoiseTerm):

@@ -9,10 +9,10 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
+from allanjax.noise.numerics import linear_recurrence
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import NO_POLES, Parts
-from allanjax.noise.state_block import Block, block, white_block
+from allanjax.noise.state_space import Block, block, white_block
 
 
 class AngleRandomWalk(NoiseTerm):

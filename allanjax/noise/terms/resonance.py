@@ -10,12 +10,16 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.exponential import exponential_covariance, exponential_density, is_continuous
 from allanjax.noise.model import NoiseTerm
+from allanjax.noise.numerics import (
+    exponential_covariance,
+    exponential_density,
+    is_continuous,
+    linear_recurrence,
+)
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.recursion import linear_recurrence
 from allanjax.noise.response import Parts, Poles
-from allanjax.noise.state_block import Block, oscillator_block
+from allanjax.noise.state_space import Block, oscillator_block
 
 # Aliases on either side that are summed.
 _ALIASES = 8

@@ -14,7 +14,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.numerics import in_gauge
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.state_block import Block, block
+from allanjax.noise.state_space import Block, block
 
 
 class Sinusoid(NoiseTerm):

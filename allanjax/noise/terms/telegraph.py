@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.exponential import exponential_covariance, exponential_density
 from allanjax.noise.model import NoiseTerm
+from allanjax.noise.numerics import exponential_covariance, exponential_density
 from allanjax.noise.parameter import Value, parameter
-from allanjax.noise.state_block import Block, exponential_block
+from allanjax.noise.state_space import Block, exponential_block
 
 
 class Telegraph(NoiseTerm):

@@ -13,7 +13,7 @@ from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value
-from allanjax.noise.state_block import Block
+from allanjax.noise.state_space import Block
 
 
 class Transient(NoiseTerm):

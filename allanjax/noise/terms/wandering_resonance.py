@@ -17,7 +17,7 @@ from allanjax.base.arrays import namespace
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import Parts, Poles
-from allanjax.noise.state_block import Block, together
+from allanjax.noise.state_space import Block, together
 from allanjax.noise.terms.resonance import Resonance
 
 # Nodes of the quadrature over the frequency: the spectrum stays smooth for spreads up to the width f0/Q_f.

@@ -4,11 +4,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from allanjax.record.io.assembly import assemble
-from allanjax.record.io.chunks import ChunkedRecording, read_chunks
+import numpy as np
+
+from allanjax.base.errors import RecordingError
+from allanjax.record.io.assembly import ChunkedRecording, assemble, read_chunks
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.options import GapChoice, ReadOptions, TimeChoice
-from allanjax.record.io.writers import write
 from allanjax.record.recording import Recording
 from allanjax.record.validation import Source
 
@@ -78,3 +79,32 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: st
     path = Path(path)
     source = Source(label or str(path))
     return assemble(format_of(path, source).table(path, source, options), name_of(path), options)
+
+
+def write(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Write a recording in its own units as .csv, .parquet or .npz, with a column `time [s]`.
+
+    Raises:
+        RecordingError: another suffix, or a folder that is not there.
+    """
+    import pyarrow
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    path = Path(path)
+    if path.is_dir():
+        raise RecordingError(f"{path}: a folder; give a file to write, .csv, .parquet or .npz")
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path}: there is no folder {path.parent}; make it, or write elsewhere")
+    match path.suffix.lower():
+        case ".csv":
+            pyarrow.csv.write_csv(pyarrow.table(recording.columns), path)
+        case ".parquet":
+            pyarrow.parquet.write_table(pyarrow.table(recording.columns), path)
+        case ".npz":
+            with path.open("wb") as stream:
+                np.savez(stream, **recording.columns)  # type: ignore[arg-type]
+        case suffix:
+            raise RecordingError(
+                f"{path}: can not write {suffix or 'a file without suffix'}; use .csv, .parquet or .npz"
+            )

@@ -1,26 +1,248 @@
 """Assembly of a recording from the columns of a file."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+import dataclasses
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.errors import RecordingError
-from allanjax.record.columns import Column
-from allanjax.record.gaps import Gap, on_grid, stretches_of, without_repeats
-from allanjax.record.io.layout import Layout, find_layout
+from allanjax.record.columns import (
+    Axis,
+    Column,
+    axes_of,
+    by_unit,
+    default_names,
+    distinct,
+    recognise,
+    scales_of,
+    split_unit,
+)
+from allanjax.record.completion import Gap, on_grid, rows_between, stretches_of, without_repeats
+from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.timestamps import (
     MAX_RATE_DIFFERENCE,
     after_gaps,
+    check_rate_kept,
     rate_from_times,
     seconds_from_first,
     uniform_rate,
 )
 from allanjax.record.recording import Recording, build
-from allanjax.record.validation import Source, check_length, check_rate
+from allanjax.record.units import SENSORS
+from allanjax.record.validation import (
+    Source,
+    bad_cells,
+    check_finite,
+    check_length,
+    check_rate,
+    constant_error,
+    usable,
+)
+
+# Entries in a list of columns that skip a column.
+_SKIP = ("-", "_", "")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of a table by what they are; `time` holds none, one, or seconds and nanoseconds."""
+
+    axes: tuple[Column, ...]
+    time: tuple[Column, ...]
+    auxiliary: tuple[Column, ...]
+
+    @property
+    def time_label(self) -> str:
+        """Label of the time stamps."""
+        return " + ".join(column.label for column in self.time)
+
+
+def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: list[str]) -> Layout:
+    """Find the layout of a table, by the user's columns, else by the labels, else by the units given.
+
+    Adds what was assumed to the notes.
+
+    Args:
+        table: the table.
+        columns: its first rows, or all.
+        options: the user's options.
+        notes: the notes so far.
+
+    Raises:
+        RecordingError: the columns are not recognised, or two have the same name.
+    """
+    if options.columns is not None:
+        found = _chosen(table, len(columns), options.columns)
+    elif table.labels is not None:
+        repeated = _repeated(table.labels)
+        if repeated:
+            raise table.source.error(
+                f"the header names {', '.join(map(repr, repeated))} more than once; correct it, "
+                "or name all columns by columns= (--columns)"
+            )
+        found = _recognised(table.labels)
+    else:
+        names = default_names(len(columns), options.units, "columns= (--columns)", table.source)
+        found = _recognised(names)
+        notes.append(f"the file has no header; column order taken as {', '.join(names)}")
+    found = [
+        replace(c, role="time") if c.role == "auxiliary" and columns[c.index].dtype.kind == "M" else c
+        for c in found
+    ]
+    time = _chosen_time(table, found, columns, options, notes)
+    sensors = {column.sensor for column in found if column.role == "axis"}
+    named = [c if (axis := by_unit(c)).sensor in sensors else axis for c in found]
+    axes = tuple(c for c in named if c.role == "axis" and c.index not in {column.index for column in time})
+    if not axes:
+        raise table.source.error(
+            f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
+            "name the columns by columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
+        )
+    axes = distinct(axes, table.source)
+    notes += _missing_axes(axes)
+    renamed = [f"{c.name} from {c.label!r}" for c in axes if split_unit(c.label)[0] != c.name]
+    if renamed:
+        notes.append(f"axes: {', '.join(renamed)}")
+    used = {column.index for column in (*axes, *time)}
+    auxiliary = tuple(c for c in found if c.role in ("auxiliary", "counter") and c.index not in used)
+    return Layout(axes, time, auxiliary)
+
+
+def _recognised(labels: Sequence[str]) -> list[Column]:
+    """Columns by their labels."""
+    return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    """Names that occur more than once."""
+    return sorted({name for name in names if names.count(name) > 1})
+
+
+def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Column]:
+    """Columns of `count` by the user's list: a choice of the header's names, or names by position."""
+    entries = [entry.strip() for entry in (columns.split(",") if isinstance(columns, str) else columns)]
+    names = [entry for entry in entries if entry not in _SKIP]
+    if repeated := _repeated(names):
+        raise table.source.error(
+            f"columns= names {', '.join(repeated)} more than once; name each column once"
+        )
+    if table.labels is not None:
+        matches = [_match(table, name, len(entries) == count) for name in names]
+        if len(names) == len(entries) and all(matches):
+            picked = {
+                i: split_unit(name)[1] for name, match in zip(names, matches, strict=True) for i in match
+            }
+            # Time stamps are kept, because the rate is taken from them, and a unit that is stated is taken.
+            return [
+                replace(c, unit=picked.get(c.index) or c.unit)
+                for c in _recognised(table.labels)
+                if c.index in picked or c.role in ("time", "counter")
+            ]
+        unknown = [name for name, match in zip(names, matches, strict=True) if not match]
+        if len(entries) != count and unknown:
+            raise table.source.error(
+                f"columns= (--columns) asks for {', '.join(unknown)}, and the file has "
+                f"{', '.join(table.labels)}; choose among these, or give one name per column in order, - to "
+                "skip one"
+            )
+    if len(entries) != count:
+        has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
+        raise table.source.error(
+            f"columns= has {len(entries)} entries, but the file has {count} columns, with {has}; "
+            "list names of the header, or one entry per column with - for those to skip"
+        )
+    found = [c for c in _recognised(entries) if entries[c.index] not in _SKIP]
+    # Where the user gives no unit, it is that of the header.
+    units = [None] * count if table.labels is None else [split_unit(label)[1] for label in table.labels]
+    return [replace(c, unit=c.unit or units[c.index]) for c in found]
+
+
+def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
+    """Indices of the columns whose label, or label without unit, or recognised name is `name`.
+
+    A sensor's name is all its axes. Where all columns may be named by their positions, a name that several
+    have is none of them.
+    """
+    labels = table.labels or ()
+    columns = [recognise(label) for label in labels]
+    stem = split_unit(name)[0]
+    keys: list[tuple[str, Iterable[str]]] = [
+        (name, (label.strip() for label in labels)),
+        (stem, (split_unit(label)[0] for label in labels)),
+        (stem, (column.name for column in columns)),
+        (stem, (column.sensor or "" for column in columns)),
+    ]
+    for wanted, candidates in keys:
+        found = tuple(i for i, key in enumerate(candidates) if key.casefold() == wanted.casefold())
+        if len(found) > 1 and stem not in SENSORS:
+            if by_position:
+                return ()
+            listed = ", ".join(repr(labels[i]) for i in found)
+            raise table.source.error(
+                f"columns= names {name!r}, which may be any of {listed}; use the full name"
+            )
+        if found:
+            return found
+    return ()
+
+
+def _chosen_time(
+    table: Table, found: Sequence[Column], columns: Columns, options: ReadOptions, notes: list[str]
+) -> tuple[Column, ...]:
+    """Column of time stamps, or the pair of seconds and nanoseconds; none if there is none to use."""
+    time = options.time
+    if time is False or (time is not None and time.casefold() == "none"):
+        return ()
+    if time is not None and not options.uniform:
+        for key in ("label", "name"):
+            named = [column for column in found if getattr(column, key).casefold() == time.casefold()]
+            if len(named) == 1:
+                return (named[0],)
+        listed = ", ".join(column.label for column in found)
+        raise table.source.error(
+            f"no time column {time!r} among {listed}; correct time= (--time), or ignore the stamps by "
+            "time='none' (--time none)"
+        )
+    # One that is empty is none.
+    candidates = [c for c in found if c.role == "time" and (columns[c.index] == columns[c.index]).any()]
+    if not candidates and (options.rate or table.rate):
+        # Without a rate it is not known what a counter counts.
+        counters = [c for c in found if c.role == "counter" and columns[c.index].dtype.kind in "iu"]
+        candidates = [c for c in counters if np.median(np.diff(columns[c.index].astype(float))) > 0.0][:1]
+    parts = {column.time_part: column for column in candidates if column.time_part is not None}
+    pairs = [
+        (column, parts[prefix, "ns"])
+        for (prefix, unit), column in parts.items()
+        if unit == "s" and (prefix, "ns") in parts
+    ]
+    choices: list[tuple[Column, ...]] = [*((column,) for column in candidates), *pairs]
+    if not choices:
+        return ()
+    # A pair is one clock; a header's stamp is the time of sampling, others may be that of arrival.
+    best = max(choices, key=lambda choice: (len(choice), "header" in choice[0].label.lower()))
+    ignored = [column.label for column in candidates if column not in best]
+    if ignored:
+        used = " and ".join(column.label for column in best)
+        notes.append(f"time from {used}; {', '.join(ignored)} ignored")
+    return best
+
+
+def _missing_axes(axes: Sequence[Column]) -> list[str]:
+    """Notes on sensors that have two axes of x, y and z."""
+    names, notes = {axis.name for axis in axes}, []
+    for sensor in SENSORS:
+        missing = {f"{sensor}_{axis}" for axis in "xyz"} - names
+        if len(missing) == 1:
+            notes.append(f"no column of {missing.pop()}: the other two axes are read without it")
+    return notes
+
 
 # Shares of rows: at least and at most so many are samples of a sensor that shares a table, and of these (of
 # all rows, if two take turns) so many are at even intervals, to this part of the interval.
@@ -237,3 +459,236 @@ def _auxiliary(column: Column, values: np.ndarray, source: Source) -> tuple[np.n
     unit = f" [{column.unit}]" if column.unit else ""
     missing = np.count_nonzero(~np.isfinite(numbers))
     return numbers, f"auxiliary: {column.name}{unit}{f' ({missing} values missing)' if missing else ''}"
+
+
+# Time stamps before a chunk that are checked together with those of the chunk.
+_BEFORE = 1024
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChunkedRecording:
+    """Recording in a file whose samples are read anew whenever it is iterated over.
+
+    An iteration gives arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the `values`
+    that `read` would give, and also dead axes, which `read` leaves out: constant, or nan throughout. It
+    raises RecordingError at the first bad value, gap of the time stamps or damaged row, and at the end if all
+    axes are dead.
+
+    Attributes:
+        rate: sample rate in Hz.
+        axes: axes, one per column.
+        name: name of the file without its suffix.
+        notes: assumptions and findings of the reader that the user should know.
+        n: number of samples, if it is known before they are read.
+    """
+
+    rate: float
+    axes: tuple[Axis, ...]
+    name: str
+    notes: tuple[str, ...]
+    n: int | None
+    _stretch: "_PartOfFile"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
+        size = "" if self.n is None else f"{self.n} samples "
+        return f"<ChunkedRecording {self.name!r}: {axes}; {size}at {self.rate:g} Hz, not read yet>"
+
+    @property
+    def own_scales(self) -> Float[np.ndarray, " axes"]:
+        """Factor of each axis from its own unit to the SI rate."""
+        return scales_of(self.axes, self.rate)
+
+    def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
+        labels = [column.label for column in self._stretch.layout.axes]
+        place, count = self._stretch.table.source, 0
+        first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
+        for axes, _, source in self._stretch.pieces(self.rate):
+            pairs = zip(axes, labels, strict=True)
+            values = np.column_stack([as_float(x, label, source) for x, label in pairs])
+            numbers = usable(values)
+            for k, label in enumerate(labels):
+                if silent[k] and not numbers[:, k].any():
+                    values[:, k] = np.nan
+                    continue
+                if silent[k] and count:
+                    raise bad_cells(label, count, 0, place)
+                if not numbers[:, k].all():
+                    check_finite(values[:, k], label, source)
+            silent &= ~numbers.any(axis=0)
+            if not count:
+                place, first = source, values[0].copy()
+            count += len(values)
+            if not varies.all():
+                varies |= ((values != first) & numbers).any(axis=0)
+            values *= self.own_scales
+            yield values
+        check_length(count, place)
+        if silent.all():
+            raise bad_cells(labels[0], count, 0, place)
+        if not varies.any():
+            k = int(np.argmin(silent))
+            raise constant_error(labels[k], float(first[k]), place)
+
+
+def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: Any) -> ChunkedRecording:
+    """Open a static recording to read it a chunk at a time: text (also gzip), .npy, Parquet or HDF5.
+
+    Columns are recognised as by `read`. The sample rate is that of the first chunk's time stamps, unless it
+    is given; later stamps must agree with it. Columns that are no axis are left out.
+
+    Args:
+        path: the file.
+        chunk: rows to read at a time.
+        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop,
+            topic, instance.
+
+    Raises:
+        RecordingError: the file or the arguments are not usable, as far as the first chunk shows.
+        UnitError: a unit is missing, unknown or contradictory.
+    """
+    return open_chunks(path, ReadOptions(**reading), chunk)
+
+
+def open_chunks(
+    path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20, label: str | None = None
+) -> ChunkedRecording:
+    """Open a recording with these options, as `read_chunks` does; messages name the file `label`."""
+    path = Path(path)
+    source = Source(label or str(path))
+    if chunk < 1:
+        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
+    if options.allows_gaps:
+        raise source.error(
+            "gaps= (--gaps) needs the whole record: read it by read(), or leave out --stream; or take "
+            "stretches without gaps by start= and stop= (--start, --stop)"
+        )
+    kind = format_of(path, source)
+    if not kind.in_chunks:
+        raise source.error(
+            f"a file of this kind ({kind.name}) can not be read in chunks: read it as a whole by read() "
+            "(without --stream), or save it once as .npy, Parquet, HDF5 or CSV, e.g. by "
+            "write(read(path), 'imu.parquet')"
+        )
+    table = kind.table(path, source, options)
+    first = next(table.rows(chunk), None)
+    if first is None:
+        raise table.no_rows()
+    notes = [*table.notes]
+    layout = find_layout(table, first, options, notes)
+    rate = stated_rate(table, options.rate, notes)
+    axes, axis_notes = axes_of(layout.axes, table.units_with(options), source)
+    n, start, stop = table.n, options.start, options.stop
+    stretch = _PartOfFile(table, layout, options.time_unit, start, stop, chunk)
+    if layout.time:
+        stamps = [(column, first[column.index]) for column in layout.time]
+        seconds, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
+        notes += time_notes
+        stretch = dataclasses.replace(stretch, time_unit=unit or options.time_unit)
+        _check_one_rate(first, seconds, layout, source)
+        times, place = stretch.first_times()
+        check_length(len(times), place)
+        if options.uniform:
+            found = uniform_rate(times, layout.time_label, options.rate, place)
+            stretch = dataclasses.replace(stretch, layout=dataclasses.replace(layout, time=()))
+        else:
+            found = rate_from_times(times, layout.time_label, options.rate, place, more=True)
+        rate, stretch = found.rate, dataclasses.replace(stretch, stamped=found.stamped)
+        notes.append(found.note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
+        n = n if start is None and stop is None else None
+    elif rate is None:
+        raise no_rate_error(source)
+    elif n is not None:
+        rows = rows_between(n, rate, start, stop)
+        if rows != slice(0, n):
+            notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} taken")
+        check_stretch(rows, n / rate, source)
+        n = rows.stop - rows.start
+        check_length(n, source)
+    if layout.auxiliary:
+        notes.append(f"not read: {', '.join(column.name for column in layout.auxiliary)}")
+    return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, stretch)
+
+
+def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source: Source) -> None:
+    """Raise RecordingError if rows repeat others as those of two sensors in one table do."""
+    if all(is_numeric(columns[column.index]) for column in layout.axes):
+        values = np.column_stack([columns[column.index] for column in layout.axes])
+        if not own_rows(values, times, layout.axes, source).all():
+            raise source.error(
+                "rows that repeat the last values are left out only without --stream, by read()"
+            )
+
+
+class _Piece(NamedTuple):
+    """Successive rows of a stretch: axes in the file's units, times [s], and their place in the file."""
+
+    axes: Columns
+    times: Float[np.ndarray, " stamps"]
+    source: Source
+
+
+@dataclasses.dataclass(frozen=True)
+class _PartOfFile:
+    """Part of a file from `start` to `stop` [s], read chunk by chunk."""
+
+    table: Table
+    layout: Layout
+    time_unit: str | None
+    start: float | None
+    stop: float | None
+    chunk: int
+    stamped: float | None = None
+
+    def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
+        """Times [s] of the first samples, at most a chunk of them, and their place in the file."""
+        times, place = np.zeros(0), self.table.source
+        for piece in self.pieces(None):
+            place = place if len(times) else piece.source
+            times = np.concatenate([times, piece.times])
+            if len(times) >= self.chunk:
+                break
+        return times[: self.chunk], place
+
+    def pieces(self, rate: float | None) -> Iterator[_Piece]:
+        """Pieces of the stretch, in order; time stamps are checked against their rate if it is known.
+
+        Without stamps times follow from the rate, which is known then.
+        """
+        row, elapsed, seen = 0, 0.0, np.zeros(0)
+        last: Columns | None = None
+        for columns in self.table.rows(self.chunk):
+            size = len(columns[0])
+            stamps = tuple(columns[column.index] for column in self.layout.time)
+            if stamps:
+                # The last stamps of the chunk before, from which on the times of this one are counted.
+                joined = (
+                    stamps if last is None else tuple(map(np.concatenate, zip(last, stamps, strict=True)))
+                )
+                source = self.table.source.after(row - (len(joined[0]) - size))
+                pairs = list(zip(self.layout.time, joined, strict=True))
+                times = elapsed + seconds_from_first(pairs, self.time_unit, None, source).seconds[-size:]
+            else:
+                times = (row + np.arange(size)) / (rate or 1.0)
+            rows = rows_of_times(times, None if len(seen) else self.start, self.stop)
+            piece = self._piece(columns, rows, times[rows], row)
+            if len(piece.times):
+                together = np.concatenate([seen, piece.times])
+                if stamps and self.stamped is not None and len(together) > 1:
+                    place = piece.source.after(-len(seen))
+                    check_rate_kept(together, self.layout.time_label, self.stamped, place)
+                seen = together[-_BEFORE:]
+                yield piece
+            if rows.stop < size:
+                return
+            row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])
+
+    def _piece(self, columns: Columns, rows: slice, times: np.ndarray, row: int) -> _Piece:
+        """Piece from these rows of a chunk that begins at row `row` of the file."""
+        axes = tuple(columns[column.index][rows] for column in self.layout.axes)
+        return _Piece(axes, times, self.table.source.after(row + rows.start))

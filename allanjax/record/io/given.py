@@ -8,14 +8,13 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.record.columns import recognise
+from allanjax.record.columns import names_of, recognise
 from allanjax.record.io import read
-from allanjax.record.io.assembly import assemble
-from allanjax.record.io.chunks import ChunkedRecording
+from allanjax.record.io.assembly import ChunkedRecording, assemble
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.table import Table
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.validation import Source, as_columns, check_rate
+from allanjax.record.validation import Source, as_columns, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,6 +105,20 @@ def samples_of(
     samples, rate = _samples(data, rate)
     source = Source("array")
     return as_columns(samples, source), check_rate(rate, source), None
+
+
+def living_samples(
+    data: RecordingLike,
+    rate: float | None,
+    gyro_unit: str | None,
+    accel_unit: str | None,
+    names: Sequence[str] | None,
+) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
+    """What `samples_of` gives; RecordingError for samples that are not finite, constant, or too few."""
+    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
+    name = data.name or "recording" if isinstance(data, Recording) else "array"
+    check_values(values, names_of(axes, values.shape[1]), Source(name))
+    return values, rate, axes
 
 
 def _columns(data: Any) -> dict[str, np.ndarray] | None:

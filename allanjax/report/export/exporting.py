@@ -1,28 +1,427 @@
-"""`export`: a fit as the file of a program that takes noise parameters."""
+"""`export`: a fit, a data sheet or another program's file as the file of one that takes noise parameters."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal, NamedTuple, get_args
 
-from allanjax.base.errors import FitError
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.datasheet import DataSheet
+from allanjax.noise.datasheet import NOT_GIVEN, REMEDY, DataSheet
 from allanjax.noise.estimate import Estimate
 from allanjax.record.units import SENSORS, Sensor
-from allanjax.report.export.assembly import (
-    Axes,
-    Exported,
-    SensorNoise,
-    assembled,
-    checked_axes,
-    checked_rate,
-    rate_of_target,
-)
-from allanjax.report.export.table import TARGETS
-from allanjax.report.export.targets import Target, target_of
-from allanjax.report.export.values import Number, Quantities, of_sheet, quantities, usable_axes
+from allanjax.report.export.syntax import Entry, by_axis, values_in, written
+from allanjax.report.export.targets import Key, Target, Text, target_of
+
+# Noise quantities that targets take, of each axis of a fit and of three axes together.
+#
+# They are N and K, the density `q` that drives a bias with the correlation time `T`, and B; all in SI.
+
+#: A sensor in words.
+CALLED: dict[Sensor, str] = {"gyro": "gyro", "accel": "accelerometer"}
+#: What becomes of several axes where the target holds one number.
+OneOf = Literal["worst", "mean"]
+
+_TERMS = {"N": "angle_random_walk", "K": "rate_random_walk", "B": "bias_instability"}
+#: Least correlation time [s] that a walk has for a target that takes one; of longer recordings their length.
+LONG = 3600.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """A quantity in SI that a formula takes.
+
+    Attributes:
+        symbol: "N", "K", "q", "T" or "B".
+        value: an estimate, or the 95 % limit of what was not detected.
+        said: value with interval, or limit, and whose it is; in words.
+        unit: SI unit of the value.
+        is_limit: whether it is a limit, or a mean over axes of which one has only a limit.
+        axis: name of the axis.
+        label: the coefficient that it is; "" for the correlation time that a walk is given.
+        interval: 95 % interval, of an estimate.
+    """
+
+    symbol: str
+    value: float
+    said: str
+    unit: str
+    is_limit: bool = False
+    axis: str = ""
+    label: str = ""
+    interval: tuple[float, float] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Missing:
+    """A quantity that the fit does not have, and why, with the remedy."""
+
+    why: str
+
+
+#: Quantities of one axis by their symbols.
+Quantities = Mapping[str, Number | Missing]
+
+
+def completed(of: Mapping[str, Number], why: str, no_walk: str = "") -> Quantities:
+    """All quantities of an axis of which some are given: a walk is also what drives a bias.
+
+    `why` says after its symbol why one is missing, and `no_walk` why there is no K beside a Markov process.
+    """
+    found: dict[str, Number | Missing] = {s: of.get(s) or Missing(f"{s} {why}") for s in "NKqTB"}
+    walk = found["K"]
+    if isinstance(walk, Number):
+        found["q"], found["T"] = _driven_by(walk, LONG)
+    elif isinstance(found["q"], Number):
+        found["K"] = Missing(no_walk)
+    else:
+        found["q"] = found["T"] = walk
+    return found
+
+
+def of_sheet(sheet: DataSheet, sensor: Sensor) -> Quantities:
+    """N, K, B, q and T of a sensor by its data sheet."""
+    given: dict[str, Number] = {}
+    for c in sheet.coefficients(sensor).values():
+        shown, amount = c.in_unit(), f"{significant(c.value, 5)} {c.si_unit}"
+        said = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
+        given[c.symbol] = Number(c.symbol, c.value, said, c.si_unit, axis=sensor, label=c.label)
+    return completed(given, f"of the {CALLED[sensor]} is {NOT_GIVEN} by the data sheet; {REMEDY}")
+
+
+def _driven_by(walk: Number, T: float) -> tuple[Number, Number]:
+    """Density q that drives a bias that is a walk, and the correlation time [s] that it is given."""
+    q = dataclasses.replace(walk, symbol="q", said=f"q = K: {walk.said}")
+    said = f"T = {significant(T, 5)} s: no Markov process but a walk, which the bias is for much less than T"
+    return q, Number("T", T, said, "s", axis=walk.axis)
+
+
+def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], list[str]]:
+    """Axes of a sensor whose coefficients are measurements; and what is wrong with its others, in words.
+
+    With `force` those that are not measurements are among the axes.
+    """
+    results = [r for r in fit.results if r.axis.sensor == sensor]
+    left_out = [r for r in results if not r.measured and not (force and r.converged)]
+    wrong = [f"without {r.axis.name}: {r.verdict}" for r in left_out]
+    wrong += [f"{r.axis.name}: {r.verdict}" for r in results if not r.measured and r not in left_out]
+    wrong += [
+        f"without {dead.axis.name}: no result, {dead.reason}"
+        for dead in fit.dead
+        if dead.axis.sensor == sensor
+    ]
+    return [r for r in results if r not in left_out], wrong
+
+
+def quantities(result: AxisFit, duration: float) -> Quantities:
+    """N, K, B, q and T of an axis of a recording of this duration [s]."""
+    found: dict[str, Number | Missing] = {symbol: _basic(result, symbol) for symbol in _TERMS}
+    found["q"], found["T"] = _drive(result, found["K"], duration)
+    return found
+
+
+def _basic(result: AxisFit, symbol: str) -> Number | Missing:
+    label = _TERMS[symbol]
+    if label not in result.coefficients:
+        terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
+        return Missing(f"no {symbol} in the fitted model ({terms}); fit one that has it")
+    return number(symbol, result.coefficients[label])
+
+
+def number(symbol: str, c: Estimate) -> Number | Missing:
+    """An amplitude, or its 95 % limit where it is not detected."""
+    if c.detected or c.held or not c.measured:
+        if not c.value > 0.0:
+            return Missing(f"{c.title} of {c.axis.name} is zero in a fit that is not a measurement")
+        if c.held or not math.isfinite(c.std):
+            known, interval = " (held)" if c.held else "", None
+        else:
+            known, interval = f" (95 %: {format_interval(*c.interval, c.value, c.std)})", c.interval
+        amount = f"{significant(c.value, 5)} {c.si_unit}{known}"
+        said = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
+        return Number(symbol, c.value, said, c.si_unit, False, c.axis.name, c.label, interval)
+    limit = c.upper_limit
+    if limit is None or not (math.isfinite(limit) and limit > 0.0):
+        return Missing(f"{c.title} of {c.axis.name} is not detected, and there is no limit of it")
+    said = (
+        f"{symbol} NOT DETECTED: this is its 95 % upper limit {significant(limit, 5)} {c.si_unit} "
+        f"({c.in_unit().describe()}), {c.axis.name}"
+    )
+    return Number(symbol, limit, said, c.si_unit, True, c.axis.name, c.label)
+
+
+def markov_terms(result: AxisFit) -> list[tuple[Estimate, Estimate]]:
+    """Amplitude and correlation time of each Markov process that is detected, the longest one first."""
+    by_term: dict[str, dict[str, Estimate]] = {}
+    for c in result.coefficients.values():
+        by_term.setdefault(c.term, {})[c.symbol] = c
+    pairs = [(of["q_c"], of["T_c"]) for of in by_term.values() if {"q_c", "T_c"} <= set(of)]
+    found = [(q, T) for q, T in pairs if q.detected and q.value > 0.0 and math.isfinite(T.value)]
+    return sorted(found, key=lambda pair: -pair[1].value)
+
+
+def _drive(
+    result: AxisFit, walk: Number | Missing, duration: float
+) -> tuple[Number | Missing, Number | Missing]:
+    """Density q that drives the bias, and its correlation time T: of a Markov process, or of the walk.
+
+    Where both are there, what drives the bias more.
+    """
+    name = result.axis.name
+    processes = markov_terms(result)
+    if processes:
+        amplitude, time = processes[0]
+        weaker = isinstance(walk, Missing) or walk.is_limit or walk.value < amplitude.value
+        if weaker:
+            q = number("q", amplitude)
+            said = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
+            return q, Number("T", time.value, said, "s", axis=name, label=time.label)
+    if isinstance(walk, Missing):
+        return walk, walk
+    return _driven_by(walk, max(duration, LONG))
+
+
+def together(
+    formula: Callable[[Mapping[str, float]], float], axes: Sequence[Mapping[str, Number]], how: OneOf
+) -> tuple[float, tuple[Number, ...]]:
+    """What a formula gives for several axes: the worst, i.e. largest value, or that of the mean quantities.
+
+    A correlation time is that of the axis whose bias is driven most.
+
+    Args:
+        formula: of the quantities' values by symbol.
+        axes: the quantities that it takes, of each axis.
+        how: "worst" or "mean".
+
+    Returns:
+        The value and the numbers that it was made of.
+    """
+    driven = "q" in axes[0]
+    sizes = [axis["q"].value if driven else _value(formula, axis) for axis in axes]
+    worst = axes[sizes.index(max(sizes))]
+    if len(axes) == 1:
+        return _value(formula, worst), tuple(worst.values())
+    if how == "worst":
+        told = f", the worst of {len(axes)} axes"
+        numbers = [n if s == "T" else dataclasses.replace(n, said=n.said + told) for s, n in worst.items()]
+    else:
+        numbers = [n if s == "T" else _mean([axis[s] for axis in axes]) for s, n in worst.items()]
+    return _value(formula, worst if how == "worst" else {n.symbol: n for n in numbers}), tuple(numbers)
+
+
+def _value(formula: Callable[[Mapping[str, float]], float], axis: Mapping[str, Number]) -> float:
+    return formula({symbol: number.value for symbol, number in axis.items()})
+
+
+def _mean(numbers: Sequence[Number]) -> Number:
+    """Arithmetic mean over axes, whose errors are taken as independent."""
+    first, value = numbers[0], math.fsum(n.value for n in numbers) / len(numbers)
+    limits = [n.axis for n in numbers if n.is_limit]
+    said = f"{first.symbol} = {significant(value, 5)} {first.unit}"
+    interval = None
+    if not limits and all(n.interval is not None for n in numbers):
+        # Intervals of an axis need not be symmetric: their halves add up in squares on each side.
+        below, above = (
+            math.hypot(*(n.interval[side] - n.value for n in numbers if n.interval)) / len(numbers)
+            for side in (0, 1)
+        )
+        interval = (value - below, value + above)
+        said += f" (95 %: {format_interval(*interval, value, (above + below) / 3.92)})"
+    said += f", the mean of {', '.join(n.axis for n in numbers)}"
+    if limits:
+        said += f"; NOT DETECTED in {', '.join(limits)}, of which the 95 % upper limit is in the mean"
+    return Number(first.symbol, value, said, first.unit, bool(limits), "mean", first.label, interval)
+
+
+#: What is written of several axes: each where the target holds three, the worst, or the mean.
+Axes = Literal["each", "worst", "mean"]
+
+
+class Exported(NamedTuple):
+    """The text for a target, and what its user should know: warnings, and what had to be left out of it."""
+
+    text: str
+    left_out: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorNoise:
+    """The noise of a sensor's axes, by their names; and in words what is wrong with others."""
+
+    names: tuple[str, ...]
+    axes: tuple[Quantities, ...]
+    wrong: tuple[str, ...] = ()
+
+
+def checked_axes(to: Target, axes: Axes | None) -> None:
+    """Raise AllanjaxError if a target can not be given what is asked for several axes."""
+    if axes is not None and axes not in get_args(Axes):
+        raise AllanjaxError(f"axes={axes!r}: it is one of {', '.join(get_args(Axes))}")
+    if axes == "each" and all(key.of == "one" for key in to.noise_keys):
+        raise AllanjaxError(f"{to.title} holds one value for all axes: take the worst or the mean of them")
+
+
+def checked_rate(rate: float) -> float:
+    """The rate [Hz] as a float; AllanjaxError if it is not positive."""
+    if not 0.0 < rate < math.inf:
+        raise AllanjaxError(f"the rate must be positive, not {rate:g} Hz; give it by rate= (--rate)")
+    return float(rate)
+
+
+def rate_of_target(to: Target, rate: float | None, own: float | None) -> float:
+    """Rate of a target's steps [Hz]: the one given, unless it has its own, or that of the source.
+
+    It is nan if it is not known and no noise depends on it.
+    """
+    found = rate if rate is not None and to.rate is None else to.rate if to.rate is not None else own
+    if found is None and any("r" in key.names for key in to.noise_keys if key.sensor):
+        raise AllanjaxError(f"{to.title} takes the rate of the IMU, which is not known: give rate= (--rate)")
+    return math.nan if found is None else checked_rate(found)
+
+
+def assembled(
+    to: Target,
+    sensors: Mapping[Sensor, SensorNoise],
+    axes: Axes | None,
+    rate: float,
+    head: Sequence[str],
+    not_held: Sequence[str] = (),
+) -> Exported:
+    """The file of a target.
+
+    Args:
+        to: the target.
+        sensors: the noise of gyros and of accelerometers; without axes where there are none.
+        axes: see `exporting.export`.
+        rate: of the target's steps [Hz].
+        head: what the values are, for the first lines.
+        not_held: what the target can not hold, in words.
+    """
+    if to.one_time:
+        sensors = _with_one_time(sensors)
+    needs_rate = math.isfinite(rate) and any("r" in key.names for key in to.noise_keys)
+    entries: list[Entry] = []
+    without: dict[str, list[str]] = {}
+    for key in to.keys:
+        if isinstance(key, Text):
+            if key.sensor is None or sensors[key.sensor].axes:
+                entries.append(Entry(key.name, key.value, (key.note,) if key.note else ()))
+            continue
+        try:
+            entries.append(_entry(key, to, sensors, axes, rate))
+        except _LeftOutError as why:
+            without.setdefault(str(why), []).append(key.called)
+    left_out = [f"{', '.join(dict.fromkeys(keys))} left out: {why}" for why, keys in without.items()]
+    wrong = [text for s in sensors.values() for text in s.wrong]
+    lines = [
+        *head,
+        f"follows {to.source}",
+        *([f"r = {significant(rate, 6)} Hz, {to.rate_name}"] if needs_rate else []),
+        "N, K: densities, two-sided, in SI",
+        *to.notes,
+        *wrong,
+        *not_held,
+        *left_out,
+    ]
+    return Exported(written(to, lines, entries), (*wrong, *left_out))
+
+
+class _LeftOutError(Exception):
+    """Why a key is left out."""
+
+
+def _with_one_time(sensors: Mapping[Sensor, SensorNoise]) -> dict[Sensor, SensorNoise]:
+    """The sensors with one correlation time for all axes: that of a Markov process, of a gyro if it has one.
+
+    Of several it is that of the process that is driven most.
+    """
+    driven: list[tuple[Number, Number]] = []
+    for s in sensors.values():
+        pairs = [(of["q"], of["T"]) for of in s.axes]
+        found = [(q, T) for q, T in pairs if isinstance(q, Number) and isinstance(T, Number)]
+        processes = [(q, T) for q, T in found if T.label]
+        driven = processes or driven or found
+        if processes:
+            break
+    if not driven:
+        return dict(sensors)
+    _, T = max(driven, key=lambda pair: pair[0].value)
+    return {
+        name: dataclasses.replace(
+            s, axes=tuple({**of, "T": T} if isinstance(of["T"], Number) else of for of in s.axes)
+        )
+        for name, s in sensors.items()
+    }
+
+
+def _entry(
+    key: Key, to: Target, sensors: Mapping[Sensor, SensorNoise], axes: Axes | None, rate: float
+) -> Entry:
+    """The line of a key; _LeftOutError says why there is none."""
+    if key.sensor is None:
+        if "r" in key.names and math.isnan(rate):
+            raise _LeftOutError("the rate of the IMU is not known: give rate= (--rate)")
+        return Entry(key.name, key.value({}, rate), (f"= {key.formula} [{key.unit}]",))
+    s = sensors[key.sensor]
+    if not s.axes:
+        raise _LeftOutError(f"there is no {CALLED[key.sensor]} with a result; take a recording that has one")
+    found, lacking = [], []
+    for name, of in zip(s.names, s.axes, strict=True):
+        own = {symbol: of[symbol] for symbol in key.symbols}
+        missing = [x.why for x in own.values() if isinstance(x, Missing)]
+        if missing:
+            lacking += missing
+        else:
+            found.append((name, {k: x for k, x in own.items() if isinstance(x, Number)}))
+    if not found:
+        raise _LeftOutError("; ".join(dict.fromkeys(lacking)))
+    if key.optional and all(n.is_limit for _, of in found for n in of.values()):
+        raise _LeftOutError("; ".join(dict.fromkeys(n.said for _, of in found for n in of.values())))
+    values, numbers = _values(key, found, axes, rate)
+    comments = [f"= {key.formula} [{key.unit}]; source: {to.source.partition(':')[0]}"]
+    comments += dict.fromkeys(n.said for n in numbers if n.symbol in key.formula)
+    comments += dict.fromkeys(lacking)
+    if key.note:
+        comments.append(key.note)
+    if any(not key.least <= x <= key.most for x in values):
+        comments.append(f"OUTSIDE of the {key.least:g} to {key.most:g} {key.unit} that {to.title} accepts")
+    value = {"three": values, "matrix": _diagonal(values)}.get(key.of, values[0])
+    return Entry(key.name, value, tuple(comments))
+
+
+def _values(
+    key: Key, found: Sequence[tuple[str, Mapping[str, Number]]], axes: Axes | None, rate: float
+) -> tuple[tuple[float, ...], tuple[Number, ...]]:
+    """Values of a key, one or of x, y and z, and the numbers that they are made of."""
+    how: OneOf = "mean" if axes == "mean" or key.of == "mean" else "worst"
+    every = [of for _, of in found]
+    all_axes = together(lambda q: key.value(q, rate), every, how)
+    if key.of in ("one", "mean"):
+        return (all_axes[0],), all_axes[1]
+    by_letter = {name[-1]: of for name, of in found}
+    letters = "xyz" if key.of in ("three", "matrix") else key.of
+    values, numbers = [], []
+    for letter in letters:
+        own = axes in (None, "each") and letter in by_letter
+        value, made_of = together(lambda q: key.value(q, rate), [by_letter[letter]], how) if own else all_axes
+        values.append(value)
+        instead = not own and axes in (None, "each")
+        place = f" (in the place of {letter}, which has no value of its own)" if instead else ""
+        numbers += [dataclasses.replace(n, said=n.said + place) for n in made_of]
+    return tuple(values), tuple(numbers)
+
+
+def _diagonal(values: Sequence[float]) -> tuple[float, ...]:
+    """A covariance matrix of 3 × 3, row by row."""
+    if len(values) != 3:
+        return tuple(values)
+    x, y, z = values
+    return (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
 
 
 def export(
@@ -70,7 +469,7 @@ def exported(
     force: bool = False,
 ) -> Exported:
     """What `export` writes, and what had to be left out of it."""
-    to = target_of(target, TARGETS)
+    to = target_of(target)
     checked_axes(to, axes)
     if isinstance(fit, DataSheet):
         of = {s: SensorNoise((s,), (of_sheet(fit, s),)) for s in fit.models}
@@ -127,3 +526,107 @@ def _not_held(
         told.append(f"NOT HELD by {to.title}: {c.title} {c.symbol} = {amount} of {c.axis.name}{walks}")
     corrected = [f"{r.axis.name}: {r.correction}" for r in results if r.correction]
     return told + [f"N is the density at low frequencies; NOT HELD: {text}" for text in corrected]
+
+
+_UNITS: dict[Sensor, dict[str, str]] = {
+    "gyro": {"N": "rad/√s", "K": "rad/s/√s", "q": "rad/s/√s", "B": "rad/s", "T": "s"},
+    "accel": {"N": "m/s/√s", "K": "m/s²/√s", "q": "m/s²/√s", "B": "m/s²", "T": "s"},
+}
+
+
+def converted(
+    text: str,
+    source: str,
+    target: str,
+    *,
+    axes: Axes | None = None,
+    rate: float | None = None,
+    name: str = "",
+) -> Exported:
+    """The file of one target as that of another.
+
+    Args:
+        text: of the file.
+        source: the target that the file is of.
+        target: the one to write.
+        axes: see `export`.
+        rate: rate of the steps [Hz], which a file whose values are per step does not always have.
+        name: of the file, for messages and the first line.
+
+    Raises:
+        AllanjaxError: there is no such target; the file of `source` is ambiguous, damaged, or has none of its
+            keys; or the rate is needed.
+    """
+    from_, to = target_of(source), target_of(target)
+    if from_.unreadable:
+        raise AllanjaxError(f"a file of {from_.title} can not be converted: {from_.unreadable}")
+    checked_axes(to, axes)
+    try:
+        values = values_in(from_, text)
+        own = _rate_of(from_, values, rate)
+        sensors = {sensor: _noise(from_, sensor, values, own) for sensor in SENSORS}
+    except AllanjaxError as error:
+        raise AllanjaxError(f"{name or 'the text'}: {error}") from error
+    if not any(s.axes for s in sensors.values()):
+        keys = ", ".join(dict.fromkeys(key.called for key in from_.noise_keys if key.sensor))
+        raise AllanjaxError(f"{name or 'the text'}: not a file of {from_.title}: none of {keys} is in it")
+    head = f"{to.title}: converted by allanjax from {name or 'a file'} of {from_.title}, not from a recording"
+    return assembled(to, sensors, axes, rate_of_target(to, rate, own), [head])
+
+
+def _rate_of(from_: Target, values: Mapping[str, tuple[float, ...]], rate: float | None) -> float | None:
+    """Rate of the steps that the file's values are of [Hz]; None if they are of none and it is not known."""
+    if from_.rate is not None:
+        return from_.rate
+    own = [values[key.name][0] for key in from_.noise_keys if key.formula == "r" and key.name in values]
+    found = rate if rate is not None else own[0] if own else None
+    if found is None and any("r" in key.names for key in from_.noise_keys if key.sensor):
+        raise AllanjaxError(
+            f"values of {from_.title} are per step, and its file does not have the rate: give --rate"
+        )
+    return None if found is None else checked_rate(found)
+
+
+def _noise(
+    from_: Target, sensor: Sensor, values: Mapping[str, tuple[float, ...]], rate: float | None
+) -> SensorNoise:
+    """Quantities of a sensor's axes, from the values of its keys."""
+    keys = [key for key in from_.noise_keys if key.name in values]
+    letters: dict[str, dict[str, Number]] = {}
+    # Correlation times come first, since other formulas need them.
+    for key in sorted(keys, key=lambda key: key.formula != "T"):
+        shared = from_.one_time and key.formula == "T"
+        if key.sensor != sensor and not shared:
+            continue
+        for letter, value in by_axis(key, values[key.name]).items():
+            known = letters.get(letter, {}) | {s: n for s, n in letters.get("", {}).items() if s == "T"}
+            number = _number(from_, key, sensor, value, known, rate)
+            letters.setdefault(letter, {})[number.symbol] = number
+    common = letters.pop("", {})
+    if not (common.keys() - {"T"} or letters):
+        return SensorNoise((), ())
+    of_axes = {letter: common | of for letter, of in letters.items()} or {"": common}
+    names = tuple(f"{sensor}_{letter}" if letter else sensor for letter in of_axes)
+    return SensorNoise(names, tuple(_quantities(from_, of) for of in of_axes.values()))
+
+
+def _number(
+    from_: Target, key: Key, sensor: Sensor, value: float, known: Mapping[str, Number], rate: float | None
+) -> Number:
+    """The quantity that a value of the file is of."""
+    if not 0.0 < value < math.inf:
+        raise AllanjaxError(f"{key.called} is {value:g}, which no noise has; give a positive value")
+    symbol = "q" if {"q", "T"} <= key.names else next(s for s in "NKqBT" if s in key.names)
+    others = {s: n.value for s, n in known.items() if s != symbol}
+    if "T" in key.names - {symbol} and "T" not in others:
+        raise AllanjaxError(f"{key.called} needs the correlation time, which is not in it")
+    unit = _UNITS[sensor][symbol]
+    x = key.solved(value, symbol, others, rate if rate is not None else 1.0)
+    said = f"{symbol} = {significant(x, 5)} {unit}, from {key.called} = {value:g} {key.unit} of {from_.title}"
+    return Number(symbol, x, said, unit, axis=sensor, label=symbol)
+
+
+def _quantities(from_: Target, of: Mapping[str, Number]) -> Quantities:
+    """All quantities of an axis: those of the file, a walk also as what drives a bias."""
+    no_walk = f"the bias of {from_.title} is a Markov process, which is no walk beyond its correlation time"
+    return completed(of, f"is not in a file of {from_.title}", no_walk)

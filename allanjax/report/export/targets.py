@@ -1,4 +1,4 @@
-"""What a target is: its keys, the formula of each, and how its file is written. The table is in `table`."""
+"""What a target is: its keys, the formula of each, and how its file is written. Each is in `targets.toml`."""
 
 from __future__ import annotations
 
@@ -6,25 +6,17 @@ import dataclasses
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
-from typing import Literal
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from typing import Any, Literal
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.record.units import Sensor, unit_scale
+from allanjax.record.units import SENSORS, Sensor, unit_scale
 
 #: Which axes a key is of: one value for all, each axis in a list, their covariance matrix, the mean, or one.
 Of = Literal["one", "three", "matrix", "mean", "x", "y", "z"]
 Syntax = Literal["yaml", "json", "xml", "lines"]
-
-#: Units of gyros' and accelerometers' values: densities, walks, what there is in a step, and their squares.
-DENSITY = ("rad/s/√Hz", "m/s²/√Hz")
-WALK = ("rad/s²/√Hz", "m/s³/√Hz")
-SAMPLE = ("rad/s", "m/s²")
-SAMPLE_WALK = ("rad/s²", "m/s³")
-DENSITY_SQUARED = ("rad²/s", "m²/s³")
-WALK_SQUARED = ("rad²/s³", "m²/s⁵")
-VARIANCE = ("rad²/s²", "m²/s⁴")
-WALK_VARIANCE = ("rad²/s⁴", "m²/s⁶")
 
 _SYMBOLS = frozenset("NKqTB")
 
@@ -36,7 +28,7 @@ class Key:
     Attributes:
         name: where it stands: names of the levels with "/" between them; of lines the whole line, with {}
             for the value.
-        formula: of N, K, q, T, B (see `values`), in SI, and the rate r [Hz]; as Python has it.
+        formula: of N, K, q, T, B (see `exporting`), in SI, and the rate r [Hz]; as Python has it.
         unit: the target's unit.
         sensor: whose value it is; None for one of the recording.
         of: of which axes it is.
@@ -138,16 +130,6 @@ class Target:
         return tuple(key for key in self.keys if isinstance(key, Key))
 
 
-def both(
-    gyro: str, accel: str, formula: str, units: tuple[str, str], of: Of = "one", optional: bool = False
-) -> tuple[Key, Key]:
-    """The keys of gyros and of accelerometers that have the same formula."""
-    return (
-        Key(gyro, formula, units[0], "gyro", of, optional),
-        Key(accel, formula, units[1], "accel", of, optional),
-    )
-
-
 @functools.cache
 def _compiled(formula: str) -> Callable[[Mapping[str, float]], float]:
     """A formula of our own table as a function."""
@@ -155,17 +137,48 @@ def _compiled(formula: str) -> Callable[[Mapping[str, float]], float]:
     return lambda names: eval(code, {"__builtins__": {}, "sqrt": math.sqrt}, dict(names))
 
 
-def target_of(name: str, targets: Mapping[str, Target]) -> Target:
+def _table() -> dict[str, Target]:
+    """The targets of `targets.toml` by name."""
+    text = files(__package__).joinpath("targets.toml").read_text(encoding="utf-8")
+    notes, *rest = tomllib.loads(text).items()
+    return {name: _target(name, of, notes[1]) for name, of in rest}
+
+
+def _target(name: str, of: Mapping[str, Any], common: Mapping[str, str]) -> Target:
+    """Target of a table; notes that several have are named."""
+    fields: dict[str, Any] = {k: tuple(x) if isinstance(x, list) else x for k, x in of.items()}
+    fields["keys"] = tuple(key for row in of["keys"] for key in _keys(**row))
+    fields["notes"] = tuple(common.get(note, note) for note in of.get("notes", ()))
+    return Target(name, **fields)
+
+
+def _keys(key: str = "", text: str = "", units: Sequence[str] = (), **row: Any) -> Iterator[Key | Text]:
+    """Keys of a row: a text, a key, or those of gyros and of accelerometers with the same formula."""
+    if text:
+        yield Text(text, **row)
+    elif key:
+        yield Key(key, **row)
+    else:
+        names = [(sensor, row.pop(sensor)) for sensor in SENSORS]
+        for (sensor, name), unit in zip(names, units, strict=True):
+            yield Key(name, sensor=sensor, unit=unit, **row)
+
+
+#: Targets by name.
+TARGETS: Mapping[str, Target] = _table()
+
+
+def target_of(name: str) -> Target:
     """The target that is called so; case, spaces, dashes and underscores do not matter.
 
     Raises:
         AllanjaxError: there is none; the message lists those there are.
     """
     wanted = _spelt(name)
-    for target in targets.values():
+    for target in TARGETS.values():
         if wanted in map(_spelt, (target.name, target.title, *target.also)):
             return target
-    raise AllanjaxError(f"no target {name!r} to export to; there are {', '.join(targets)}")
+    raise AllanjaxError(f"no target {name!r} to export to; there are {', '.join(TARGETS)}")
 
 
 def _spelt(name: str) -> str:
