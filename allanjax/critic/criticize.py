@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -38,8 +41,10 @@ from allanjax.critic.view import View
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
 from allanjax.inspection import Inspection, inspect
-from allanjax.inspection.facts import Fact
-from allanjax.record.recording import Recording
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
+from allanjax.record.recording import Axis, DeadAxis, Recording
+
+_T = TypeVar("_T")
 
 # Statistics that compare with other channels: what they show has its cause in these.
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
@@ -72,7 +77,9 @@ def criticize(
     _check(recording, given, false_alarms)
     per_axis = false_alarms / len(recording.axes)
 
-    searches, fit = _searches(recording, seen, given, causes, per_axis, tell)
+    failed: dict[str, DeadAxis] = {}
+    searches, fit = _searches(recording, seen, given, causes, per_axis, tell, failed)
+    recording = _left(recording, failed)
     tell("comparing measurement and simulation")
     stages = [_stages(s) for s in searches]
 
@@ -92,8 +99,8 @@ def criticize(
     )
 
     def judged(k: int) -> AxisCritique:
-        s, result = searches[k], fit.results[k]
-        axis = s.start.axis
+        s, axis = searches[k], searches[k].start.axis
+        result = fit[axis.name]
         before = _compared(k, first, s.start.recorded(s.start.raw), recording)
         now = s.end.samples if s.preprocessed else s.start.raw
         after = _compared(k, last, s.end.recorded(now), recording)
@@ -114,12 +121,50 @@ def criticize(
         return AxisCritique(axis, *told)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
-        axes = tuple(pool.map(judged, range(len(searches))))
+        found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
+    _left(recording, failed)
     unfitted = [r for r in fit.results if not r.converged]
     notes = [*fit.notes]
     notes += [f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence" for r in unfitted]
     notes += [note for s in searches for note in s.notes]
-    return Critique(recording.name, recording.rate, fit, axes, shared, tuple(notes), recording.dead)
+    axes, dead = tuple(a for a in found if a is not None), (*recording.dead, *failed.values())
+    return Critique(recording.name, recording.rate, fit, axes, shared, tuple(notes), dead)
+
+
+def _guarded(
+    work: Callable[[int], _T], axes: Sequence[Axis], failed: dict[str, DeadAxis]
+) -> Callable[[int], _T | None]:
+    """The work on an axis by its number; None, and a reason in `failed`, where it has failed."""
+
+    def attempt(k: int) -> _T | None:
+        if axes[k].name in failed:
+            return None
+        try:
+            return work(k)
+        except (MemoryError, OSError):
+            raise
+        except AllanjaxError as error:
+            reason = str(error)
+        except Exception as error:
+            *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+            place = f"{Path(frame.f_code.co_filename).name}:{line}"
+            reason = (
+                f"its critique failed by a fault of allanjax, {type(error).__name__} in {place} ({error}); "
+                "please report it together with the recording"
+            )
+        failed[axes[k].name] = DeadAxis(axes[k], reason)
+        return None
+
+    return attempt
+
+
+def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
+    """The recording without axes whose critique has failed; a FitError if nothing is left."""
+    left = [name for name in recording.names if name not in failed]
+    if not left:
+        reasons = "; ".join(f"{name}: {axis.reason}" for name, axis in failed.items())
+        raise FitError(f"{recording.name or 'the recording'}: {reasons}")
+    return dataclasses.replace(recording.select(*left), dead=recording.dead)
 
 
 def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Inspection]:
@@ -128,13 +173,16 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     What happens between is for the critique to name.
     """
     seen = inspect(recording, vibrating=vibrating, may_move=True)
-    facts = [fact for fact in seen.facts if fact.kind not in ("disturbances", "spikes") or seen.refusal]
+    facts = [fact for fact in seen.facts if fact.kind not in ("disturbances", "spikes")]
     whole = 0.0, recording.duration
     start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
     if (start, stop) != whole:
         text = f"{seen.said}: the critique is of {plain(start)} to {plain(stop)} s"
         facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
         recording = recording.between(start, stop)
+    elif seen.refusal:
+        text = f"{seen.said}: the critique is of all of it, as too little would be left without"
+        facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
     return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
 
 
@@ -145,15 +193,21 @@ def _searches(
     causes: Sequence[Cause],
     false_alarms: float,
     tell: Callable[[str], None],
+    failed: dict[str, DeadAxis],
 ) -> tuple[list[Search], Fit]:
-    """Searches in all axes, and the fit that the critique begins with."""
+    """Searches in all axes but those that `failed`, and the fit that the critique begins with."""
 
     def searched(k: int) -> Draft:
-        return _searched(recording, given, causes, false_alarms, tell, k)
+        """Search in one axis, from the model that was given."""
+        scale, x = float(recording.own_scales[k]), recording.values[:, k]
+        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
+        drawn = None if recording.missing is None else recording.missing[:, k]
+        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
+        return search(view, causes, false_alarms, tell)
 
     def concluding(k: int) -> Search:
         """Search in an axis, at the places where others have something, too."""
-        others = elsewhere(places[k], [place for i, own in enumerate(places) if i != k for place in own])
+        others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
         there = [again for cause in causes if (again := cause.at(others)) is not None]
         draft = going_on(drafts[k], there, false_alarms, tell) if others else drafts[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
@@ -163,27 +217,12 @@ def _searches(
     # search needs no fit: it is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
         fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
-        drafts = list(pool.map(searched, range(len(recording.axes))))
-        places = [places_in(draft.end, draft.steps) for draft in drafts]
-        searches = list(pool.map(concluding, range(len(recording.axes))))
+        found = pool.map(_guarded(searched, recording.axes, failed), range(len(recording.axes)))
+        drafts = {k: draft for k, draft in enumerate(found) if draft is not None}
+        places = {k: places_in(draft.end, draft.steps) for k, draft in drafts.items()}
+        searches = list(pool.map(_guarded(concluding, recording.axes, failed), range(len(recording.axes))))
     # It looks for filters, resonances and lines itself.
-    return searches, fitting.result().without_extensions()
-
-
-def _searched(
-    recording: Recording,
-    given: Fit | None,
-    causes: Sequence[Cause],
-    false_alarms: float,
-    tell: Callable[[str], None],
-    k: int,
-) -> Draft:
-    """Search in one axis, from the model that was given."""
-    scale, x = float(recording.own_scales[k]), recording.values[:, k]
-    baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-    drawn = None if recording.missing is None else recording.missing[:, k]
-    view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-    return search(view, causes, false_alarms, tell)
+    return [s for s in searches if s is not None], fitting.result().without_extensions()
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:

@@ -12,9 +12,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from allanjax.critic.events import OUTLIERS, events
-from allanjax.critic.finding import Finding
-from allanjax.critic.parameters import parameter_estimate, values_of
+from allanjax.critic.events import OUTLIERS, STRETCHES, events
+from allanjax.critic.finding import CoefficientChange, Finding
+from allanjax.critic.parameters import Detail, parameter_estimate, side_of_limit, values_of
 from allanjax.critic.together import largest, mean_of, shared, summed, together
 from allanjax.noise.estimate import Estimate
 
@@ -36,6 +36,9 @@ _FACTOR, _DAMPING = 2.0, 4.0
 # Shares of the record within which steps, and the ends of loud stretches, are simultaneous, and beyond which
 # nothing is, however large its error: judgements.
 _STEP_TIME, _STRETCH_TIME, _APART = 1e-3, 1e-2, 2e-2
+# Overlaps, as shares of the longer one, from which on stretches are one event: those of one axis, of different
+# axes, and those whose ends are those of the event: judgements.
+_NESTED, _SAME, _ALIKE = 0.2, 0.7, 0.9
 
 #: Whether a finding is one with the strongest of a kind, in a record of this length [s].
 Same: TypeAlias = Callable[[Finding, Finding, float], bool]
@@ -62,7 +65,8 @@ def merged(
 
     `findings` are those of the single axes, axis by axis; `of_several` those that several axes share.
     """
-    found, left = events(findings, duration)
+    happened, left = events(findings, duration)
+    found, left = [], [*happened, *left]
     for rule in RULES:
         kind = [f for f in left if rule.applies(f)]
         left = [f for f in left if not rule.applies(f)]
@@ -146,6 +150,12 @@ def _same_stretch(one: Finding, other: Finding, duration: float) -> bool:
     return all(_near(one, other, label, _TIME, least, most) for label in ("start", "end"))
 
 
+def _overlap(one: Finding, other: Finding) -> float:
+    """Length that two stretches have in common, as a share of the longer one."""
+    (a, b), (c, d) = one.span, other.span
+    return (min(b, d) - max(a, c)) / max(b - a, d - c, 1e-300)
+
+
 def _same_warm_up(one: Finding, other: Finding, duration: float) -> bool:
     return _similar(one, other, "time_constant", _FACTOR)
 
@@ -191,6 +201,57 @@ def _rule(
         return together(members[0].cause, members, own, largest(members), words)
 
     return Rule(lambda f: f.cause in causes, family, told)
+
+
+def _stretches(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
+    """Stretches that are one event with the strongest one: they last as long, or overlap on one axis.
+
+    What is found again within a stretch of the same axis is what a first finding has left of the event.
+    """
+    family, left = [first], [f for f in findings if f is not first]
+    for known in family:
+        again = [
+            f
+            for f in left
+            if _same_stretch(known, f, duration)
+            or _overlap(known, f) > (_NESTED if set(known.axes) & set(f.axes) else _SAME)
+        ]
+        family += again
+        left = [f for f in left if not _among(f, again)]
+    return [f for f in findings if _among(f, family)]
+
+
+def _stretch(members: Sequence[Finding]) -> Finding:
+    """One stretch, with the times of the strongest finding, and the changes from the first to the last."""
+    first = max(members, key=_weight)
+    alike = [f for f in members if _overlap(first, f) > _ALIKE]
+    causes = {cause: None for cause in STRETCHES if any(f.cause == cause for f in members)}
+    seen: dict[str, Detail] = {"seen_as": tuple(causes)} if len(causes) > 1 else {}
+    whole = together(next(iter(causes)), members, shared(alike, ["start", "end"]), _loudness(members), seen)
+    before: dict[str, CoefficientChange] = {}
+    after: dict[str, float] = {}
+    for change in (c for f in whole.members if f.axes == whole.strongest.axes for c in f.coefficients):
+        before.setdefault(change.label, change)
+        after[change.label] = change.after
+    changes = tuple(dataclasses.replace(c, after=after[label]) for label, c in before.items())
+    return dataclasses.replace(whole, coefficients=changes)
+
+
+def _loudness(members: Sequence[Finding]) -> dict[str, Estimate]:
+    """How large an event is in each axis: its peak, or the product of the ratios that were found in turn."""
+    found: dict[str, Estimate] = {}
+    for axis, size in ((axis, size) for f in members for axis, size in f.amplitudes.items()):
+        known = found.get(axis, size)
+        if known is size or (known.unit == "1") > (size.unit == "1"):
+            found[axis] = size
+        elif known.unit == size.unit == "1":
+            value = known.value * size.value
+            std = value * float(np.hypot(known.std / known.value, size.std / size.value))
+            limit = side_of_limit(known) or side_of_limit(size)
+            found[axis] = parameter_estimate(size.axis, size.label, value, std, "1", limit)
+        elif abs(size.value) > abs(known.value) and size.unit != "1":
+            found[axis] = size
+    return found
 
 
 def _is_line(f: Finding) -> bool:
@@ -287,7 +348,7 @@ RULES: tuple[Rule, ...] = (
     _rule(["bias_step"], _same_step, ["time"]),
     _rule(["warm_up"], _same_warm_up, ["time_constant"]),
     _rule(["temperature"], _same_channel, ["lag"]),
-    _rule(["disturbance", "variance_change"], _same_stretch, ["start", "end"]),
+    Rule(lambda f: f.cause in STRETCHES, _stretches, _stretch),
     _rule([OUTLIERS], _same_sensor, totals=["count"], is_once=False),
     _rule(["rounding", "saturation", "repeated_samples"], _always),
 )

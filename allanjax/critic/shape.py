@@ -69,7 +69,7 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
     """Structure of a view with all terms that it may have."""
     columns = [FIXED.index(name) for name in FIXED if name in view.allowed]
     columns += [] if further is None else [FURTHER]
-    start = Structure.plain(columns)
+    start = dataclasses.replace(Structure.plain(columns), further=further)
     noise = view.noise
     # The same spectrum by another name: as white noise that is filtered it says where it ends.
     filtered = "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT

@@ -8,10 +8,10 @@ import numpy as np
 
 from allanjax.base.wording import duration, plain
 from allanjax.critic.finding import CoefficientChange, Finding
-from allanjax.critic.parameters import values_of
+from allanjax.critic.parameters import side_of_limit, values_of
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.record.recording import Axis
-from allanjax.report.critique_words import AS_RECORDED, factor_off, percent, side_of_limit, suited
+from allanjax.report.critique_words import AS_RECORDED, factor_off, percent, suited
 
 #: Most findings that a printed critique tells.
 MOST = 10
@@ -136,7 +136,7 @@ def _between(each: Sequence[Estimate]) -> str:
     """Smallest and largest of several values, e.g. "0.2 … 0.382 mg"."""
     low, high = (choice(each, key=lambda e: abs(e.value)) for choice in (min, max))
     unit, factor = ("%", 100.0) if high.label == "fraction" else _unit(high)
-    ends = list(dict.fromkeys(plain(factor * e.value, 3) for e in (low, high)))
+    ends = dict.fromkeys(f"{_LIMIT[side_of_limit(e)]}{plain(factor * e.value, 3)}" for e in (low, high))
     return " … ".join(ends) + (f" {unit}" if unit else "")
 
 

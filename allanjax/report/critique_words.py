@@ -10,7 +10,7 @@ import numpy as np
 
 from allanjax.base.wording import format_with_error, plain
 from allanjax.critic.finding import Discrepancy, Finding
-from allanjax.critic.parameters import Detail, Limit, values_of
+from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.noise.estimate import Estimate
 
 # Statistics whose two values compare as a ratio: their name, and what stands before a place.
@@ -91,13 +91,6 @@ def is_told_elsewhere(finding: Finding) -> bool:
 def nats(gain: float) -> str:
     """Gain in words, e.g. "1,234 nats"."""
     return f"{gain:,.0f} nats" if abs(gain) >= 10.0 else f"{gain:.1f} nats"
-
-
-def side_of_limit(e: Estimate) -> Limit:
-    """Side of its 95 % limit on which a finding's parameter is, "" if more is known of it."""
-    if e.lower_limit is not None:
-        return "above"
-    return "" if e.upper_limit is None else "below"
 
 
 def amount(e: Estimate) -> str:
