@@ -144,7 +144,8 @@ def test_plain_data_have_every_number(name):
 def test_a_table_has_a_row_for_each_parameter_of_each_axis():
     found = critique("two_effects")
     table = found.to_dataframe()
-    assert list(table.columns) == ["axes", "cause", "parameter", "value", "std", "unit", "p_value", "gain"]
+    numbers = ["value", "std", "unit", "limit"]
+    assert list(table.columns) == ["axes", "cause", "parameter", *numbers, "p_value", "gain"]
     assert len(table) == sum(len(f.parameters) + len(f.details) for f in found.findings)
     for f in found.findings:
         rows = table[table.cause == f.cause].set_index("parameter")
