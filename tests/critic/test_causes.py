@@ -116,7 +116,7 @@ def test_a_fault_in_one_axis_is_reported_for_it_and_the_others_are_given():
     assert all(word in reason for word in ("IndexError", "test_causes.py", "no such bin", "report"))
     assert any(reason in note for note in found.to_dict()["notes"])
     assert "gyro_y: not compared: its critique failed" in str(found)
-    with pytest.raises(aj.FitError, match="gyro_x: .*IndexError.*gyro_y: "):
+    with pytest.raises(aj.FitError, match=r"gyro_x: .*IndexError.*gyro_y: "):
         aj.critique(x, **options, causes=[Broken("gyro_x", "gyro_y")])
 
 
