@@ -1,14 +1,14 @@
-"""Do everyday recordings, with a few random things wrong in each, give right intervals or reasons, and no traceback?
+"""Do everyday recordings with a few random faults end in right intervals or reasons, and not in tracebacks?
 
 A scene has one, three or six axes of white noise, sometimes with Q, B and K, at 50–200 Hz, and up to four of
-the kinds of `KINDS`. It is written as CSV or Parquet and goes through `characterize`, `check`, `export`, every
-sixth through `critique`, and each block of scenes through `fleet`, all by their command lines in this process.
-Anything but exit codes and errors of allanjax's own is a traceback.
+the kinds of `KINDS`. As CSV or Parquet it goes through `characterize`, `check`, `export`, every sixth through
+`critique`, and each block of scenes through `fleet`, all by their command lines in this process. A traceback
+is any exception that is not allanjax's own.
 
 N has a meaning on axes without clipping, held samples, a filter, and rounding by more than 1.4 σ, where σ is
-the white noise from sample to sample. *Silently off*: N is off by more than 5 σ (its own) and 5 %, and neither
-a warning about the axis nor its verdict says so. *Refused*: no result, or one that is "not a measurement".
-The interval of N is the one of 95 %. `--scene SEED` shows one scene: what is in it and what the commands say.
+the white noise from sample to sample. *Silently off*: by more than 5 σ (of the fit) and 5 %, and neither a
+warning about the axis nor its verdict says so. *Refused*: no result, or one that is "not a measurement".
+Intervals are those of 95 %. `--scene SEED` shows what the commands print for one scene.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ UNITS, NOISE = {"gyro": "rad/s", "accel": "m/s^2"}, {"gyro": 1e-4, "accel": 1e-3
 TARGETS = ("kalibr", "vins-mono", "lio-sam", "gz-sim", "px4", "ros-imu")
 #: A worker's error that is not allanjax's own, as a fleet reports it: with the name of its class.
 FOREIGN = re.compile(r"^error: .*: \w*(Error|Exception): ", re.MULTILINE)
-WHITE, STATUS = "angle_random_walk", ("done", "refused", "traceback")
-HEAD = ("axes", "interval holds", "silently off", "refused")
+STATUS, HEAD = ("done", "refused", "traceback"), ("axes", "interval holds", "silently off", "refused")
 
 
 @dataclasses.dataclass
@@ -67,7 +66,7 @@ class Scene:
         return on * self.sigma * log_uniform(self.rng, low, high)
 
     def stretch(self, low: float, high: float) -> slice:
-        """Some samples, of so many seconds but no more than a tenth of the record."""
+        """Samples of so many seconds, but no more than a tenth of the record."""
         n = len(self.time)
         count = min(max(round(log_uniform(self.rng, low, high) * self.rate), 1), n // 10)
         first = self.rng.integers(n - count)
@@ -78,7 +77,7 @@ class Scene:
         self.void |= set(np.array(self.names)[np.broadcast_to(of, len(self.names))].tolist())
 
 
-# --- What may be in a scene, in the order in which it comes about --------------------------------------------
+# --- What may be in a scene, in the order in which it comes about ------------------------------------------
 
 
 def warm_up(s: Scene) -> None:
@@ -116,21 +115,17 @@ def low_pass(s: Scene) -> None:
 
 def clipping(s: Scene) -> None:
     reach, middle = s.some(1.0, 4.0), np.median(s.values, axis=0)
-    clipped = np.clip(s.values, middle - reach, middle + reach)
-    s.values = np.where(reach > 0.0, clipped, s.values)
-    s.spoil(reach > 0.0)
+    reach[reach == 0.0] = np.inf
+    s.values = np.clip(s.values, middle - reach, middle + reach)
+    s.spoil(np.isfinite(reach))
 
 
 def rounding(s: Scene) -> None:
-    steps = log_uniform(s.rng, 0.1, 5.0) * of_sensor(s) * np.sqrt(s.rate)
+    sensors = np.array([name.split("_")[0] for name in s.names])
+    same = (sensors[:, None] == sensors).astype(float)
+    steps = log_uniform(s.rng, 0.1, 5.0) * (same @ s.sigma) / same.sum(axis=1)
     s.values = steps * np.round(s.values / steps)
     s.spoil(steps > 1.4 * s.sigma)
-
-
-def of_sensor(s: Scene) -> np.ndarray:
-    """The mean N of the axes of the same sensor."""
-    sensors = np.array([name.split("_")[0] for name in s.names])
-    return np.array([s.N[sensors == sensor].mean() for sensor in sensors])
 
 
 def held(s: Scene) -> None:
@@ -146,7 +141,7 @@ def dead(s: Scene) -> None:
 
 
 def mixed_rates(s: Scene) -> None:
-    """Accelerometers are slower, and each row repeats the last samples of the other sensor."""
+    """Six axes: accelerometers are slower, and each row repeats the last samples of the other sensor."""
     slow = s.rate * s.rng.uniform(0.3, 0.9)
     stamps = np.arange(int(s.time[-1] * slow)) / slow + 0.3 / s.rate
     time = np.union1d(s.time, stamps)
@@ -167,12 +162,9 @@ def gaps(s: Scene) -> None:
         s.time, s.values = s.time[keep], s.values[keep]
 
 
-KINDS: dict[str, Callable[[Scene], None]] = {
-    f.__name__.replace("_", " "): f
-    for f in (
-        *(warm_up, step, line, burst, spikes, low_pass, clipping, rounding, held, dead, mixed_rates, gaps),
-    )
-}
+EARLY = (warm_up, step, line, burst, spikes, low_pass)
+LATE = (clipping, rounding, held, dead, mixed_rates, gaps)
+KINDS: dict[str, Callable[[Scene], None]] = {f.__name__.replace("_", " "): f for f in (*EARLY, *LATE)}
 
 
 def drawn(seed: int) -> Scene:
@@ -183,48 +175,33 @@ def drawn(seed: int) -> Scene:
     names = [f"{sensor}_{axis}" for sensor in sensors for axis in "xyz"]
     if len(names) == 3 and rng.random() < 0.5:
         names = [names[rng.integers(3)]]
-    crossing = {"Q": 5.0 / rate, "B": n / rate / 20.0, "K": n / rate / 4.0}
-    present = [c for c in crossing if rng.random() < 0.25]
+    # Q, B and K over N, and N of each axis.
+    sizes = {"Q": np.sqrt(5.0 / rate / 3.0), "B": np.sqrt(20.0 * rate / n), "K": 6.8 * rate / n}
+    present = [c for c in sizes if rng.random() < 0.25]
     N = np.array([NOISE[name.split("_")[0]] * log_uniform(rng, 0.5, 2.0) for name in names])
     columns = []
     for name, white in zip(names, N, strict=True):
-        sizes = {"Q": np.sqrt(crossing["Q"] / 3.0), "B": crossing["B"] ** -0.5, "K": 1.7 / crossing["K"]}
         noise = coloured_noise({c: white * sizes[c] for c in present}, n, rate, rng)
         columns.append(white * np.sqrt(rate) * rng.standard_normal(n) + noise + 9.81 * (name == "accel_z"))
     possible = [kind for kind in KINDS if len(names) == 6 or kind != "mixed rates"]
-    chosen = rng.choice(possible, rng.integers(0, 5), replace=False).tolist()
-    found = Scene(seed, rng, rate, np.arange(n) / rate, names, np.stack(columns, 1), N)
-    for kind in (kind for kind in KINDS if kind in chosen):
+    chosen = rng.choice(possible, rng.integers(0, 5), replace=False)
+    kinds = tuple(kind for kind in KINDS if kind in chosen)
+    found = Scene(seed, rng, rate, np.arange(n) / rate, names, np.stack(columns, 1), N, (*present, *kinds))
+    for kind in kinds:
         KINDS[kind](found)
-    found.kinds = (*present, *(kind for kind in KINDS if kind in chosen))
     return found
 
 
-# --- What comes of it ----------------------------------------------------------------------------------------
-
-
-class Axis(NamedTuple):
-    """What `characterize` says of an N that has a meaning; `off`: its error in its own σ."""
-
-    name: str
-    told: str
-    off: float = np.nan
-
-
-class Said(NamedTuple):
-    """What a command came to ("done", "refused" or "traceback"), and what it printed."""
-
-    status: str
-    text: str
+# --- What comes of it --------------------------------------------------------------------------------------
 
 
 class Outcome(NamedTuple):
-    """What came of a scene, by command and by axis."""
+    """Of each command its status and what it printed; of axes what became of N, and its error in σ."""
 
     seed: int
     kinds: tuple[str, ...]
-    commands: dict[str, Said]
-    axes: list[Axis]
+    commands: dict[str, tuple[str, str]]
+    axes: dict[str, tuple[str, float]]
 
 
 def outcomes(first: int, count: int) -> list[Outcome]:
@@ -232,7 +209,11 @@ def outcomes(first: int, count: int) -> list[Outcome]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         found = [outcome(drawn(seed), folder) for seed in range(first, first + count)]
-        found[0].commands["fleet"] = fleet(folder)
+        files = [str(folder / f"*.{x}") for x in ("csv", "parquet") if list(folder.glob(f"*.{x}"))]
+        with LocalCluster(1, processes=False, dashboard_address=None, silence_logs=50) as cluster:
+            where = ("--out", folder / "fleet", "--scheduler", cluster.scheduler_address)
+            status, text = called("fleet", *files, "--gaps", "fill", *where)
+    found[0].commands["fleet"] = "traceback" if FOREIGN.search(text) else status, text
     return found
 
 
@@ -244,93 +225,77 @@ def outcome(s: Scene, folder: Path) -> Outcome:
         frame.to_csv(path, index=False, float_format="%.9g")
     else:
         frame.to_parquet(path)
-    gaps, fitted = ("--gaps", ("fill", "segments")[s.seed // 2 % 2]), results / f"{s.seed}.json"
-    commands = {
-        "characterize": call("characterize", path, *gaps, "--out", results),
-        "check": call("check", path, *gaps),
-    }
+    how, fitted = ("--gaps", ("fill", "segments")[s.seed // 2 % 2]), results / f"{s.seed}.json"
+    said = {"characterize": called("characterize", path, *how, "--out", results)}
+    said["check"] = called("check", path, *how)
+    if s.seed % CRITICIZED == 0:
+        said["critique"] = called("critique", path, *how, "--out", folder / "critiques")
+    fit = None
     if fitted.exists():
         target = TARGETS[s.seed % len(TARGETS)]
-        commands["export"] = call("export", fitted, "--to", target, "-o", folder / "exported")
-    if s.seed % CRITICIZED == 0:
-        commands["critique"] = call("critique", path, *gaps, "--out", folder / "critiques")
-    fit = aj.load(fitted) if fitted.exists() else None
+        said["export"], fit = called("export", fitted, "--to", target, "-o", folder / "it"), aj.load(fitted)
     truth = {name: N for name, N in zip(s.names, s.N, strict=True) if name not in s.void}
-    return Outcome(s.seed, s.kinds, commands, [axis_of(fit, name, N) for name, N in truth.items()])
+    return Outcome(s.seed, s.kinds, said, {name: judged(fit, name, N) for name, N in truth.items()})
 
 
-def call(*words: object) -> Said:
-    """What comes of a command line, in this process."""
+def called(*words: object) -> tuple[str, str]:
+    """Status of a command line, and what it printed."""
     result = CliRunner().invoke(app, [str(word) for word in words])
     text = f"$ allanjax {' '.join(map(str, words))}\n{result.output}"
     if result.exception is None or isinstance(result.exception, SystemExit):
-        return Said("refused" if result.exit_code else "done", text)
-    return Said("traceback", text + "".join(traceback.format_exception(result.exception)))
+        return ("refused" if result.exit_code else "done"), text
+    return "traceback", text + "".join(traceback.format_exception(result.exception))
 
 
-def fleet(folder: Path) -> Said:
-    """What comes of a fleet of a folder's files, worked on in this process."""
-    files = [str(folder / f"*.{suffix}") for suffix in ("csv", "parquet") if list(folder.glob(f"*.{suffix}"))]
-    with LocalCluster(
-        1, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50
-    ) as cluster:
-        where = ("--out", folder / "fleet", "--scheduler", cluster.scheduler_address)
-        said = call("fleet", *files, "--gaps", "fill", *where)
-    return Said("traceback", said.text) if FOREIGN.search(said.text) else said
-
-
-def axis_of(fit: aj.Fit | None, name: str, truth: float) -> Axis:
-    """What a fit says of N of an axis."""
+def judged(fit: aj.Fit | None, name: str, truth: float) -> tuple[str, float]:
+    """What became of N of an axis."""
     if fit is None or name in fit.without_result or name in fit.not_measured:
-        return Axis(name, "refused")
-    found = fit[name].coefficients.get(WHITE)
-    if found is None:
-        return Axis(name, "missed")
+        return "refused", np.nan
+    found = fit[name].coefficients.get("angle_random_walk")
+    if found is None or not found.detected:
+        return "held" if found is not None and truth <= found.upper_limit else "missed", np.nan
     off = (found.value - truth) / found.std
     if found.interval[0] <= truth <= found.interval[1]:
-        return Axis(name, "held", off)
+        return "held", off
     warned = any(name in fact.axes and fact.text in fit.warnings for fact in fit.facts)
-    excused = warned or "incomplete" in fit[name].verdict
     far = abs(off) > 5.0 and abs(found.value / truth - 1.0) > 0.05
-    return Axis(name, "silently off" if far and not excused else "missed", off)
+    return ("silently off" if far and not warned and "incomplete" not in fit[name].verdict else "missed"), off
 
 
 def run(*, scenes: int = 300, block: int = 25, seed: int = 1_000_000, scene: int = -1) -> Iterator[str]:
     """Scenes of the seeds from `seed` on; a fleet has as many of them as a block."""
     if scene >= 0:
-        scenes, block, seed = 1, 1, scene
+        scenes, seed = 1, scene
     tasks = [(first, min(block, seed + scenes - first)) for first in range(seed, seed + scenes, block)]
     found = [outcome for each in run_tasks(outcomes, tasks) for outcome in each]
     if scene >= 0:
-        yield "\n".join(said.text for said in found[0].commands.values())
-    said = {name: [o.commands[name].status for o in found if name in o.commands] for name in COMMANDS}
-    rows = [[name, len(own), *map(own.count, STATUS)] for name, own in said.items()]
+        yield "\n".join(text for _, text in found[0].commands.values())
+    by_command = {name: [o.commands[name][0] for o in found if name in o.commands] for name in COMMANDS}
+    rows = [[name, len(own), *map(own.count, STATUS)] for name, own in by_command.items()]
     yield table(["command", "runs", *STATUS], rows)
     groups = {"all": found, "nothing": [o for o in found if not o.kinds]}
-    groups |= {kind: [o for o in found if kind in o.kinds] for kind in (*KINDS, *"QBK")}
+    groups |= {kind: [o for o in found if kind in o.kinds] for kind in (*"QBK", *KINDS)}
     yield table(
-        ["scenes with", "scenes", *HEAD],
-        [row for kind, own in groups.items() if (row := [kind, len(own), *counts(own)])],
+        ["scenes with", "scenes", *HEAD], [[kind, len(of), *counts(of)] for kind, of in groups.items()]
     )
-    yield "\n".join(line for o in found for line in lines(o)) or "No interval missed."
-    wrong = [o.seed for o in found if any(said.status == "traceback" for said in o.commands.values())]
-    if wrong:
-        raise WrongError(f"tracebacks in scenes {', '.join(map(str, wrong))}")
+    yield "\n".join(text for o in found for text in wrong_in(o)) or "No interval missed."
+    if bad := [o.seed for o in found if any(status == "traceback" for status, _ in o.commands.values())]:
+        raise WrongError(f"tracebacks in scenes {', '.join(map(str, bad))}")
 
 
 def counts(found: list[Outcome]) -> list[object]:
-    """Axes whose N has a meaning, the share of measured ones whose interval holds, and how many of others."""
-    told = [axis.told for o in found for axis in o.axes]
-    measured = [each == "held" for each in told if each != "refused"]
-    return [len(told), share(measured), told.count("silently off"), told.count("refused")]
+    """Axes whose N has a meaning, the share of measured ones whose interval holds, and others."""
+    said = [status for o in found for status, _ in o.axes.values()]
+    measured = [status == "held" for status in said if status != "refused"]
+    return [len(said), share(measured), said.count("silently off"), said.count("refused")]
 
 
-def lines(o: Outcome) -> Iterator[str]:
-    """What went wrong in a scene."""
-    kinds = ", ".join(o.kinds) or "nothing"
-    missed = [f"{a.name} {a.told} by {a.off:.1f} σ" for a in o.axes if a.told in ("missed", "silently off")]
+def wrong_in(o: Outcome) -> Iterator[str]:
+    """What went wrong in a scene, a line each."""
+    head = f"- {o.seed} ({', '.join(o.kinds) or 'nothing'})"
+    missed = [f"{name} {s} by {off:.1f} σ" for name, (s, off) in o.axes.items() if s in (HEAD[2], "missed")]
     if missed:
-        yield f"- {o.seed} ({kinds}): {', '.join(missed)}"
-    for name, said in o.commands.items():
-        if said.status == "traceback":
-            yield f"- {o.seed} ({kinds}): `{name}`: {said.text.strip().splitlines()[-1]}"
+        yield f"{head}: {', '.join(missed)}"
+    for name, (status, text) in o.commands.items():
+        if status == "traceback":
+            yield f"{head}: `{name}`: {text.strip().splitlines()[-1]}"
