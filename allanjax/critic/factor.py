@@ -14,11 +14,13 @@ from scipy.ndimage import uniform_filter1d
 from allanjax.critic.noise import NoiseFamily
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.as_model import markov_of, resonance_of, response_of
-from allanjax.estimate.structure.structure import FIXED, OUTSIDE, Structure
+from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Structure
 from allanjax.noise.response import Response
 
 # Response below which the record's ends are modelled, and coefficients that a local mean is taken over.
 _DEEP, _LOCAL = 0.01, 401
+# Least share of the noise in the whole spectrum.
+_LEAST = 1e-12
 # Points of the response.
 _POINTS = 4097
 
@@ -26,7 +28,7 @@ _POINTS = 4097
 def spectrum_factor(
     structure: Structure, family: NoiseFamily, squares: Float[np.ndarray, " n-1"]
 ) -> Float[np.ndarray, " n-1"]:
-    """Ratio of the whole spectrum to that of the slow terms and white noise before the response.
+    """Ratio of the whole spectrum to that of the slow terms, a power law and white noise before the response.
 
     Where the record's ends exceed what the response passes it is the record's own (of these squared
     coefficients), so that these coefficients carry no information.
@@ -38,11 +40,15 @@ def spectrum_factor(
         part += structure.power[k] * family.spectra[k]
     for k in structure.markovs:
         inside += rate * np.asarray(markov_of(structure, int(k), rate).sampled_psd(f, rate))
-    noise = np.maximum(inside + after, 1e-300)
+    if structure.further is not None:
+        after += structure.power[FURTHER] * family.spectrum(structure.further)
+    noise = inside + after
     for k in structure.oscillators:
         part = inside if structure.inside[FULL.first_oscillator + k] else after
         part += rate * np.asarray(resonance_of(structure, int(k), rate).sampled(rate).sampled_psd(f, rate))
     after += structure.power[OUTSIDE] * rate
+    # Resonances may be all that there is.
+    noise = np.maximum(noise, _LEAST * (inside + after))
     response = response_of(structure, rate)
     if response is None:
         return (inside + after) / noise

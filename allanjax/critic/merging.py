@@ -7,16 +7,319 @@ not merged.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.special import gammainc
 
-from allanjax.critic.events import OUTLIERS, events
-from allanjax.critic.finding import Finding
-from allanjax.critic.parameters import parameter_estimate, values_of
-from allanjax.critic.together import largest, mean_of, shared, summed, together
+from allanjax.critic.finding import CoefficientChange, Finding, Rival
+from allanjax.critic.parameters import Detail, parameter_estimate, side_of_limit, values_of
 from allanjax.noise.estimate import Estimate
+
+# Rivals with longer odds against them than this are not reported, as in the search.
+_ODDS = 1000.0
+
+# --- Several findings told as one ---------------------------------------------------------------------------
+
+
+def together(
+    cause: str,
+    members: Sequence[Finding],
+    parameters: Mapping[str, Estimate],
+    per_axis: Mapping[str, Estimate],
+    details: Mapping[str, Detail] | None = None,
+    counted: Sequence[Finding] | None = None,
+) -> Finding:
+    """One finding of several; `counted` are those whose p-value, evidence and gain are its own.
+
+    The p-value is the smallest one times their number, evidence and gain are sums: they are of different
+    axes, or were found one after the other. A rival is one in all of them.
+    """
+    counted = members if counted is None else counted
+    p = [f.p_value for f in counted if f.p_value is not None]
+    start, end = zip(*(f.span for f in members), strict=True)
+    whole = Finding(
+        cause=cause,
+        axes=tuple(dict.fromkeys(axis for f in members for axis in f.axes)),
+        parameters=parameters,
+        p_value=min(1.0, min(p) * len(counted)) if p else None,
+        evidence=_sum(f.evidence for f in counted),
+        gain=_sum(f.gain for f in counted),
+        rivals=_rivals(counted),
+        span=(min(start), max(end)),
+        domain=members[0].domain,
+        details=details or {},
+        # What is left of a finding stands for it.
+        members=tuple(made for f in members for made in f.members or (f,)),
+        per_axis=per_axis,
+    )
+    if not counted:
+        return whole
+    main = max(counted, key=lambda f: f.effect.size)
+    return dataclasses.replace(
+        whole, coefficients=main.coefficients, drift=main.drift, discrepancies=main.discrepancies
+    )
+
+
+def shared(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estimate]:
+    """Parameters that all members have in common, where they have any."""
+    found = {}
+    for label in labels:
+        each = [f.parameters[label] for f in members if label in f.parameters]
+        if each and (mean := mean_of(each)) is not None:
+            found[label] = mean
+    return found
+
+
+def summed(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estimate]:
+    """Sums of parameters over the members that have them."""
+    found = {}
+    for label in labels:
+        each = [f.parameters[label] for f in members if label in f.parameters]
+        if each:
+            value, std = sum(e.value for e in each), float(np.sqrt(sum(e.std**2 for e in each)))
+            found[label] = parameter_estimate(each[0].axis, label, value, std, each[0].unit)
+    return found
+
+
+def mean_of(each: Sequence[Estimate]) -> Estimate | None:
+    """Mean of estimates, weighted by their errors; where they scatter by more, its error is larger.
+
+    None where they are exact and differ, or have different units.
+    """
+    if len({e.unit for e in each}) > 1:
+        return None
+    if len({(e.value, e.std) for e in each}) == 1:
+        return each[0]
+    known = [e for e in each if np.isfinite(e.std)]
+    if not known:
+        # Limits: the mildest one holds for all.
+        return max(each, key=lambda e: e.value if e.lower_limit is None else -e.value)
+    value, std = (np.array([getattr(e, name) for e in known]) for name in ("value", "std"))
+    if not np.all(std > 0.0):
+        return None
+    weight = 1.0 / std**2
+    mean = float(weight @ value / weight.sum())
+    scatter = float(np.sqrt(weight @ (value - mean) ** 2 / max(len(known) - 1, 1)))
+    error = max(scatter, 1.0) / float(np.sqrt(weight.sum()))
+    return parameter_estimate(known[0].axis, known[0].label, mean, error, known[0].unit)
+
+
+def largest(members: Sequence[Finding]) -> dict[str, Estimate]:
+    """How large the effect is in each axis, the largest where an axis has several members."""
+    found: dict[str, Estimate] = {}
+    for f in members:
+        for axis, size in f.amplitudes.items():
+            if axis not in found or abs(size.value) > abs(found[axis].value):
+                found[axis] = size
+    return found
+
+
+def _sum(values: Iterable[float | None]) -> float | None:
+    """Sum of the numbers that there are, None if there are none."""
+    known = [value for value in values if value is not None]
+    return float(sum(known)) if known else None
+
+
+def _rivals(members: Sequence[Finding]) -> tuple[Rival, ...]:
+    """Causes that are rivals in all members, with the product of their odds."""
+    each = [{rival.cause: rival.odds for rival in f.rivals} for f in members]
+    if not each:
+        return ()
+    odds = {
+        name: float(np.prod([own[name] for own in each])) for name in each[0] if all(name in o for o in each)
+    }
+    return tuple(Rival(name, value) for name, value in odds.items() if value < _ODDS)
+
+
+#: Names of the cause of single samples, and of an event that nothing but such samples show.
+OUTLIERS, EVENT = "outliers", "event"
+#: What is an event as long as it is short, and what an event is called of which it is a part.
+STRETCHES = ("disturbance", "variance_change")
+# Longest change of the variance that is an event, as a share of the record: a judgement.
+_SHORT = 0.05
+# Pause [s] after which another event begins: a judgement.
+_PAUSE = 0.5
+# Share of a finding's outliers below which those outside of its event are not told apart: a judgement.
+_FEW = 0.1
+# Expected number of chance coincidences of outliers from which on they are no event: a judgement.
+_CHANCE = 1e-3
+
+
+class _Mark(NamedTuple):
+    """Stretch of an axis [s]: all of a finding, or its outlier number `place`."""
+
+    start: float
+    end: float
+    finding: int
+    place: int | None = None
+
+
+def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding], list[Finding]]:
+    """Events that several of these findings are, and the findings without what is in these.
+
+    Outliers belong to an event if there are more of them than by chance.
+    """
+    marks = sorted(mark for k, f in enumerate(findings) for mark in _marks(k, f, duration))
+    clusters = _clusters(marks)
+    rate = _rate(marks, duration)
+    found = [c for cluster in clusters if (c := _crowd(cluster, rate, duration))]
+    if not found:
+        return [], list(findings)
+    # Where most of a finding is, there its evidence and its gain are told.
+    home = [_home(k, f, found) for k, f in enumerate(findings)]
+    happened = [
+        _event(cluster, findings, [k for k, place in enumerate(home) if place == number])
+        for number, cluster in enumerate(found)
+    ]
+    taken = {(mark.finding, mark.place) for cluster in found for mark in cluster}
+    left = [_without(k, f, taken, home[k] is None) for k, f in enumerate(findings)]
+    return happened, [f for f in left if f is not None]
+
+
+def _marks(k: int, f: Finding, duration: float) -> list[_Mark]:
+    """Stretches of a finding that may be part of an event."""
+    if f.cause == OUTLIERS:
+        return [_Mark(t.value, t.value, k, place) for place, t in enumerate(_numbers(f, "times"))]
+    start, end = f.span
+    if f.cause not in STRETCHES or (f.cause == "variance_change" and end - start > _SHORT * duration):
+        return []
+    errors = [f.parameters[label].std if label in f.parameters else 0.0 for label in ("start", "end")]
+    before, after = (error if np.isfinite(error) else 0.0 for error in errors)
+    return [_Mark(start - before, end + after, k)]
+
+
+def _clusters(marks: Sequence[_Mark]) -> list[list[_Mark]]:
+    """Marks, in order, that follow each other without a pause."""
+    found: list[list[_Mark]] = []
+    end = -np.inf
+    for mark in marks:
+        if mark.start - end > _PAUSE:
+            found.append([])
+        found[-1].append(mark)
+        end = max(end, mark.end)
+    return found
+
+
+def _rate(marks: Sequence[_Mark], duration: float) -> float:
+    """Rate of outliers outside of events [1/s], by the share of the record's parts that have none.
+
+    An event, with however many outliers, is in a few of these parts, and one does not count.
+    """
+    parts = max(int(duration / _PAUSE), 2)
+    seen = {int(mark.start / _PAUSE) for mark in marks if mark.place is not None}
+    return -float(np.log1p(-min(max(len(seen) - 1, 0), parts - 1) / parts)) / _PAUSE
+
+
+def _crowd(cluster: Sequence[_Mark], rate: float, duration: float) -> list[_Mark]:
+    """Marks of a cluster that are no chance coincidence; none if they are all of one finding."""
+    stretches = [mark for mark in cluster if mark.place is None]
+    points = [mark for mark in cluster if mark.place is not None]
+    if stretches:
+        length = max(m.end for m in cluster) - min(m.start for m in cluster) + 2.0 * _PAUSE
+        # Of a Poisson process: so many or more.
+        by_chance = float(gammainc(len(points), rate * length)) if points else 0.0
+    else:
+        # So many, each within the pause after the one before.
+        by_chance = (1.0 + rate * duration) * float(-np.expm1(-rate * _PAUSE)) ** (len(points) - 1)
+    kept = [*cluster] if by_chance < _CHANCE else stretches
+    return kept if len({mark.finding for mark in kept}) > 1 else []
+
+
+def _home(k: int, f: Finding, found: Sequence[Sequence[_Mark]]) -> int | None:
+    """Number of the event in which most of a finding is, None if that is none."""
+    inside = [sum(mark.finding == k for mark in cluster) for cluster in found]
+    whole = len(_numbers(f, "times")) if f.cause == OUTLIERS else 1
+    most = int(np.argmax(inside))
+    return most if inside[most] > 0 and inside[most] >= whole - sum(inside) else None
+
+
+def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Sequence[int]) -> Finding:
+    """One event of several marks; `counted` are the findings that are told here."""
+    places = sorted({mark.finding for mark in cluster})
+    members = [findings[k] for k in places]
+    causes = tuple(dict.fromkeys(f.cause for f in members))
+    start, end = min(cluster, key=lambda m: m.start), max(cluster, key=lambda m: m.end)
+    per_axis: dict[str, Estimate] = {}
+    for mark in cluster:
+        size, (axis,) = _loudness(mark, findings[mark.finding]), findings[mark.finding].axes
+        if size is not None and (axis not in per_axis or _louder(size, per_axis[axis])):
+            per_axis[axis] = size
+    one = together(
+        next((cause for cause in STRETCHES if cause in causes), EVENT),
+        members,
+        {"start": _end(start, findings, "start"), "end": _end(end, findings, "end")},
+        {
+            axis: per_axis[axis]
+            for axis in dict.fromkeys(a for f in members for a in f.axes)
+            if axis in per_axis
+        },
+        {"seen_as": causes} if len(causes) > 1 else {},
+        [findings[k] for k in places if k in counted],
+    )
+    return dataclasses.replace(one, span=(one.parameters["start"].value, one.parameters["end"].value))
+
+
+def _numbers(f: Finding, name: str) -> tuple[Estimate, ...]:
+    """Numbers of a detail, none if there is no such detail."""
+    return tuple(e for e in f.details.get(name, ()) if isinstance(e, Estimate))
+
+
+def _loudness(mark: _Mark, f: Finding) -> Estimate | None:
+    """How large the effect is at a mark."""
+    sizes = _numbers(f, "sizes")
+    if mark.place is None or mark.place >= len(sizes):
+        return f.size
+    size = sizes[mark.place]
+    return parameter_estimate(size.axis, "peak", abs(size.value), size.std, size.unit)
+
+
+def _louder(one: Estimate, other: Estimate) -> bool:
+    """Whether one says more of how loud an event is: what is no ratio, then what is larger."""
+    return (one.unit != "1", abs(one.value)) > (other.unit != "1", abs(other.value))
+
+
+def _end(mark: _Mark, findings: Sequence[Finding], label: str) -> Estimate:
+    """Start or end of a mark as a parameter."""
+    f = findings[mark.finding]
+    if mark.place is not None:
+        return dataclasses.replace(_numbers(f, "times")[mark.place], label=label)
+    return f.parameters[label]
+
+
+def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bool) -> Finding | None:
+    """Finding without what is in events, None if hardly anything is left.
+
+    It keeps its evidence and its gain if most is left.
+    """
+    if (k, None) in taken:
+        return None
+    whole = len(_numbers(f, "times"))
+    kept = {place for place in range(whole) if (k, place) not in taken}
+    if f.cause != OUTLIERS or len(kept) == whole:
+        return f
+    return _of_places(f, kept.__contains__, is_home) if is_home or len(kept) > _FEW * whole else None
+
+
+def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> Finding:
+    """Outliers of a finding that are wanted, by their number in its list."""
+    details = {
+        name: tuple(e for place, e in enumerate(_numbers(f, name)) if wanted(place))
+        for name in f.details
+        if _numbers(f, name)
+    }
+    count = len(details["times"])
+    parameters = {
+        label: parameter_estimate(e.axis, label, count, e.std, e.unit) if label == "count" else e
+        for label, e in f.parameters.items()
+    }
+    span = (details["times"][0].value, details["times"][-1].value)
+    one = together(
+        f.cause, [f], parameters, f.amplitudes, {**f.details, **details}, [f] if is_counted else []
+    )
+    return dataclasses.replace(one, span=span)
+
 
 #: What is left over, which has no cause.
 UNEXPLAINED = "unexplained"
@@ -33,9 +336,12 @@ _BANDWIDTH = 0.1
 # Factors of a warm-up's time constant, and of a resonance's quality factor, since a structure is damped
 # differently along each axis, within which they are the same: judgements.
 _FACTOR, _DAMPING = 2.0, 4.0
-# Shares of the record within which steps, and the ends of loud stretches, are simultaneous, and beyond which
-# nothing is, however large its error: judgements.
-_STEP_TIME, _STRETCH_TIME, _APART = 1e-3, 1e-2, 2e-2
+# Shares of the record within which steps are simultaneous, and beyond which they are not, however large their
+# errors: judgements.
+_STEP_TIME, _APART = 1e-3, 2e-2
+# Overlaps, as shares of the longer one, from which on stretches are one event: those of one axis, and of
+# different axes; and from which on their ends are those of the event: judgements.
+_NESTED, _SAME, _ALIKE = 0.2, 0.7, 0.9
 
 #: Whether a finding is one with the strongest of a kind, in a record of this length [s].
 Same: TypeAlias = Callable[[Finding, Finding, float], bool]
@@ -62,7 +368,8 @@ def merged(
 
     `findings` are those of the single axes, axis by axis; `of_several` those that several axes share.
     """
-    found, left = events(findings, duration)
+    happened, left = events(findings, duration)
+    found, left = [], [*happened, *left]
     for rule in RULES:
         kind = [f for f in left if rule.applies(f)]
         left = [f for f in left if not rule.applies(f)]
@@ -141,9 +448,10 @@ def _same_step(one: Finding, other: Finding, duration: float) -> bool:
     return _near(one, other, "time", _TIME, _STEP_TIME * duration, _APART * duration)
 
 
-def _same_stretch(one: Finding, other: Finding, duration: float) -> bool:
-    least, most = _STRETCH_TIME * duration, _APART * duration
-    return all(_near(one, other, label, _TIME, least, most) for label in ("start", "end"))
+def _overlap(one: Finding, other: Finding) -> float:
+    """Length that two stretches have in common, as a share of the longer one."""
+    (a, b), (c, d) = one.span, other.span
+    return (min(b, d) - max(a, c)) / max(b - a, d - c, 1e-300)
 
 
 def _same_warm_up(one: Finding, other: Finding, duration: float) -> bool:
@@ -191,6 +499,53 @@ def _rule(
         return together(members[0].cause, members, own, largest(members), words)
 
     return Rule(lambda f: f.cause in causes, family, told)
+
+
+def _stretches(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
+    """Stretches that are one event with the strongest one: they last as long, or overlap on one axis.
+
+    What is found again within a stretch of the same axis is what a first finding has left of the event.
+    """
+    family, left = [first], [f for f in findings if f is not first]
+    for known in family:
+        again = [
+            f for f in left if _overlap(known, f) > (_NESTED if set(known.axes) & set(f.axes) else _SAME)
+        ]
+        family += again
+        left = [f for f in left if not _among(f, again)]
+    return [f for f in findings if _among(f, family)]
+
+
+def _stretch(members: Sequence[Finding]) -> Finding:
+    """One stretch, with the times of the strongest finding, and the changes from the first to the last."""
+    first = max(members, key=_weight)
+    alike = [f for f in members if _overlap(first, f) > _ALIKE]
+    causes = {cause: None for cause in STRETCHES if any(f.cause == cause for f in members)}
+    seen: dict[str, Detail] = {"seen_as": tuple(causes)} if len(causes) > 1 else {}
+    whole = together(next(iter(causes)), members, shared(alike, ["start", "end"]), _sizes(members), seen)
+    before: dict[str, CoefficientChange] = {}
+    after: dict[str, float] = {}
+    for change in (c for f in whole.members if f.axes == whole.strongest.axes for c in f.coefficients):
+        before.setdefault(change.label, change)
+        after[change.label] = change.after
+    changes = tuple(dataclasses.replace(c, after=after[label]) for label, c in before.items())
+    return dataclasses.replace(whole, coefficients=changes)
+
+
+def _sizes(members: Sequence[Finding]) -> dict[str, Estimate]:
+    """How large an event is in each axis: its peak, or the product of ratios that were found in turn."""
+    found = largest(members)
+    for axis, size in found.items():
+        each = [f.amplitudes[axis] for f in members if axis in f.amplitudes]
+        peaks = [e for e in each if e.unit != "1"]
+        if peaks:
+            found[axis] = max(peaks, key=lambda e: abs(e.value))
+        elif len(each) > 1:
+            value = float(np.prod([e.value for e in each]))
+            std = value * float(np.linalg.norm([e.std / e.value for e in each]))
+            limit = max(map(side_of_limit, each), key=bool)
+            found[axis] = parameter_estimate(size.axis, size.label, value, std, "1", limit)
+    return found
 
 
 def _is_line(f: Finding) -> bool:
@@ -287,7 +642,7 @@ RULES: tuple[Rule, ...] = (
     _rule(["bias_step"], _same_step, ["time"]),
     _rule(["warm_up"], _same_warm_up, ["time_constant"]),
     _rule(["temperature"], _same_channel, ["lag"]),
-    _rule(["disturbance", "variance_change"], _same_stretch, ["start", "end"]),
+    Rule(lambda f: f.cause in STRETCHES, _stretches, _stretch),
     _rule([OUTLIERS], _same_sensor, totals=["count"], is_once=False),
     _rule(["rounding", "saturation", "repeated_samples"], _always),
 )

@@ -68,6 +68,13 @@ def limited(
     return u, std, ""
 
 
+def side_of_limit(e: Estimate) -> Limit:
+    """Side of its 95 % limit on which a finding's parameter is, "" if more is known of it."""
+    if e.lower_limit is not None:
+        return "above"
+    return "" if e.upper_limit is None else "below"
+
+
 def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], float, str]:
     """Words or values of a detail, the standard deviation of the first one, and their unit."""
     words = (detail,) if isinstance(detail, str) else tuple(x for x in detail if isinstance(x, str))

@@ -17,9 +17,12 @@ from allanjax.base.late import presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
-from allanjax.critic.parameters import values_of
+from allanjax.critic.parameters import side_of_limit, values_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import Fit
+from allanjax.inspection import inspect
+from allanjax.inspection.facts import warnings_of
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.simulate import simulate_recording
 from allanjax.noise.terms import BiasStep, DriftRamp, WarmUp
@@ -131,8 +134,8 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user of the critique should know of the recording as a whole; see `Fit.warnings`."""
-        return self.fit.warnings
+        """What a user of the critique should know of the recording as a whole, the gravest first."""
+        return warnings_of(self.fit.facts)
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
@@ -197,16 +200,16 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         is rounded are taken out, filter and resonances fitted jointly with the terms; intervals are wider for
         samples that were drawn. It takes as long as a `fit` of the recording.
         """
-        from allanjax.estimate.fit import fit
+        from allanjax.estimate.fit import fit_inspected
 
         last, axes = [a.stages[-1] for a in self.results], tuple(a.axis for a in self.results)
         values, drawn = (np.column_stack(of) for of in zip(*((s.x, s.drawn) for s in last), strict=True))
         missing = drawn if drawn.any() else None
         recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
-        if self.fit.chosen:
-            return fit(recording, as_is=True)
-        objective = cast(Any, self.fit.objective)
-        return fit(recording, self.fit.template, objective=objective, as_is=True)
+        # The facts are those of the recording as it came.
+        seen = dataclasses.replace(inspect(recording, as_is=True, may_move=True), facts=self.fit.facts)
+        model, objective = (None, "allan") if self.fit.chosen else (self.fit.template, self.fit.objective)
+        return fit_inspected(recording, seen, model, cast(Any, objective), as_is=True)
 
     @property
     def gain(self) -> float:
@@ -227,6 +230,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def to_dataframe(self) -> pd.DataFrame:
         """Table with a row for each finding and parameter; `gain` is in nats, on held-out data.
 
+        Where `limit` is "below" or "above" the value is a 95 % limit, and has no standard deviation.
         An unexplained finding has no parameters: one row, without name and numbers.
         """
         return _table(self.findings)
@@ -255,23 +259,23 @@ def _table(findings: Sequence[Finding]) -> pd.DataFrame:
     """Table with a row for each finding and parameter; how large it is in each of several axes, too."""
     import pandas as pd
 
-    columns = ["axes", "cause", "parameter", "value", "std", "unit", "p_value", "gain"]
+    columns = ["axes", "cause", "parameter", "value", "std", "unit", "limit", "p_value", "gain"]
     rows = []
     for f in findings:
         whole = ", ".join(f.axes)
-        found = [(whole, *row) for row in _rows(f)]
+        found = [(whole, *_row(e)) for e in f.parameters.values()]
+        found += [(whole, name, *values_of(detail), "") for name, detail in f.details.items()]
         if f.members:
-            found += [(axis, e.label, e.value, e.std, e.unit) for axis, e in f.amplitudes.items()]
+            found += [(axis, *_row(e)) for axis, e in f.amplitudes.items()]
             # Lists, such as the times of outliers, are those of the axes.
             lists = [(m, {k: d for k, d in m.details.items() if k not in f.details}) for m in f.members]
-            found += [(m.axes[0], name, *values_of(d)) for m, own in lists for name, d in own.items()]
+            found += [(m.axes[0], name, *values_of(d), "") for m, own in lists for name, d in own.items()]
         numbers = [float("nan") if x is None else x for x in (f.p_value, f.gain)]
-        for axes, *parameter in found or [(whole, "", float("nan"), float("nan"), "")]:
+        for axes, *parameter in found or [(whole, "", float("nan"), float("nan"), "", "")]:
             rows.append((axes, f.cause, *parameter, *numbers))
     return pd.DataFrame(rows, columns=columns)
 
 
-def _rows(f: Finding) -> list[tuple[Any, ...]]:
-    """Label, value, standard deviation and unit of a finding's parameters and details."""
-    found: list[tuple[Any, ...]] = [(e.label, e.value, e.std, e.unit) for e in f.parameters.values()]
-    return found + [(name, *values_of(detail)) for name, detail in f.details.items()]
+def _row(e: Estimate) -> tuple[Any, ...]:
+    """Label, value, standard deviation and unit of a parameter, and the side of its limit."""
+    return e.label, e.value, e.std, e.unit, side_of_limit(e)

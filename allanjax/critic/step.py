@@ -8,6 +8,9 @@ from collections.abc import Collection, Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.critic.bank import FINEST, SLOW
+from allanjax.critic.cause import Cause
+from allanjax.critic.noise import centred
 from allanjax.critic.view import Candidate, View
 
 
@@ -103,3 +106,107 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
         found.append(Step.of(candidate, step.gain, step.rivals, view))
         view = after
     return found
+
+
+# Most rounds, for findings that depend on each other.
+_ROUNDS = 3
+# Frequencies at which noise is compared; changes of its log level, and of a parameter of other findings in
+# its standard deviations, that do not call for a refit: judgements.
+_PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
+# Loss of log evidence [nats] from which on a finding is not dropped, and the largest loss that refitting may
+# bring, since a greedy search explains some noise, too: judgements.
+_SURE, _LOST = 20.0, 2.5
+
+
+def refitted(
+    steps: Sequence[Step], view: View, causes: Sequence[Cause], last: bool = False
+) -> tuple[list[Step], View]:
+    """Steps, refitted where later ones changed what they were conditional on, and the view at the end.
+
+    A finding that gains nothing given the others is dropped, unless much evidence would be lost without it.
+    Before the search is over (`last`), nothing is done unless a finding is to be refitted "at once".
+    """
+    again = {cause.name: cause for cause in causes if cause.refit}
+    found = list(steps)
+    for k, s in enumerate(found):
+        if s.conditions is None:
+            found[k] = dataclasses.replace(s, conditions=_levels(s, view))
+    end, lost = view, set()
+    for _ in range(_ROUNDS):
+        stale = [k for k in range(len(found)) if found[k].candidate.cause in again and _stale(k, found, end)]
+        if not (last or any(again[found[k].candidate.cause].refit == "at once" for k in stale)):
+            break
+        for k in stale:
+            cause = found[k].candidate.cause
+            without = _without(found[k], end)
+            given_others = without.with_findings(*without.found, nuisances=_shapes(found, k))
+            candidate = again[cause].again(given_others, found[k].candidate)
+            if candidate is None or not candidate.gain > 0.0:
+                lost.add(k)
+                continue
+            lost.discard(k)
+            # Waveforms that overlap share what they gain; in the spectrum the gain was measured once for all.
+            gain = candidate.held_out() if candidate.has_waveform else found[k].gain
+            end = candidate.after.with_findings(*without.found, cause)
+            candidate = dataclasses.replace(candidate, after=end)
+            step = Step.of(candidate, gain, found[k].rivals, without)
+            found[k] = dataclasses.replace(step, conditions=_conditions(k, found, end))
+    if end.noise.log_evidence < view.noise.log_evidence - _LOST:
+        return list(steps), view
+    # Only the weakest one: what is left when it is gone may explain the others.
+    for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
+        without = _without(found[k], end)
+        if end.noise.log_evidence - without.noise.log_evidence < _SURE:
+            found.pop(k)
+            end = without
+    return found, end
+
+
+def _without(step: Step, end: View) -> View:
+    """View as it would be had this step not been made."""
+    names = list(end.found)
+    names.remove(step.candidate.cause)
+    return step.change.undo(end).with_findings(*names)
+
+
+def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
+    """Whether the noise or the other findings have changed since the step was fitted."""
+    old, new = steps[k].conditions, _conditions(k, steps, end)
+    return old is None or len(old) != len(new) or bool(np.max(abs(new - old)) > 1.0)
+
+
+def _conditions(k: int, steps: Sequence[Step], end: View) -> Float[np.ndarray, " k"]:
+    """Noise and other waveforms that a step is conditional on, in units of changes that matter."""
+    values = [
+        q.value / (_DEVIATION * q.std)
+        for other in _others(k, steps)
+        for q in other.candidate.estimates
+        if q.std > 0.0
+    ]
+    return np.concatenate([_levels(steps[k], end), values])
+
+
+def _levels(step: Step, view: View) -> Float[np.ndarray, " places"]:
+    """Log levels of the noise that matters to a step: low frequencies for a waveform, else around it."""
+    if step.candidate.has_waveform:
+        places = np.geomspace(1.0, min(SLOW, view.n - 1.0), _PLACES)
+        return np.log(view.variance()[np.unique(np.rint(places).astype(int)) - 1]) / _LEVEL
+    low, high = 1.0, view.n - 1.0
+    if step.candidate.domain == "frequency":
+        low, high = (2.0 * view.n * f / view.rate for f in step.candidate.support)
+    places = np.geomspace(np.clip(low / 2.0, 1.0, view.n / 2.0), min(high, view.n - 1.0), _PLACES + 1)
+    edges = np.unique(np.rint(places).astype(int)) - 1
+    squares = (view.coefficients**2 / view.variance())[: edges[-1]]
+    return np.log(np.add.reduceat(squares, edges[:-1]) / np.diff(edges)) / _LEVEL
+
+
+def _others(k: int, steps: Sequence[Step]) -> list[Step]:
+    """Other steps with a waveform, if this step has one."""
+    mine = steps[k].candidate.has_waveform
+    return [s for i, s in enumerate(steps) if mine and i != k and s.candidate.has_waveform]
+
+
+def _shapes(steps: Sequence[Step], k: int) -> tuple[Float[np.ndarray, " slow"], ...]:
+    """Lowest coefficients of the waveforms of the other steps."""
+    paths = [other.change.path for other in _others(k, steps)]
+    return tuple(centred(path)[:FINEST] for path in paths if path is not None)

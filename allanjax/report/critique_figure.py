@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
-from allanjax.critic.events import EVENT, OUTLIERS
 from allanjax.critic.finding import Finding
+from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.record.recording import Axis

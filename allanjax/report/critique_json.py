@@ -11,13 +11,12 @@ from typing import Any
 
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.finding import Discrepancy, Finding
-from allanjax.critic.parameters import Detail, values_of
+from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
-from allanjax.report.critique_story import side_of_limit
 
 SCHEMA_VERSION = 1
 
@@ -31,7 +30,10 @@ def to_dict(critique: Critique) -> dict[str, Any]:
         "findings": [_told(finding, critique) for finding in critique.findings],
         "axes": [_axis(axis) for axis in critique.results],
         "shared_findings": [_finding(finding) for finding in critique.shared_findings],
-        "notes": critique.notes,
+        "notes": (
+            *critique.notes,
+            *(f"{dead.axis.name}: not compared: {dead.reason}" for dead in critique.dead),
+        ),
         "warnings": critique.warnings,
     }
     return {

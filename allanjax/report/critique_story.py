@@ -11,7 +11,7 @@ import numpy as np
 from allanjax.base.tables import printable
 from allanjax.base.wording import duration, format_with_error, plain
 from allanjax.critic.finding import CoefficientChange, Discrepancy, Finding
-from allanjax.critic.parameters import Detail, Limit, values_of
+from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.estimate.misfit import LIMIT
 from allanjax.noise.estimate import Estimate, title_of
@@ -95,13 +95,6 @@ def is_told_elsewhere(finding: Finding) -> bool:
 def nats(gain: float) -> str:
     """Gain in words, e.g. "1,234 nats"."""
     return f"{gain:,.0f} nats" if abs(gain) >= 10.0 else f"{gain:.1f} nats"
-
-
-def side_of_limit(e: Estimate) -> Limit:
-    """Side of its 95 % limit on which a finding's parameter is, "" if more is known of it."""
-    if e.lower_limit is not None:
-        return "above"
-    return "" if e.upper_limit is None else "below"
 
 
 def amount(e: Estimate) -> str:
@@ -339,7 +332,7 @@ def _between(each: Sequence[Estimate]) -> str:
     """Smallest and largest of several values, e.g. "0.2 … 0.382 mg"."""
     low, high = (choice(each, key=lambda e: abs(e.value)) for choice in (min, max))
     unit, factor = ("%", 100.0) if high.label == "fraction" else _unit(high)
-    ends = list(dict.fromkeys(plain(factor * e.value, 3) for e in (low, high)))
+    ends = dict.fromkeys(f"{_LIMIT[side_of_limit(e)]}{plain(factor * e.value, 3)}" for e in (low, high))
     return " … ".join(ends) + (f" {unit}" if unit else "")
 
 

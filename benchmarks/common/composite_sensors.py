@@ -12,14 +12,18 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.signal.windows import tukey
 
-from benchmarks.common.composite_noise import ANALOG, Filter, Resonance, exponential, exponential_spectrum
 from benchmarks.common.composite_scene import (
+    ANALOG,
     GRADES,
     NAMES,
     AxisTruth,
     Effect,
+    Filter,
+    Resonance,
     Scene,
     drawn_truth,
+    exponential,
+    exponential_spectrum,
     level_free,
     noise,
     spectrum,

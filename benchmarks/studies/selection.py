@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.draws import SCENARIOS
 from benchmarks.common.ours import TERM_LABELS, fit_all, recording_of
 from benchmarks.common.study import run_tasks, share, table
-from benchmarks.common.truth import SHAPES, simulate
+from benchmarks.common.truth import SCENARIOS, SHAPES, simulate
 
 QUICK: dict[str, Any] = {"records": 3, "samples": (2048,), "clear": ("N", "N+K"), "edge": ("N+K",)}
 STRENGTH = {"clear": (1.0, 1.0), "edge": (0.08, 0.6)}

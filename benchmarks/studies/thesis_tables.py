@@ -14,8 +14,8 @@ import numpy as np
 
 import allanjax as aj
 from allanjax.record.units import unit_scale
-from benchmarks.common.readings import read_slope
 from benchmarks.common.study import table
+from benchmarks.studies.chapter3 import read_slope
 
 QUICK: dict[str, Any] = {"hours": 0.1, "units": 1}
 

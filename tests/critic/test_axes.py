@@ -164,6 +164,32 @@ def test_a_knock_is_one_event_with_the_peak_of_each_axis():
     assert knock.gain == pytest.approx(sum(f.gain for f in knock.members))
 
 
+def test_what_is_left_of_an_event_is_told_with_it_and_another_event_within_a_loud_half_is_not():
+    """A tenth of the record is three times louder on two axes, its middle third thrice as loud again."""
+    x = np.random.default_rng(45).standard_normal((N, 3))
+    x[4_000:5_700, :2] *= 3.0
+    x[4_600:5_100, :2] *= 3.0
+    x[N // 2 :, 2] *= 1.5
+    x[12_000:12_100, 2] *= 6.0
+    options = {"rate": RATE, "gyro_unit": "deg/s", "causes": only("variance_change")}
+    found = aj.critique(x, **options)
+    several = [f for f in found.findings if f.axes == ("gyro_x", "gyro_y")]
+    alone = sorted((f for f in found.findings if f.axes == ("gyro_z",)), key=lambda f: f.span[1] - f.span[0])
+    (event,), (knock, half) = several, alone
+    assert all(len(found[axis].findings) > 1 for axis in event.axes)
+    assert event.span == pytest.approx((4_000 / RATE, 5_700 / RATE), abs=1.0)
+    assert event.gain == pytest.approx(sum(f.gain for axis in event.axes for f in found[axis].findings))
+    for f, start, end in ((knock, 12_000, 12_100), (half, N // 2, N)):
+        assert f.span == pytest.approx((start / RATE, end / RATE), abs=1.0)
+    table = found.to_dataframe().query(
+        "cause == 'variance_change' and axes == 'gyro_z' and parameter == 'end'"
+    )
+    assert dict(zip(table.value > 300.0, table.limit, strict=True)) == {True: "above", False: ""}
+    # It is no advice to do again what was done, and nobody asked to keep what was found.
+    assert "allanjax critique" not in "".join((found.details(), *found.to_dict()["warnings"]))
+    assert "as asked" not in str(found.refit())
+
+
 def test_single_samples_of_several_axes_at_one_time_are_an_event_and_the_others_stay_outliers():
     x = np.random.default_rng(43).standard_normal((N, 3))
     scattered = [700, 3_100, 9_000, 12_500]

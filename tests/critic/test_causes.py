@@ -91,6 +91,32 @@ def test_causes_of_ones_own_share_what_is_reserved_for_them_and_change_no_other(
     assert {f.cause for f in critique(white(1), own).findings} == {"one", "outliers"}
 
 
+class Broken(Claim):
+    """A cause with a fault that shows in the axes of its name."""
+
+    def detect(self, view: View) -> None:
+        if view.axis.name in self.name:
+            raise IndexError("no such bin")
+
+
+def test_a_fault_in_one_axis_is_reported_for_it_and_the_others_are_given():
+    def critique_of(name):
+        x = np.stack([white(1), white(2)], axis=1)
+        return aj.critique(
+            x, rate=RATE, gyro_unit="deg/s", names=["gyro_x", "gyro_y"], causes=[Broken(name, 0.0)]
+        )
+
+    found = critique_of("gyro_y")
+    assert found["gyro_x"].after[0] == critique_of("none")["gyro_x"].after[0]
+    ((axis, reason),) = [(dead.axis.name, dead.reason) for dead in found.dead]
+    assert (axis, [*found]) == ("gyro_y", ["gyro_x"])
+    assert all(word in reason for word in ("IndexError", "test_causes.py", "no such bin", "report"))
+    assert any(reason in note for note in found.to_dict()["notes"])
+    assert "gyro_y: not compared: its critique failed" in str(found)
+    with pytest.raises(aj.FitError, match=r"gyro_x: .*IndexError.*gyro_y: "):
+        critique_of("gyro_x, gyro_y")
+
+
 def test_rivals_are_what_else_was_offered_with_their_odds_against_it():
     claims = [Claim("temperature", 12.0, 1e-9), Claim("warm_up", 9.0, 0.5), Claim("power_law", 4.0, None)]
     (found,) = critique(white(1), claims).findings

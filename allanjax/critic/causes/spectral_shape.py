@@ -12,9 +12,8 @@ import numpy as np
 
 from allanjax.critic.cause import Cause
 from allanjax.critic.places import Place
-from allanjax.critic.shape import candidate_structure, structure_at
+from allanjax.critic.shape import candidate_structure, conspicuous, structure_at
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.windows import conspicuous
 from allanjax.estimate.spectral.components import NONE
 
 

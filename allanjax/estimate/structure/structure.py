@@ -42,6 +42,8 @@ _CLOSE = 1.5
 _CAPACITIES = (384, 1024)
 #: Tolerances of a fit within a search, and of one whose numbers are told.
 ROUGH, FINE = 1e-2, 1e-5
+# Fields of a structure with a value for each component.
+_SLOTS = ("power", "active", "inside")
 #: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
 FREQUENCIES = 32.0
 # Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
@@ -60,6 +62,7 @@ class Structure:
         active: components in use.
         inside: components that pass through the response.
         kind: kind of the response, see `spectral.components`.
+        further: the term of column `FURTHER`, with unit amplitude.
     """
 
     power: Float[np.ndarray, " components"]
@@ -67,6 +70,7 @@ class Structure:
     active: Bool[np.ndarray, " components"]
     inside: Bool[np.ndarray, " components"]
     kind: int = NONE
+    further: NoiseTerm | None = None
 
     @classmethod
     def plain(cls, columns: np.ndarray | list[int]) -> Structure:
@@ -160,13 +164,8 @@ class Structure:
         mine = np.arange(len(self.active)) >= FULL.first_oscillator
         mine[OUTSIDE] = True
         shape = np.append(self.shape[: FULL.markovs], other.shape[FULL.markovs :])
-        return Structure(
-            np.where(mine, other.power, self.power),
-            shape,
-            np.where(mine, other.active, self.active),
-            np.where(mine, other.inside, self.inside),
-            other.kind,
-        )
+        chosen = {name: np.where(mine, getattr(other, name), getattr(self, name)) for name in _SLOTS}
+        return dataclasses.replace(self, shape=shape, kind=other.kind, **chosen)
 
     def has_shape_of(self, other: Structure) -> bool:
         """Whether it has the same kind of response and the same resonances in use."""
@@ -192,7 +191,7 @@ class Structure:
     def _with(self, component: int, power: float, inside: bool, shape: np.ndarray) -> Structure:
         active, powers, places = self.active.copy(), self.power.copy(), self.inside.copy()
         active[component], powers[component], places[component] = True, power, inside
-        return Structure(powers, shape, active, places, self.kind)
+        return dataclasses.replace(self, power=powers, shape=shape, active=active, inside=places)
 
 
 class Fitted(NamedTuple):
