@@ -18,8 +18,7 @@ from allanjax.base.presented import presented
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
 from allanjax.critic.parameters import values_of
-from allanjax.estimate.misfit import Misfit
-from allanjax.estimate.result import Fit
+from allanjax.estimate.result import Fit, Misfit
 from allanjax.noise.model import Model
 from allanjax.noise.simulate import simulate_recording
 from allanjax.noise.terms import BiasStep, DriftRamp, WarmUp

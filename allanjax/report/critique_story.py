@@ -10,7 +10,7 @@ from allanjax.base.plain import printable
 from allanjax.base.wording import duration, plain
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.result import AxisCritique, Critique
-from allanjax.estimate.misfit import LIMIT
+from allanjax.estimate.result import LIMIT
 from allanjax.record.recording import Axis
 from allanjax.report.critique_summary import MOST, amplitudes, coefficient, in_one_line
 from allanjax.report.critique_words import (

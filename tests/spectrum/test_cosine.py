@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.fft import dct
 
 import allanjax as aj
-from allanjax.estimate.spectral.columns import columns_of
+from allanjax.estimate.spectral.components import columns_of
 from allanjax.spectrum.cosine import Bins
 
 RATE = 4.0
