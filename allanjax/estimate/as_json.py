@@ -49,8 +49,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         },
         "objective": fit.objective,
         "converged": fit.converged,
-        "model": [_term(term) for term in fit.template],
-        "response": None if fit.template.response is None else _response(fit.template),
+        **_terms(fit.template),
         "curve": _curve(fit.curve, fit.axes),
         "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
         "facts": [fact.to_dict() for fact in fit.facts],
@@ -90,8 +89,8 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
         "measured": result.measured,
         "moving": result.moving,
         "not_measured": list(result.not_measured),
-        "misfit": None if result.misfit is None else _misfit(result.misfit),
-        "allan_misfit": None if result.allan_misfit is None else _misfit(result.allan_misfit),
+        "misfit": _misfit(result.misfit),
+        "allan_misfit": _misfit(result.allan_misfit),
         "coefficients": [_coefficient(c) for c in coefficients],
         "covariance": {
             "labels": [c.label for c in coefficients],
@@ -114,15 +113,16 @@ def _extension(result: AxisFit) -> dict[str, Any]:
     assert template is not None
     assert plain is not None
     return {
-        "model": [_term(term) for term in template],
-        "response": None if template.response is None else _response(template),
+        **_terms(template),
         "further": list(result.further),
         "correction": result.correction,
         "plain": _axis(plain, None),
     }
 
 
-def _misfit(misfit: Misfit) -> dict[str, Any]:
+def _misfit(misfit: Misfit | None) -> dict[str, Any] | None:
+    if misfit is None:
+        return None
     return {
         "of": misfit.curve,
         "largest_deviation": finite_or_none(misfit.largest),
@@ -134,19 +134,14 @@ def _misfit(misfit: Misfit) -> dict[str, Any]:
     }
 
 
-def _term(term: NoiseTerm) -> dict[str, Any]:
-    return {"term": term.name(), **_parameters(term)}
-
-
-def _response(model: Model) -> dict[str, Any]:
-    """The response of a model, and the terms that pass it."""
-    response = model.response
-    assert response is not None
-    return {
-        "response": response.name(),
-        **_parameters(response),
-        "inside": [label for label, inside in zip(model.term_labels, model.inside, strict=True) if inside],
-    }
+def _terms(model: Model) -> dict[str, Any]:
+    """The terms of a model, its response, and the terms that pass that."""
+    terms = [{"term": term.name(), **_parameters(term)} for term in model]
+    if (response := model.response) is None:
+        return {"model": terms, "response": None}
+    inside = [label for label, inside in zip(model.term_labels, model.inside, strict=True) if inside]
+    passed = {"response": response.name(), **_parameters(response), "inside": inside}
+    return {"model": terms, "response": passed}
 
 
 def _parameters(of: Parametrized) -> dict[str, Any]:

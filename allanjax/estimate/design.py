@@ -174,17 +174,6 @@ def free_powers(model: Model) -> Bool[np.ndarray, " terms"]:
     return np.array([term.has_free_amplitude for term in model.terms])
 
 
-def with_shapes(
-    terms: Sequence[NoiseTerm], shapes: Sequence[FreeShape], values: Float[Array, " shapes"]
-) -> list[NoiseTerm]:
-    """Terms with these transformed shapes."""
-    found = list(terms)
-    for shape, u in zip(shapes, values, strict=True):
-        value = shape.parameter.lower + jnp.exp(u)
-        found[shape.term] = found[shape.term].replace(**{shape.parameter.name: value})
-    return found
-
-
 class _Constants(NamedTuple):
     """Parts of the terms without a free shape, computed once for all iterations; zero for the others."""
 
@@ -237,9 +226,10 @@ class AllanDesign(Design):
     def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
         """Design of a noise model for the estimates of a quadrature, with room for so many terms at least."""
         others: list[NoiseTerm] = []
-        columns = np.full(max(slots, len(model)), -1)
+        columns, basic = np.full(max(slots, len(model)), -1), [type(term) for term in _BASIC]
         for k, term in enumerate(model.sampled(rate).terms):
-            row = [type(basic) for basic in _BASIC].index(type(term)) if _is_basic(term) else -1
+            # Flicker noise with a cutoff is none of the basic terms.
+            row = basic.index(type(term)) if type(term) in basic and not term.oscillates else -1
             if row < 0 or row in columns:
                 row = len(_BASIC) + len(others)
                 others.append(_structure(term))
@@ -342,13 +332,11 @@ class AllanDesign(Design):
 
     def _moving(self, shape: Float[Array, " shapes"]) -> dict[int, NoiseTerm]:
         """Terms with free shapes, which they have here, by their row among all."""
-        terms = with_shapes(self.others, self.shapes, shape)
+        terms = list(self.others)
+        for s, u in zip(self.shapes, shape, strict=True):
+            value = s.parameter.lower + jnp.exp(u)
+            terms[s.term] = terms[s.term].replace(**{s.parameter.name: value})
         return {len(_BASIC) + k: terms[k] for k in sorted({s.term for s in self.shapes})}
-
-
-def _is_basic(term: NoiseTerm) -> bool:
-    """Whether a term is one of the basic ones, flicker noise without a cutoff."""
-    return type(term) in {type(basic) for basic in _BASIC} and not term.oscillates
 
 
 def _structure(term: NoiseTerm) -> NoiseTerm:

@@ -112,12 +112,6 @@ def _log_likelihood(
     return base + jnp.where(ramp, 0.5 * p**2 / u - 0.5 * jnp.log(u), 0.0)
 
 
-def _fisher(columns: Array, size: Array, share: Array, mean: Array) -> Array:
-    """Fisher information of the powers."""
-    scaled = columns / mean
-    return (scaled * (0.5 * share * size)) @ scaled.T
-
-
 def _non_negative_powers(normal: Array, target: Array, allowed: Array, start: Array) -> Array:
     """Powers x ≥ 0 that minimize x'Ax/2 − x'b, approached by coordinate descent from `start`."""
 
@@ -195,7 +189,8 @@ def _evidence(
     power, mean = jax.lax.fori_loop(0, steps, step, (first, start))
     likelihood = _log_likelihood(statistics, size, share, mean, subset.ramp)
     present = subset.terms & (power > 0.0)
-    information = _fisher(columns, size, share, mean)
+    relative = columns / mean
+    information = (relative * (0.5 * share * size)) @ relative.T
     both = present[:, None] & present
     scale = 1.0 / jnp.sqrt(jnp.diag(information))
     scaled = jnp.where(both, information * scale[:, None] * scale, 0.0) + jnp.diag(

@@ -103,12 +103,6 @@ class Content(NamedTuple):
         markovs = range(FULL.first_markov, FULL.first_oscillator)
         return [k for k in self.structure.there if k < OUTSIDE or k in markovs]
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether there is nothing besides plain terms."""
-        of = self.structure
-        return not (of.kind != NONE or len(of.oscillators) or len(of.markovs) or self.lines)
-
 
 def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
     """What the spectrum of these samples consists of."""
@@ -390,8 +384,10 @@ def extended(
     if len(x) < _SHORTEST:
         return None
     content = content_of(x, rate)
+    of = content.structure
+    besides = of.kind != NONE or len(of.oscillators) or len(of.markovs) or content.lines
     # Without plain terms there is nothing to correct.
-    if content.is_plain or not content.plain_terms:
+    if not besides or not content.plain_terms:
         return None
     selection = _selection(content, axis)
     content = content._replace(structure=_with_terms(content, selection))

@@ -39,7 +39,7 @@ from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension import Extension, extended
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, estimates_of, reported
-from allanjax.estimate.joint_fits import fit_stretches, joined, with_quiet_others
+from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_others
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
 from allanjax.inspection import Inspection, inspect
@@ -53,6 +53,7 @@ from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.record.units import unit_scale
+from allanjax.spectrum.cosine import joint_statistics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -206,26 +207,26 @@ def _fitted(
     curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)
     check_length(curve, template, recording.name)
     if recording.others:
-        results, objective = fit_stretches(recording, template, active), "whittle"
-        results, curve = with_curve(curve, template, results)
+        # The stretches are taken to be independent.
+        joint = joint_statistics((recording.values, *recording.others), recording.rate)
+        results = fit_statistics(*joint, template, recording.axes, active)
+        objective = "whittle"
     elif objective == "allan" or octaves:
         # Wavelet variances of Haar are half the Allan variances at octaves.
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
-        results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
-        if any(result.spectrum is not None for result in results):
-            results, curve = with_curve(curve, template, results)
     elif objective == "wavelet":
         unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
         template, active = template.without(unused), active[:, active.any(axis=0)]
         results = fit_wavelet(recording, template, active, wavelet)
-        results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
-        results, curve = with_curve(curve, template, results)
     elif objective == "exact":
         results, notes = _exact(recording, template, active)
-        results, curve = with_curve(curve, template, results)
     else:
         axes = range(len(recording.axes))
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
+    if objective in ("allan", "wavelet"):
+        results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
+    # Allan variances that were fitted have their degrees of freedom already.
+    if not (objective == "allan" or octaves) or any(result.spectrum is not None for result in results):
         results, curve = with_curve(curve, template, results)
     # Regressors are part of a model that is given, or of the plain terms.
     if selection is not None and not (plain or given):

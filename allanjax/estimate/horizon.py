@@ -52,6 +52,7 @@ SCHEMA_VERSION = 1
 EXPONENTS = {"white": 0.5, "walk": -0.5, "integral": 1.0, "bias": 0.0}
 # Share of the variance from which on a term is named.
 _NAMED = 0.05
+_SERIES = ("time", "error", "bound", "raw_error", "raw_prediction")
 _DRAWS = 400
 # Time at rest over which a filter by a data sheet has estimated the bias [s], if the horizon is no longer.
 _AT_REST = 3600.0
@@ -84,14 +85,6 @@ class Filters(NamedTuple):
     def of_walk(cls, memory: Float[np.ndarray, " g"], rate: float) -> Filters:
         """Filters of a random walk."""
         return cls(memory, np.full(len(memory), np.inf), rate)
-
-    @classmethod
-    def of_markov(
-        cls, memory: Float[np.ndarray, " m"], correlation_time: Float[np.ndarray, " c"], rate: float
-    ) -> Filters:
-        """Filters of every pair of a memory and a correlation time."""
-        pairs = np.meshgrid(memory, correlation_time, indexing="ij")
-        return cls(pairs[0].ravel(), pairs[1].ravel(), rate)
 
     @property
     def kept(self) -> Float[np.ndarray, " g"]:
@@ -252,12 +245,6 @@ def bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"
     return best, math.sqrt(float(scale[best]))
 
 
-def coasting_steps(horizon: float, rate: float, count: int = 13) -> Float[np.ndarray, " t"]:
-    """Numbers of samples from a hundredth of the horizon to the horizon [s], at least one."""
-    last = max(round(horizon * rate), 1)
-    return np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, count)))
-
-
 def memories(duration: float, rate: float, terms: Sequence[float] = (), count: int = 61) -> np.ndarray:
     """Times over which filters may average [s], from two samples to the record, and some given ones."""
     grid = np.geomspace(2.0 / rate, max(duration, 4.0 / rate), count)
@@ -385,7 +372,6 @@ class AxisHorizon(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
-        series = ("time", "error", "bound", "raw_error", "raw_prediction")
         time = self.correlation_time
         return {
             "name": self.axis.name,
@@ -406,7 +392,7 @@ class AxisHorizon(ByValue):
             "raw_factor": finite_or_none(self.raw_factor),
             "shares": dict(self.shares),
             "sets": self.sets,
-            "curves_si": {name: getattr(self, name).tolist() for name in series},
+            "curves_si": {name: getattr(self, name).tolist() for name in _SERIES},
         }
 
     def __repr__(self) -> str:
@@ -418,8 +404,7 @@ class AxisHorizon(ByValue):
         """Errors by time: of the matched pair, its prediction's bound, and with raw N and K, in SI."""
         import pandas as pd
 
-        names = ("time", "error", "bound", "raw_error", "raw_prediction")
-        return pd.DataFrame({"axis": self.axis.name, **{name: getattr(self, name) for name in names}})
+        return pd.DataFrame({"axis": self.axis.name, **{name: getattr(self, name) for name in _SERIES}})
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -565,7 +550,11 @@ def _of_axis(
     raw = Filters.of_walk(
         np.array([np.clip(raw_N / raw_K if raw_K > 0.0 else record, 2 / rate, record)]), rate
     )
-    filters, steps = _filters(noise, seconds, process, rate, record), coasting_steps(seconds, rate)
+    filters, last = _filters(noise, seconds, process, rate, record), max(round(seconds * rate), 1)
+    # From a hundredth of the horizon on.
+    steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
+    # N of the filter with the raw coefficients; without N, what the walk is over its memory.
+    raw_size = raw_N if raw_N > 0.0 else raw_K * float(raw.memory[0])
     unit, known, draws, each = _variances(sets, filters, steps, record)
     _, of_raw, _, _ = _variances(sets, raw, steps, record)
     # The prediction is to be right on average over what the coefficients may be.
@@ -595,7 +584,7 @@ def _of_axis(
         time=steps / rate,
         error=np.sqrt(mean[best]),
         raw_error=np.sqrt(of_raw.mean(axis=0)[0]),
-        raw_prediction=_own_size(raw_N, raw_K, raw) * np.sqrt(predicted(raw, steps)[0]),
+        raw_prediction=raw_size * np.sqrt(predicted(raw, steps)[0]),
         bound=bounding_N * np.sqrt(unit[bounding]),
         shares=_shares(sets, each, best),
         sets=len(sets),
@@ -613,7 +602,8 @@ def _filters(noise: _Noise, seconds: float, process: Process, rate: float, recor
     memory = memories(record, rate, [N / q for q in drives if q > 0.0], _MEMORIES)
     # What returns sooner is white noise to a filter up to the horizon.
     grid = [*np.geomspace(max(seconds / 100.0, 2.0 / rate), record, _TIMES), *times]
-    return Filters.of_markov(memory, np.unique(np.clip(grid, 2.0 / rate, record)), rate)
+    pairs = np.meshgrid(memory, np.unique(np.clip(grid, 2.0 / rate, record)), indexing="ij")
+    return Filters(pairs[0].ravel(), pairs[1].ravel(), rate)
 
 
 def _variances(
@@ -635,11 +625,6 @@ def _raw(coefficients: Mapping[str, Estimate]) -> tuple[float, float]:
     """N and K of the fitted model, SI; zero where it has none."""
     N, K = (coefficients.get(label) for label in ("angle_random_walk", "rate_random_walk"))
     return 0.0 if N is None else max(N.value, 0.0), 0.0 if K is None else max(K.value, 0.0)
-
-
-def _own_size(N: float, K: float, filters: Filters) -> float:
-    """N of the filter with the raw coefficients; without N, what the walk is over its memory."""
-    return N if N > 0.0 else K * float(filters.memory[0])
 
 
 def _draws(

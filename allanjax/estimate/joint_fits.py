@@ -19,7 +19,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis, Recording
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
+from allanjax.spectrum.cosine import Bins, SpectralStatistics
 from allanjax.spectrum.segments import SegmentSpectra
 
 _JOINT = "coefficients by Whittle's likelihood of {count} stretches together, {n} samples"
@@ -151,11 +151,3 @@ def joined(
     total = recording.n + sum(map(len, recording.others))
     note = _JOINT.format(count=len(recording.others) + 1, n=total)
     return dataclasses.replace(recording, notes=(*recording.notes, note))
-
-
-def fit_stretches(
-    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"]
-) -> tuple[AxisFit, ...]:
-    """Fit every axis to the spectra of all stretches, which are taken to be independent."""
-    joint = joint_statistics((recording.values, *recording.others), recording.rate)
-    return fit_statistics(*joint, template, recording.axes, active)

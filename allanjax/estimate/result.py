@@ -329,16 +329,6 @@ def _listed(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
 
 
-def _far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
-    """Warning about axes whose model does not follow the curve, with the remedy; none if there are none."""
-    names = [result.axis.name for result in results if result.is_far_off]
-    if not names:
-        return ()
-    return (
-        f"{', '.join(names)}: not a measurement of this sensor, the model does not follow the data: {NEXT}",
-    )
-
-
 def fitted_model(
     template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
 ) -> Model:
@@ -616,7 +606,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user of the coefficients should know, the gravest first."""
-        return (*warnings_of(self.facts), *_far_off(self.results))
+        names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
+        far_off = f"{names}: not a measurement of this sensor, the model does not follow the data: {NEXT}"
+        return (*warnings_of(self.facts), *([far_off] if names else []))
 
     @property
     def stretch(self) -> tuple[float, float] | None:

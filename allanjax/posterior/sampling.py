@@ -99,20 +99,8 @@ def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) 
 def undetermined(parameter: ModelParameter, axis: Axis) -> Estimate:
     """Marginal of the shape of a term that was not sampled: of it these data say nothing."""
     nothing = (parameter.parameter.lower, parameter.parameter.upper)
-    return Estimate(
-        source="posterior",
-        label=parameter.label,
-        term=parameter.term_label,
-        parameter=parameter.parameter,
-        axis=axis,
-        value=float("nan"),
-        std=float("nan"),
-        interval=nothing,
-        interval_68=nothing,
-        upper_limit=None,
-        detected=False,
-        sampled=False,
-    )
+    unknown = _marginal(parameter, axis, np.full(len(_QUANTILES), np.nan), float("nan"), False, None)
+    return dataclasses.replace(unknown, interval=nothing, interval_68=nothing, sampled=False)
 
 
 def _marginal(
@@ -186,12 +174,6 @@ class LogPosterior(eqx.Module):
             np.array([p.parameter.lower for p in likelihood.parameters]),
         )
 
-    def on_device(self) -> LogPosterior:
-        """Copy for compiled functions, with arrays for numbers, so that other numbers need no compilation."""
-        return jax.tree.map(
-            lambda x: jnp.asarray(x, getattr(x, "dtype", float)) if eqx.is_array_like(x) else x, self
-        )
-
     def values(self, y: Coordinates) -> Coordinates:
         """Values in SI at these coordinates [..., params]; a NumPy array for a NumPy array."""
         xp: Any = jnp if isinstance(y, jax.Array) else np
@@ -254,7 +236,11 @@ class Target:
         start = np.clip(posterior.likelihood.start, lower, upper)
         sampled_here = np.isin(np.arange(len(start)), sampled)
         start = np.where(posterior.amplitude & ~sampled_here, 0.0, start)
-        return cls(posterior, sampled, posterior.coordinates(start), batch, posterior.on_device())
+        # Arrays stand for numbers in what is compiled, so that other numbers need no compilation.
+        on_device = jax.tree.map(
+            lambda x: jnp.asarray(x, getattr(x, "dtype", float)) if eqx.is_array_like(x) else x, posterior
+        )
+        return cls(posterior, sampled, posterior.coordinates(start), batch, on_device)
 
     def embedded(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch params"]:
         """Coordinates of all parameters, given those that are sampled."""
@@ -654,15 +640,11 @@ class AxisSampler:
                     if bar is not None:
                         bar.update(task, completed=steps, total=expected)
 
-                results.append(self.one_axis(name, report))
+                results.append(dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report))
         return tuple(results)
 
-    def one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
-        """Posterior of one axis; `report` is told the steps done and expected."""
-        return dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report)
-
     def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
-        """Posterior of an axis whose model is the fit's."""
+        """Posterior of an axis whose model is the fit's; `report` is told the steps done and expected."""
         likelihood, widening = likelihood_of(self.fit, name), self.fit[name].widening
         if widening != 1.0:
             likelihood = WiderLikelihood.of(likelihood, widening)

@@ -68,10 +68,9 @@ class Levels(NamedTuple):
         return self._replace(level=padded(level, capacity, 1.0), shape=padded(dof / 2.0, capacity, 0.0))
 
 
-def capacity_of(count: int) -> int:
-    """Number of levels that arrays have room for, of which so many are needed."""
-    fitting = [capacity for capacity in CAPACITIES if capacity >= count]
-    return fitting[0] if fitting else -(-count // CAPACITIES[-1]) * CAPACITIES[-1]
+def room_for(count: int, rooms: tuple[int, ...]) -> int:
+    """The smallest of these rooms that so many have, or the least multiple of the last."""
+    return next((room for room in rooms if room >= count), -(-count // rooms[-1]) * rooms[-1])
 
 
 def padded(x: Shaped[np.ndarray, "... m"], capacity: int, fill: float) -> Shaped[np.ndarray, "... capacity"]:
@@ -98,7 +97,7 @@ def levels_of(
         length.append(np.full(len(size), float(part.n)))
         parity.append(np.where(size == 1, 1.0 - 2.0 * (first % 2), 0.0))
     m, parts, whole = len(bins.size), len(bins.parts), float(bins.parts[0].n)
-    capacity = capacity_of(m) if capacity is None else capacity
+    capacity = room_for(m, CAPACITIES) if capacity is None else capacity
     room = [(0, slots - len(columns)), (0, 0), (0, 0)]
     return Levels(
         level=padded(np.ones(m), capacity, 1.0),

@@ -36,6 +36,7 @@ from allanjax.estimate.spectral.components import (
     columns_of,
     levels_of,
     padded,
+    room_for,
 )
 from allanjax.estimate.spectral.model import (
     FULL,
@@ -323,8 +324,8 @@ class SpectralDesign(LevelDesign):
     def of(cls, model: Model, bins: Bins, tight: bool = False) -> SpectralDesign:
         """Design of a noise model of random terms only, for levels without data yet; see `Arrangement.of`."""
         found, shapes = Arrangement.of(model, bins, tight), free_shapes(model)
-        terms = _room(len(model), _TERMS) - len(model)
-        more = _room(len(shapes), _SHAPES) - len(shapes)
+        terms = room_for(len(model), _TERMS) - len(model)
+        more = room_for(len(shapes), _SHAPES) - len(shapes)
         owner = [p.term if p.term < len(model) else model.inside.index(True) for p in shapes]
         top = [
             np.log(_upper(found.slots.kind, p, len(model), bins.rate) - p.parameter.lower) - _INSIDE
@@ -389,11 +390,6 @@ class SpectralDesign(LevelDesign):
         theta = self.parameters(shape)
         every = units(theta, self.slots, self.levels)
         return every[self.component] * self.unit_power(theta)[:, None]
-
-
-def _room(count: int, rooms: tuple[int, ...]) -> int:
-    """The smallest room for so many."""
-    return next((room for room in rooms if room >= count), -(-count // rooms[-1]) * rooms[-1])
 
 
 def _upper(kind: int, p: ModelParameter, terms: int, rate: float) -> float:

@@ -497,7 +497,7 @@ def _peak_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     theta, steps, converged = _peak(problem, start)
     interior = _interior(theta, problem.slots, problem.levels)
     differentiable, fixed = eqx.partition(
-        problem, jax.tree.map(lambda t: t is not None, tangents[0], is_leaf=_none)
+        problem, jax.tree.map(lambda t: t is not None, tangents[0], is_leaf=lambda t: t is None)
     )
     moved = jax.tree.leaves(tangents[0])
     leaves, structure = jax.tree.flatten(differentiable)
@@ -511,10 +511,6 @@ def _peak_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     both = interior[:, None] & interior
     system = jnp.where(both, hessian, 0.0) + jnp.diag(jnp.where(interior, 0.0, 1.0))
     return (theta, steps, converged), (-solve(system, jnp.where(interior, change, 0.0)), None, None)
-
-
-def _none(x: Any) -> bool:
-    return x is None
 
 
 def _gradient(theta: Array, slots: Slots, levels: Levels) -> Float[Array, " parameters"]:
