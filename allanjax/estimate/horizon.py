@@ -256,7 +256,7 @@ class AxisHorizon(ByValue):
     """White noise and process of the bias for the filter of one axis, up to a horizon.
 
     The filter has estimated the bias from the sensor at rest, and integrates what it measures, less that
-    bias. Its `error` is that of the angle (of the velocity). See `estimate.coasting`. To the filter the bias
+    bias. Its `error` is that of the angle (of the velocity). See `estimate.horizon`. To the filter the bias
     is a random walk, or a first-order Gauss–Markov process, which is a walk that returns to zero in the
     correlation time: K is then the root of the density of the noise that drives it.
 

@@ -261,7 +261,7 @@ class Likelihood(eqx.Module):
 def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     """Likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else that of its Allan variances.
 
-    It is that of a complete record: see `wider` for one of which samples were missing.
+    It is that of a complete record: see `WiderLikelihood` for one of which samples were missing.
 
     Raises:
         FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum, or

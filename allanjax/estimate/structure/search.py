@@ -8,7 +8,7 @@ shorter than eight samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -157,9 +157,7 @@ class Record(NamedTuple):
         return Spectrum.of(self.squares, Bins.of(self.n, self.rate, around, _PER_OCTAVE), self.further)
 
 
-def searched(
-    record: Record, start: Structure, tell: Callable[[str], None] = lambda text: None
-) -> tuple[Spectrum, Fitted]:
+def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
     spectrum, now = refitted(record, start)
     before = now.structure
@@ -168,7 +166,6 @@ def searched(
         if found is None:
             break
         spectrum, now = found
-        tell(described(now.structure, record.rate))
     # A start to which only lines were added has had its swaps.
     if _outline(now.structure, record.n) == _outline(before, record.n):
         return spectrum, now
@@ -201,20 +198,6 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
         if k != WHITE:
             structure = structure.without(int(k))
     return spectrum.fit(structure, FINE)
-
-
-def described(structure: Structure, rate: float) -> str:
-    """Short text about what is in a structure besides terms without a free shape."""
-    hertz = rate / (2.0 * np.pi)
-    parts = []
-    if structure.kind != NONE:
-        w, q = structure.bandwidth
-        parts.append(f"response {structure.kind} {w * hertz:.4g} Hz Q {q:.2g}")
-    for k in structure.oscillators:
-        where = "in" if structure.inside[FULL.first_oscillator + k] else "after"
-        parts.append(f"{structure.frequency(k) * hertz:.4g} Hz Q {structure.quality(k):.3g} {where}")
-    parts += [f"T {structure.time(k) / rate:.3g} s" for k in structure.markovs]
-    return "; ".join(parts) or "nothing"
 
 
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
