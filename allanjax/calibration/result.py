@@ -19,7 +19,7 @@ from allanjax.base.per_axis import PerAxis
 from allanjax.base.tables import printable
 from allanjax.base.wording import finite_or_none, significant
 from allanjax.calibration.least_squares import Triad
-from allanjax.estimate.axis_estimates import AxisEstimates
+from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import Sensor

@@ -270,7 +270,7 @@ def fit_or_sheet(path: Path | None, sheet: str | None) -> "Fit | DataSheet":
 
 def saved_fit(path: Path) -> "Fit":
     """The fit in a file; AllanjaxError if there is none, or more than one."""
-    from allanjax.estimate.loading import load
+    from allanjax.estimate.as_json import load
 
     found = load(path)
     if not isinstance(found, dict):

@@ -13,8 +13,15 @@ from scipy.ndimage import uniform_filter1d
 
 from allanjax.critic.noise import NoiseFamily
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.as_model import markov_of, resonance_of, response_of
-from allanjax.estimate.structure.structure import FIXED, FURTHER, OUTSIDE, Structure
+from allanjax.estimate.structure.structure import (
+    FIXED,
+    FURTHER,
+    OUTSIDE,
+    Structure,
+    markov_of,
+    resonance_of,
+    response_of,
+)
 from allanjax.noise.response import Response
 
 # Response below which the record's ends are modelled, and coefficients that a local mean is taken over.

@@ -15,10 +15,9 @@ from allanjax.critic.profiles import ANGLE
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.as_model import term_of
 from allanjax.estimate.structure.search import WIDE
 from allanjax.estimate.structure.structure import FIXED as COLUMNS
-from allanjax.estimate.structure.structure import Structure
+from allanjax.estimate.structure.structure import Structure, term_of
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from allanjax.estimate.design import correlation_times
 from allanjax.estimate.evidence import FURTHER, Evidence, TermSubset, evidences, term_subsets
-from allanjax.estimate.spectral.columns import columns_of
-from allanjax.estimate.starts import correlation_times
+from allanjax.estimate.spectral.components import columns_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column

@@ -18,8 +18,7 @@ from allanjax.base.per_axis import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
 from allanjax.critic.parameters import side_of_limit, values_of
-from allanjax.estimate.misfit import Misfit
-from allanjax.estimate.result import Fit
+from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import warnings_of
 from allanjax.noise.estimate import Estimate

@@ -19,7 +19,6 @@ from allanjax.critic.places import Place
 from allanjax.critic.view import View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.as_model import model_of, order_of, response_of
 from allanjax.estimate.structure.search import Record, at_all, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
@@ -32,6 +31,9 @@ from allanjax.estimate.structure.structure import (
     Fitted,
     Spectrum,
     Structure,
+    model_of,
+    order_of,
+    response_of,
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model

@@ -21,10 +21,9 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import FitError
 from allanjax.estimate.axis_fits import fit_whittle
-from allanjax.estimate.coefficients import coefficients_of
 from allanjax.estimate.design import free_shapes
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import ABOVE, Inference
+from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.kalman.likelihood import innovations_under, log_likelihoods
 from allanjax.noise.model import Model, ModelParameter

@@ -24,7 +24,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.linalg import non_negative_least_squares
-from allanjax.estimate.allan_design import AllanDesign
+from allanjax.estimate.design import AllanDesign
 
 # Bound of a shape's distance from its start, in ln: the spectrum locates a line better than the Allan curve
 # does; the starts of other shapes are two to a decade or denser.

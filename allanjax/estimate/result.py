@@ -1,58 +1,331 @@
-"""Results of a fit: coefficients with their intervals, one axis at a time."""
+"""Results of a fit: coefficients with their intervals, axis by axis, what was corrected, and the misfit.
+
+The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals rightly
+while it is small. Of a model that misses by a factor it says nothing: it is counted in units of the model,
+below which nothing is farther than one. For the misfit the two curves are compared as a ratio, place by
+place.
+"""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, significant
-from allanjax.estimate.axis_estimates import AxisEstimates
-from allanjax.estimate.correction import correction_of, further_terms
-from allanjax.estimate.misfit import Misfit
+from allanjax.base.wording import duration, plain, significant
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
-from allanjax.noise.terms import AngleRandomWalk
+from allanjax.noise.terms import AngleRandomWalk, Markov, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis, DeadAxis
 from allanjax.record.units import rate_unit_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from allanjax.estimate.deterministic import AxisSpectrum
+    from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import TermSelection
 
+LIMIT, OCTAVE = 0.3, 0.5
+"""Deviations beyond which coefficients are no measurement: root mean square, and over an octave.
+
+Of 30 % in the deviation, 69 % in the variances, which are what is fitted. Standard deviations propagate the
+model's error to first order, as small and of either sign; of one so large nothing that is linear in it holds.
+A coefficient is read from an octave or two, of which one off by a factor 1.5 leaves none. (Static sensors
+with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
+"""
+
+# Curves differ for certain where the model is outside this central interval of all estimates (χ²).
+_SURE = 0.997
+# Parts of an octave that the levels of a spectrum are averaged over.
+_PARTS = 3
+# Deviations from this ratio on are told as a factor.
+_FACTOR = 1.5
+# Root mean square deviations from which on one is mentioned beside another curve's, and where that one has
+# none, so that chance hardly ever does: judgements.
+_NOTABLE, _CLEAR = 0.02, 0.06
+# Scatter that is so large a share of a deviation is told with it.
+_MUCH = 0.3
+_COLUMNS: dict[str, Callable[[Estimate], Any]] = {
+    "axis": lambda c: c.axis.name,
+    "coefficient": lambda c: c.label,
+    "value": lambda c: c.value,
+    "median": lambda c: c.value,
+    "std": lambda c: c.std,
+    "lower_68": lambda c: c.interval_68[0],
+    "upper_68": lambda c: c.interval_68[1],
+    "lower_95": lambda c: c.interval[0],
+    "upper_95": lambda c: c.interval[1],
+    "unit": lambda c: c.unit,
+    "detected": lambda c: c.detected,
+    "upper_limit_95": lambda c: c.upper_limit,
+    "measured": lambda c: c.measured,
+}
+# Ratio of a limit of the bandwidth to its value within which the limit is told.
+_NEAR = 3.0
+# Places that are named; of more the strongest.
+_NAMED = 3
 #: What to do about a curve that is far off.
 NEXT = (
     "look at the picture; allanjax critique FILE looks for the cause; "
     "--start and --stop cut off what was not at rest, --terms takes other terms"
 )
-
-
 # Least share of N that is white noise.
 _LITTLE = 1e-6
 
 
-def _far_off(results: Sequence[AxisFit]) -> tuple[str, ...]:
-    """Warning about axes whose model does not follow the curve, with the remedy; none if there are none."""
-    names = [result.axis.name for result in results if result.is_far_off]
-    if not names:
-        return ()
-    return (
-        f"{', '.join(names)}: not a measurement of this sensor, the model does not follow the data: {NEXT}",
-    )
+@dataclasses.dataclass(frozen=True)
+class Misfit:
+    """The deviation of an axis's measured curve from the fitted one, where scatter does not explain it.
+
+    Attributes:
+        largest: measured over model less one at the place where the two differ most for certain; 0 if they
+            differ nowhere by more than single estimates scatter.
+        at: that place, a cluster time [s] or a frequency [Hz]; nan if there is none.
+        unit: its unit: "s" of an Allan deviation, "Hz" of a root PSD.
+        rms: root mean square over all places of ln(measured/model) less scatter, as a relative deviation.
+        sustained: what the deviation certainly exceeds over some octave, of which each Allan deviation is an
+            average, and of a root PSD over most of one; as a relative deviation.
+        scatter: how far from the model an estimate at that place may be by chance, as a relative deviation.
+    """
+
+    largest: float
+    at: float
+    unit: Literal["s", "Hz"]
+    rms: float
+    sustained: float
+    scatter: float = 0.0
+
+    @property
+    def excessive(self) -> bool:
+        """Whether the curve is off by so much that its coefficients are not a measurement."""
+        return self.rms > LIMIT or self.sustained > OCTAVE
+
+    def beside(self, other: Misfit | None) -> Misfit | None:
+        """The misfit, if it is worth mentioning beside another curve's, or where that one suffices."""
+        return self if self.rms > (_CLEAR if other is None else _NOTABLE) else None
+
+    @property
+    def curve(self) -> str:
+        """Name of the curve that the misfit is of."""
+        return "Allan deviation" if self.unit == "s" else "root PSD"
+
+    def __str__(self) -> str:
+        if self.largest == 0.0:
+            return f"its {self.curve} is off, nowhere by more than single estimates scatter"
+        chance = ""
+        if np.log1p(self.scatter) > _MUCH * abs(np.log1p(self.largest)):
+            chance = f" (by chance up to {deviation(self.scatter)} there)"
+        place = f"{plain(self.at, 3)} {self.unit}{chance}"
+        return (
+            f"its {self.curve} is off by up to {deviation(self.largest)} at {place}, "
+            f"{deviation(self.rms)} rms"
+        )
+
+
+def misfit_of(
+    place: Float[np.ndarray, " m"],
+    ratio: Float[np.ndarray, " m"],
+    edf: Float[np.ndarray, " m"],
+    unit: Literal["s", "Hz"],
+) -> Misfit:
+    """Misfit of estimated deviations.
+
+    Args:
+        place: cluster times [s] or frequencies [Hz], increasing.
+        ratio: measured over model, of the deviation.
+        edf: degrees of freedom of the estimates' squares under the model.
+        unit: of the places.
+    """
+    log = np.log(np.maximum(ratio, 1e-300))
+    beyond = (1.0 - _SURE) / 2.0 / len(log)
+    ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
+    low, high = log + 0.5 * np.log(edf / np.maximum(ends, 1e-300))
+    certain = np.maximum(np.maximum(low, -high), 0.0)
+    k = int(np.argmax(certain))
+    if certain[k] == 0.0:
+        return Misfit(0.0, float("nan"), unit, 0.0, 0.0)
+    # In squares, less the half width of the interval on the model's side.
+    rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
+    sustained = certain[k] if unit == "s" else _over_octaves(place, certain)
+    scatter = abs(log[k]) - certain[k]
+    largest, rms, sustained, scatter = np.expm1([log[k], rms, sustained, scatter]).tolist()
+    return Misfit(largest, float(place[k]), unit, rms, sustained, scatter)
+
+
+def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
+    """Solutions [axes] whose discrepancy is no less than their curves' rms deviation.
+
+    That brings χ² to its degrees of freedom which bends to what it cannot follow; scatter that is said of
+    coefficients must not bend.
+    """
+    rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
+    # Of powers it is twice that of deviations.
+    return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
+
+
+def _over_octaves(place: Float[np.ndarray, " m"], certain: Float[np.ndarray, " m"]) -> float:
+    """The largest of the medians over octaves; of an even number of places the lower one."""
+    almost = 1.0 + 1e-6
+    found = 0.0
+    for start in place[2.0 * place <= place[-1] * almost]:
+        inside = np.sort(certain[(place >= start) & (place <= 2.0 * start * almost)])
+        found = max(found, float(inside[(len(inside) - 1) // 2]))
+    return found
+
+
+def spectral_misfit(
+    frequency: Float[np.ndarray, " m"],
+    level: Float[np.ndarray, " m"],
+    mean: Float[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+) -> Misfit:
+    """Misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
+
+    Args:
+        frequency: middle of each bin [Hz].
+        level, mean: measured and expected level of each.
+        dof: degrees of freedom of the levels; those without any do not count.
+    """
+    known = dof > 0.0
+    frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
+    part = np.floor(_PARTS * np.log2(frequency / frequency.min()) + 1e-9).astype(int)
+    total, power, place = (np.bincount(part, w) for w in (dof, dof * ratio, dof * np.log(frequency)))
+    there = total > 0.0
+    total, power, place = total[there], power[there], place[there]
+    return misfit_of(np.exp(place / total), np.sqrt(power / total), total, "Hz")
+
+
+def deviation(relative: float) -> str:
+    """A relative deviation in words: "47 %", or of large ones the factor, whichever way: "a factor 18"."""
+    factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
+    if factor < _FACTOR:
+        return f"{100.0 * abs(relative):.2g} %"
+    return f"a factor {factor:.2g}" if factor < 99.5 else f"a factor {factor:,.0f}"
+
+
+class AxisEstimates:
+    """Base of the fit and of the posterior of one axis: estimates by name, as a table, and in two lines.
+
+    Attributes:
+        axis: whose the estimates are.
+        coefficients: each by its label, detected or not.
+    """
+
+    #: Columns of the table, each in the usual unit.
+    COLUMNS: ClassVar[tuple[str, ...]] = ()
+    #: What is raised for a coefficient that there is not.
+    ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
+
+    axis: Axis
+
+    if TYPE_CHECKING:  # A property here would be taken for the default of a dataclass's field.
+
+        @property
+        def coefficients(self) -> Mapping[str, Estimate]: ...
+
+    @TextProperty
+    def verdict(self) -> str:
+        """One line on how far the estimates can be trusted."""
+        raise NotImplementedError
+
+    def __getitem__(self, name: str) -> Estimate:
+        """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW" (`called`)."""
+        label = called(name, self.coefficients)
+        if label is None:
+            raise self.ERROR(
+                f"{self.axis.name} has no coefficient {name!r}; it has {', '.join(self.coefficients)}"
+            )
+        return self.coefficients[label]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a coefficient, in its usual unit."""
+        import pandas as pd
+
+        shown = [c.in_unit() for c in self.coefficients.values()]
+        rows = [{name: _COLUMNS[name](c) for name in self.COLUMNS} for c in shown]
+        return pd.DataFrame(rows, columns=list(self.COLUMNS)).astype({"upper_limit_95": float})
+
+    def __repr__(self) -> str:
+        names: dict[bool, list[str]] = {True: [], False: []}
+        for c in self.coefficients.values():
+            names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
+        absent = f"; not detectable: {', '.join(names[False])}" if names[False] else ""
+        found = ", ".join(names[True]) or "nothing found"
+        return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"
+
+
+def further_terms(template: Model) -> tuple[str, ...]:
+    """Labels of a model's terms that are neither basic ones nor Markov processes, and of its response."""
+    kinds = {type(term) for term in basic_terms()} | {Markov}
+    labels = zip(template.term_labels, template.terms, strict=True)
+    response = () if template.response is None else (template.response.name(),)
+    return (*(label for label, term in labels if type(term) not in kinds), *response)
+
+
+def correction_of(
+    template: Model, found: Model, after: Estimate, before: Estimate | None, bandwidth: Estimate | None
+) -> str:
+    """Words such as "corrected for a 28 Hz bandwidth and a resonance at 20 Hz: … 2.41 → 2.27 deg/√h".
+
+    Args:
+        template: the model that was fitted.
+        found: the model with its values.
+        after, before: N of this fit and of the fit without correction.
+        bandwidth: of the response, if there is one.
+    """
+    causes = _bandwidth(found, bandwidth)
+    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "line")
+    if not causes:
+        several = sum(isinstance(term, Markov) for term in template.terms) > 1
+        causes = ["Markov processes of several correlation times" if several else "a Markov process"]
+    text = f"corrected for {_listed(causes)}"
+    if before is None or not (after.value > 0.0 and before.value > 0.0):
+        return text
+    new, old = after.in_unit(), before.in_unit()
+    return f"{text}: {new.title} {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
+
+
+def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
+    """The response in words: a limit is no bandwidth, and a value that the data do not determine is none."""
+    if found.response is None or estimate is None:
+        return []
+    if np.isfinite(estimate.std) or estimate.held:
+        return [f"a {plain(found.response.half_power, 3)} Hz bandwidth"]
+    for side, limit in (("above", estimate.lower_limit), ("below", estimate.upper_limit)):
+        # A limit far from the value says nothing.
+        if limit is not None and 1.0 / _NEAR < limit / found.response.half_power < _NEAR:
+            return [f"a bandwidth {side} {plain(limit, 3)} Hz"]
+    return ["a filter of undetermined bandwidth"]
+
+
+def _places(found: Model, kind: type[Resonance] | type[Sinusoid], name: str) -> list[str]:
+    """Frequencies of the terms of one kind in words, at most three of them."""
+    terms = [term for term in found.terms if isinstance(term, kind)]
+    if not terms:
+        return []
+    strongest = sorted(terms, key=lambda term: -float(term.amplitude or 0.0))[:_NAMED]
+    places = _listed([plain(f, 3) for f in sorted(float(term.frequency or 0.0) for term in strongest)])
+    more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
+    return [f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}"]
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
 
 
 def fitted_model(
@@ -332,7 +605,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user of the coefficients should know, the gravest first."""
-        return (*warnings_of(self.facts), *_far_off(self.results))
+        names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
+        far_off = f"{names}: not a measurement of this sensor, the model does not follow the data: {NEXT}"
+        return (*warnings_of(self.facts), *([far_off] if names else []))
 
     @property
     def stretch(self) -> tuple[float, float] | None:

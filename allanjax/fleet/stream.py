@@ -27,8 +27,8 @@ from allanjax.estimate.fit import (
     with_what_was_seen,
     without_coefficients,
 )
+from allanjax.estimate.joint_fits import check_terms, fit_stream, select_stream_terms
 from allanjax.estimate.result import Fit
-from allanjax.estimate.stream_fits import check_terms, fit_stream, select_stream_terms
 from allanjax.inspection import Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of

@@ -1,4 +1,4 @@
-"""Likelihood of a fit's data as a function of its parameters, for sampling.
+"""Likelihood of a fit's data as a function of its parameters, and priors of these, for sampling.
 
 It is that of the cosine spectrum (Whittle's; see `cosine`) or that of the Allan variances. The latter has for
 each variance the χ² law of its degrees of freedom under the model, by its normal score (Wilson & Hilferty
@@ -8,8 +8,9 @@ each variance the χ² law of its degrees of freedom under the model, by its nor
 from __future__ import annotations
 
 import abc
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -18,19 +19,19 @@ import numpy as np
 from jax.scipy.special import i0e
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import cube_root_score
-from allanjax.base.errors import FitError
+from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.linalg import whiten
-from allanjax.estimate.allan_design import AllanDesign
-from allanjax.estimate.design import Design, free_shapes, of_owners
+from allanjax.estimate.design import AllanDesign, Design, free_shapes, of_owners
 from allanjax.estimate.deterministic import LINE_REACH, AxisSpectrum, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.spectral.design import SpectralDesign
-from allanjax.estimate.spectral.fit import share_with_error
+from allanjax.estimate.spectral.fit import SpectralDesign, share_with_error
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.posterior.ranges import ranges_of, start_of
 
+# Largest distance of a resonance's frequency from its fit, in ln.
+_LINE_RANGE = 0.3
 # The likelihood of the Allan variances takes every second of the fit's cluster times, which are four an
 # octave.
 _THINNED = 2
@@ -38,6 +39,197 @@ _THINNED = 2
 _SIZES, _TERMS = 16, 6
 # Priors of amplitudes reach beyond what fits under the data by this factor at least.
 _CEILING = 1e2
+
+
+class Prior(eqx.Module):
+    """Prior of one parameter, in SI.
+
+    A subclass has fields, the two methods, and `lower` and `upper`.
+
+    Attributes:
+        lower, upper: ends of its support.
+    """
+
+    if (
+        TYPE_CHECKING
+    ):  # Fields of some subclasses, which a property here would hide, and properties of others.
+
+        @property
+        def lower(self) -> float: ...
+
+        @property
+        def upper(self) -> float: ...
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        """Natural logarithm of the density [1/SI unit] at x, traceable by JAX; −inf outside the support."""
+        raise NotImplementedError(f"{type(self).__name__} defines no log_density(x)")
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        """Value below which the share u of the prior lies; a draw of the prior if u is uniform."""
+        raise NotImplementedError(f"{type(self).__name__} defines no quantile(u)")
+
+    def _inside(self, x: Array, log_density: Array) -> Array:
+        """Log density, set to −inf outside the support."""
+        inside = (x >= self.lower) & (x <= self.upper)
+        return namespace(inside, log_density).where(inside, log_density, -np.inf)
+
+    def _require(self, condition: bool, wanted: str) -> None:
+        """Raise AllanjaxError unless the condition holds."""
+        if not condition:
+            raise AllanjaxError(f"{self}: {wanted}")
+
+
+class Uniform(Prior):
+    """Uniform prior between `lower` and `upper`."""
+
+    lower: float
+    upper: float
+
+    def __check_init__(self) -> None:
+        finite = math.isfinite(self.lower) and math.isfinite(self.upper)
+        self._require(finite and self.lower < self.upper, "give finite lower < upper")
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        return self._inside(at, xp.full(at.shape, -xp.log(self.upper - self.lower)))
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return self.lower + np.asarray(u) * (self.upper - self.lower)
+
+
+class LogUniform(Prior):
+    """Prior uniform in ln(x − origin) between `lower` and `upper`: all factors are equally likely."""
+
+    lower: float
+    upper: float
+    origin: float = 0.0
+
+    def __check_init__(self) -> None:
+        ordered = self.origin < self.lower < self.upper < math.inf
+        self._require(ordered, f"give finite {self.origin:g} < lower < upper")
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        # Outside the support the logarithm must only have a valid argument.
+        distance = xp.maximum(at, self.lower) - self.origin
+        ratio = (self.upper - self.origin) / (self.lower - self.origin)
+        return self._inside(at, -xp.log(distance) - xp.log(xp.log(ratio)))
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        nearest, farthest = self.lower - self.origin, self.upper - self.origin
+        return self.origin + nearest * (farthest / nearest) ** np.asarray(u)
+
+
+class LogNormal(Prior):
+    """Log-normal prior: 68 % of it lie between `median`/`factor` and `median`·`factor`."""
+
+    median: float
+    factor: float
+
+    def __check_init__(self) -> None:
+        self._require(0.0 < self.median < math.inf, "give a finite median above 0")
+        self._require(1.0 < self.factor < math.inf, "give a finite factor above 1")
+
+    @property
+    def lower(self) -> float:
+        return 0.0
+
+    @property
+    def upper(self) -> float:
+        return math.inf
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        width = xp.log(self.factor)
+        positive = xp.where(at > 0.0, at, 1.0)
+        z = xp.log(positive / self.median) / width
+        density = -0.5 * z**2 - xp.log(positive * width) - 0.5 * math.log(2.0 * math.pi)
+        return xp.where(at > 0.0, density, -np.inf)
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        from scipy.special import ndtri
+
+        return self.median * self.factor ** ndtri(np.asarray(u, float))
+
+
+class ModifiedLogUniform(Prior):
+    """Modified Jeffreys prior on [0, upper]: p(x) = 1/[(x + scale)·ln(1 + upper/scale)].
+
+    It is that of Gregory (2005, ApJ 631:1198), uniform in ln(x + scale): uniform below the scale, where an
+    amplitude cannot be told from zero, and uniform in ln x far above it. Unlike 1/x it is proper, and zero is
+    allowed.
+    """
+
+    scale: float
+    upper: float
+
+    def __check_init__(self) -> None:
+        self._require(0.0 < self.scale < math.inf, "give a finite scale above 0")
+        self._require(0.0 < self.upper < math.inf, "give a finite upper above 0")
+
+    @property
+    def lower(self) -> float:
+        return 0.0
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        xp = namespace(self, x)
+        at = xp.asarray(x, float)
+        density = -xp.log(xp.maximum(at, 0.0) + self.scale) - xp.log(xp.log1p(self.upper / self.scale))
+        return self._inside(at, density)
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return self.scale * np.expm1(np.asarray(u) * np.log1p(self.upper / self.scale))
+
+
+def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
+    """Default priors of `sample`, by label, in SI.
+
+    Amplitudes: `ModifiedLogUniform`, its scale the amplitude that these data could just tell from zero.
+    Times, frequencies and numbers: `LogUniform`, of the distance from the parameter's lower bound.
+    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than data need.
+    """
+    priors: dict[str, Prior] = {}
+    for i, p in enumerate(likelihood.parameters):
+        lower, upper = float(likelihood.lower[i]), float(likelihood.upper[i])
+        if p.parameter.is_amplitude:
+            priors[p.label] = ModifiedLogUniform(float(likelihood.prior_scale[i]), upper)
+        elif p.parameter.kind == "line":
+            priors[p.label] = Uniform(lower, upper)
+        else:
+            priors[p.label] = LogUniform(lower, upper, p.parameter.lower)
+    return priors
+
+
+def start_of(result: AxisFit, parameters: tuple[ModelParameter, ...]) -> Float[np.ndarray, " params"]:
+    """Values of the fit; shapes of absent terms have some value in their range."""
+    values = np.array([result[p.label].value for p in parameters])
+    return np.where(np.isfinite(values), values, [p.parameter.lower + 1.0 for p in parameters])
+
+
+def ranges_of(
+    parameters: tuple[ModelParameter, ...], result: AxisFit, fit: Fit, ceiling: Float[np.ndarray, " params"]
+) -> tuple[Float[np.ndarray, " params"], Float[np.ndarray, " params"]]:
+    """Lower and upper ends of the parameters' ranges, given those of the amplitudes."""
+    n, rate = fit.curve.n, fit.curve.rate
+    lower, upper = np.zeros(len(parameters)), ceiling.copy()
+    seen = {"time": (2.0 / rate, n / rate), "frequency": (rate / n, rate / 2.0)}
+    for k, p in enumerate(parameters):
+        if p.parameter.kind in seen:
+            lower[k], upper[k] = seen[p.parameter.kind]
+        elif p.parameter.kind == "number":
+            lowest = p.parameter.lower
+            lower[k], upper[k] = lowest + 1e-2, min(lowest + 1e4, p.parameter.upper - 1e-2)
+        elif p.parameter.kind == "line":
+            f = result[p.label].value
+            if fit.template.terms[p.term].deterministic:
+                reach = LINE_REACH / 2.0 * rate / (2.0 * n)
+                lower[k], upper[k] = max(f - reach, 0.1 * rate / n), min(f + reach, rate / 2.0)
+            else:
+                lower[k], upper[k] = f * np.exp(-_LINE_RANGE), min(f * np.exp(_LINE_RANGE), rate / 2.0)
+    return lower, upper
 
 
 class Likelihood(eqx.Module):
@@ -69,7 +261,7 @@ class Likelihood(eqx.Module):
 def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     """Likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else that of its Allan variances.
 
-    It is that of a complete record: see `wider` for one of which samples were missing.
+    It is that of a complete record: see `WiderLikelihood` for one of which samples were missing.
 
     Raises:
         FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum, or
@@ -388,3 +580,28 @@ def _at_start(
     covariance = design.covariance(power, products)
     whitened = design.whiten(covariance, mean, jnp.asarray(power_error), (means / mean).T).values
     return means, mean, jnp.sum(whitened**2, axis=0), products
+
+
+class WiderLikelihood(Likelihood):
+    """Likelihood of a complete record for one of which samples were missing: wider by a factor."""
+
+    complete: Likelihood
+    factor: Float[np.ndarray, ""]
+
+    @classmethod
+    def of(cls, complete: Likelihood, factor: float) -> WiderLikelihood:
+        """Likelihood whose standard deviations, that of the powers among them, are wider by this factor."""
+        return cls(
+            complete.parameters,
+            complete.start,
+            complete.scatter * factor,
+            complete.lower,
+            complete.upper,
+            complete.prior_scale * np.sqrt(factor),
+            complete.found,
+            complete,
+            np.array(factor),
+        )
+
+    def __call__(self, values: Float[Array, " params"]) -> Float[Array, ""]:
+        return self.complete(values) / self.factor**2

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
-from allanjax.posterior.priors import Prior
+from allanjax.posterior.likelihood import Prior
 from allanjax.posterior.result import Posterior
 
 
@@ -58,8 +58,7 @@ def sample(
         FitError: an axis of which there is no fit, or a posterior without density anywhere.
     """
     # Imported here, since emcee takes long to load.
-    from allanjax.posterior.axis_sampler import AxisSampler
-    from allanjax.posterior.sampling import Convergence
+    from allanjax.posterior.sampling import AxisSampler, Convergence
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:

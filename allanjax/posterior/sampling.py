@@ -1,10 +1,25 @@
-"""Markov chain Monte Carlo for one axis: emcee's ensemble of walkers, run until it has converged."""
+"""Markov chain Monte Carlo: emcee's ensemble of walkers for each axis, and the results from its draws.
+
+`value` is the median, `std` the standard deviation; the intervals hold 68 and 95 % of the posterior, as much
+of the rest on either side; `upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes
+factor is below 1/20; otherwise its intervals begin at zero, and `interval` ends at `upper_limit`.
+
+`bayes_factor`, of an amplitude, is the probability that the posterior gives to what cannot be told from zero
+(a third of the prior's scale; for terms not sampled zero itself) over that of the prior: how the data change
+the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math. Stat. 42:204). Under the
+default prior 1/20 is what a square of the amplitude 3.5 to 3.8 standard deviations above zero yields. A
+prior that excludes zero claims the term: 0. What has no draws (`sampled`) is the amplitude of a term that
+the fit did not find.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+import sys
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, TypeVar
 
 import emcee
 import equinox as eqx
@@ -13,15 +28,23 @@ import jax.numpy as jnp
 import numpy as np
 from emcee.moves import DEMove, DESnookerMove, RedBlueMove
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from scipy.special import logsumexp
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.posterior.priors import Prior
+from allanjax.estimate.result import Fit
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import ModelParameter
+from allanjax.posterior.likelihood import Likelihood, Prior, WiderLikelihood, default_priors, likelihood_of
+from allanjax.posterior.result import AxisPosterior, PosteriorWarning
+from allanjax.record.recording import Axis
 
-if TYPE_CHECKING:
-    from allanjax.posterior.likelihood import Likelihood
-
+# An amplitude is detected if the data make zero this much less credible than it was.
+_DETECTED = 1.0 / 20.0
+# Below this coordinate, a third of the prior's scale, an amplitude cannot be told from zero.
+_INDISTINGUISHABLE = 0.3
+# Of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
+_QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 Coordinates = TypeVar("Coordinates", np.ndarray, jax.Array)
-
 # Steps before the convergence of the chain is first checked.
 _FIRST_BLOCK = 200
 # Length of the burn-in, in autocorrelation times.
@@ -32,6 +55,96 @@ _OVERDISPERSION = 1.5
 _ATTEMPTS = 40
 # Degrees of freedom of the Student law proposed: tails heavier than those of any posterior met here.
 _STUDENT_DOF = 4.0
+# The range of the amplitude ends where the density is e^-12 of its maximum.
+_NEGLIGIBLE = 12.0
+# Grid points of the search for that range, for which so few draws suffice, and of the density in it.
+_COARSE, _FINE = 25, 33
+_FEW_DRAWS = 64
+# Largest number of times that the range is narrowed.
+_MAX_ROUNDS = 8
+# Attempts to translate the draws at one point until effective draws over draws reach this.
+_CORRECTIONS = 6
+_EVEN = 0.3
+# Points at which the interpolated density is integrated.
+_DENSE = 4001
+# Default number of walkers, or four a parameter if that is more.
+_WALKERS = 32
+
+
+def sampled_marginals(
+    posterior: LogPosterior, axis: Axis, chosen: list[int], draws: Float[np.ndarray, "draws sampled"]
+) -> dict[int, Estimate]:
+    """Marginals of the parameters with these indices from their draws [SI], by index."""
+    parameters = posterior.likelihood.parameters
+    found: dict[int, Estimate] = {}
+    by_index = dict(zip(chosen, draws.T, strict=True))
+    evidence = {i: bayes_factor(posterior, i, x) for i, x in by_index.items() if posterior.amplitude[i]}
+    detected = {parameters[i].term: factor < _DETECTED for i, factor in evidence.items()}
+    for i, x in by_index.items():
+        quantiles = np.quantile(x, _QUANTILES)
+        is_detected = detected.get(parameters[i].term, True)
+        found[i] = _marginal(parameters[i], axis, quantiles, float(x.std()), is_detected, evidence.get(i))
+    return found
+
+
+def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) -> Estimate:
+    """Marginal of the amplitude of a term that was not sampled."""
+    quantiles = np.array([grid.quantile(u) for u in _QUANTILES])
+    detected = grid.bayes_factor < _DETECTED
+    return dataclasses.replace(
+        _marginal(parameter, axis, quantiles, grid.std, detected, grid.bayes_factor), sampled=False
+    )
+
+
+def undetermined(parameter: ModelParameter, axis: Axis) -> Estimate:
+    """Marginal of the shape of a term that was not sampled: of it these data say nothing."""
+    nothing = (parameter.parameter.lower, parameter.parameter.upper)
+    unknown = _marginal(parameter, axis, np.full(len(_QUANTILES), np.nan), float("nan"), False, None)
+    return dataclasses.replace(unknown, interval=nothing, interval_68=nothing, sampled=False)
+
+
+def _marginal(
+    p: ModelParameter,
+    axis: Axis,
+    quantiles: Float[np.ndarray, " quantiles"],
+    std: float,
+    detected: bool,
+    evidence: float | None,
+) -> Estimate:
+    median, low_68, high_68, low_95, high_95, below_68, below_95 = (float(q) for q in quantiles)
+    amplitude = p.parameter.is_amplitude
+    one_sided = amplitude and not detected
+    return Estimate(
+        source="posterior",
+        label=p.label,
+        term=p.term_label,
+        parameter=p.parameter,
+        axis=axis,
+        value=median,
+        std=std,
+        interval=(0.0, below_95) if one_sided else (low_95, high_95),
+        interval_68=(0.0, below_68) if one_sided else (low_68, high_68),
+        upper_limit=below_95 if amplitude else None,
+        detected=detected,
+        bayes_factor=evidence,
+    )
+
+
+def bayes_factor(posterior: LogPosterior, index: int, draws: Float[np.ndarray, " draws"]) -> float:
+    """Posterior over prior probability that this amplitude [SI] cannot be told from zero; 0 if a priori."""
+    threshold = posterior.scale[index] * np.expm1(_INDISTINGUISHABLE)
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    prior = posterior.priors[index]
+    # In ln(1 + c/scale) the default prior is uniform, and others are smooth inside their support.
+    low = np.log1p(prior.lower / posterior.scale[index])
+    if low >= _INDISTINGUISHABLE:
+        return 0.0
+    y = low + (_INDISTINGUISHABLE - low) * (nodes + 1.0) / 2.0
+    value = posterior.scale[index] * np.expm1(y)
+    density = np.exp(np.asarray(prior.log_density(value))) * posterior.scale[index] * np.exp(y)
+    before = float(density @ weights) * (_INDISTINGUISHABLE - low) / 2.0
+    # A prior without any mass there excludes zero whatever the data say.
+    return float(np.mean(draws < threshold) / before) if before > 1e-9 else 0.0
 
 
 class LogPosterior(eqx.Module):
@@ -59,12 +172,6 @@ class LogPosterior(eqx.Module):
             kinds == "line",
             np.where(kinds == "amplitude", likelihood.prior_scale, 1.0),
             np.array([p.parameter.lower for p in likelihood.parameters]),
-        )
-
-    def on_device(self) -> LogPosterior:
-        """Copy for compiled functions, with arrays for numbers, so that other numbers need no compilation."""
-        return jax.tree.map(
-            lambda x: jnp.asarray(x, getattr(x, "dtype", float)) if eqx.is_array_like(x) else x, self
         )
 
     def values(self, y: Coordinates) -> Coordinates:
@@ -129,7 +236,11 @@ class Target:
         start = np.clip(posterior.likelihood.start, lower, upper)
         sampled_here = np.isin(np.arange(len(start)), sampled)
         start = np.where(posterior.amplitude & ~sampled_here, 0.0, start)
-        return cls(posterior, sampled, posterior.coordinates(start), batch, posterior.on_device())
+        # Arrays stand for numbers in what is compiled, so that other numbers need no compilation.
+        on_device = jax.tree.map(
+            lambda x: jnp.asarray(x, getattr(x, "dtype", float)) if eqx.is_array_like(x) else x, posterior
+        )
+        return cls(posterior, sampled, posterior.coordinates(start), batch, on_device)
 
     def embedded(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch params"]:
         """Coordinates of all parameters, given those that are sampled."""
@@ -331,3 +442,342 @@ def first_walkers(
         if not missing.size:
             return cloud
     raise FitError("the posterior has no density near the fit nor where the priors allow; check the priors")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GridPosterior:
+    """Posterior of one amplitude on a grid: amplitudes [SI], ascending, and the probability of a smaller one.
+
+    `bayes_factor` is posterior over prior density at zero; `effective_draws` the number of equally weighted
+    draws that the density at the 95 % quantile is worth.
+    """
+
+    value: Float[np.ndarray, " grid"]
+    probability: Float[np.ndarray, " grid"]
+    bayes_factor: float
+    effective_draws: float
+
+    def quantile(self, u: float) -> float:
+        """Amplitude [SI] below which this share of the posterior lies."""
+        return float(np.interp(u, self.probability, self.value))
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the posterior [SI]."""
+        middle = (self.value[1:] + self.value[:-1]) / 2.0
+        weight = np.diff(self.probability)
+        return float(np.sqrt(max(weight @ middle**2 - (weight @ middle) ** 2, 0.0)))
+
+
+def absent_amplitude(
+    target: Target,
+    index: int,
+    y: Float[np.ndarray, "draws sampled"],
+    draws: int,
+    random: np.random.RandomState,
+) -> GridPosterior:
+    """Marginal posterior of the amplitude with this index, which is zero in the draws y of the others.
+
+    p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at c
+    = 0; a shape of the term itself is drawn from its prior. The larger c, the farther the posterior of the
+    others is from where they were drawn. Any translation of the draws, with the prior density before and
+    after in the ratio, leaves the mean the same, and that to their weighted mean at c keeps the weights even.
+    """
+    posterior = target.posterior
+    prior = posterior.priors[index]
+    ends = np.tile(target.base, (2, 1))
+    values = posterior.values(ends)
+    values[:, index] = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
+    lower, upper = posterior.coordinates(values)[:, index]
+    chosen = y[np.linspace(0, len(y) - 1, draws).round().astype(int)]
+    full = _with_shapes(target, index, chosen, random)
+
+    few = full[:: max(1, draws // _FEW_DRAWS)]
+    for _ in range(_MAX_ROUNDS):
+        grid = np.linspace(lower, upper, _COARSE)
+        density, displaced = _followed(target, index, few, grid)
+        seen = np.flatnonzero(density > density.max() - _NEGLIGIBLE)
+        narrowed = grid[max(seen[0] - 1, 0)], grid[min(seen[-1] + 1, _COARSE - 1)]
+        settled = narrowed[1] - narrowed[0] > 0.4 * (upper - lower)
+        lower, upper = narrowed
+        if settled:
+            break
+
+    fine = np.linspace(lower, upper, _FINE)
+    translation = np.stack([np.interp(fine, grid, d) for d in displaced.T], axis=1)
+    log_weight = _log_weights(target, index, full, fine, translation)
+    log_ratio = logsumexp(log_weight, axis=1) - np.log(draws)
+    effective = np.exp(2.0 * logsumexp(log_weight, axis=1) - logsumexp(2.0 * log_weight, axis=1))
+    return _integrated(posterior, index, fine, log_ratio, effective)
+
+
+def _followed(
+    target: Target,
+    index: int,
+    few: Float[np.ndarray, "few params"],
+    grid: Float[np.ndarray, " grid"],
+) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, "grid sampled"]]:
+    """Log density of this coordinate on a grid, and the translation of the others at each point.
+
+    The translation is followed from each point to the next, as far as the density is not negligible.
+    """
+    log_prior = _log_prior(target.posterior, index, grid)
+    density = np.full(len(grid), -np.inf)
+    displaced = np.zeros((len(grid), len(target.sampled)))
+    for g in range(len(grid)):
+        # Start from the linear continuation of the last two translations.
+        moved = 2.0 * displaced[g - 1] - displaced[g - 2] if g > 1 else displaced[0]
+        for _ in range(_CORRECTIONS):
+            log_weight = _log_weights(target, index, few, grid[g : g + 1], moved[None])[0]
+            total = logsumexp(log_weight)
+            density[g] = total - np.log(len(few)) + log_prior[g]
+            if not np.isfinite(total):
+                moved = displaced[g - 1]
+                continue
+            share = np.exp(log_weight - total)
+            moved = moved + share @ few[:, target.sampled] - few[:, target.sampled].mean(axis=0)
+            if 1.0 / np.sum(share**2) > _EVEN * len(few):
+                break
+        displaced[g] = moved
+        if density[g] < density.max() - _NEGLIGIBLE:
+            displaced[g:] = moved
+            break
+    return density, displaced
+
+
+def _with_shapes(
+    target: Target, index: int, y: Float[np.ndarray, "draws sampled"], random: np.random.RandomState
+) -> Float[np.ndarray, "draws params"]:
+    """Coordinates of all parameters of these draws, the absent term's shapes being drawn from priors."""
+    posterior = target.posterior
+    full = target.embedded(y)
+    values = posterior.values(full)
+    parameters = posterior.likelihood.parameters
+    for k, p in enumerate(parameters):
+        if k != index and k not in target.sampled and p.term == parameters[index].term:
+            values[:, k] = posterior.priors[k].quantile(random.uniform(size=len(full)))
+    return posterior.coordinates(values)
+
+
+def _log_weights(
+    target: Target,
+    index: int,
+    full: Float[np.ndarray, "draws params"],
+    grid: Float[np.ndarray, " grid"],
+    translation: Float[np.ndarray, "grid sampled"],
+) -> Float[np.ndarray, "grid draws"]:
+    """Log ratio of likelihood times prior of translated draws with each amplitude, over that of the draws."""
+    moved = np.tile(full, (len(grid), 1, 1))
+    moved[:, :, target.sampled] += translation[:, None]
+    moved[:, :, index] = grid[:, None]
+    before = target.densities(full).sum(axis=0)
+    after = target.densities(moved.reshape(-1, full.shape[1])).sum(axis=0)
+    return after.reshape(len(grid), len(full)) - before
+
+
+def _log_prior(
+    posterior: LogPosterior, index: int, y: Float[np.ndarray, " grid"]
+) -> Float[np.ndarray, " grid"]:
+    """Logarithm of the prior density of this coordinate."""
+    full = np.zeros((len(y), len(posterior.priors)))
+    full[:, index] = y
+    density = posterior.priors[index].log_density(posterior.values(full)[:, index])
+    return np.asarray(density) + posterior.log_jacobian(full)[:, index]
+
+
+def _integrated(
+    posterior: LogPosterior,
+    index: int,
+    grid: Float[np.ndarray, " grid"],
+    log_ratio: Float[np.ndarray, " grid"],
+    effective: Float[np.ndarray, " grid"],
+) -> GridPosterior:
+    """Posterior from the likelihood ratio on a grid, interpolated and normalized."""
+    from scipy.interpolate import PchipInterpolator
+
+    dense = np.linspace(grid[0], grid[-1], _DENSE)
+    floored = np.maximum(log_ratio, log_ratio.max() - 50.0)
+    ratio = np.exp(PchipInterpolator(grid, floored - floored.max())(dense))
+    density = ratio * np.exp(_log_prior(posterior, index, dense))
+    steps = (density[1:] + density[:-1]) / 2.0
+    probability = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+    full = np.zeros((_DENSE, len(posterior.priors)))
+    full[:, index] = dense
+    limit = np.interp(0.95, probability, dense)
+    return GridPosterior(
+        value=posterior.values(full)[:, index],
+        probability=probability,
+        bayes_factor=float(ratio[0] / (steps.sum() * (dense[1] - dense[0]))),
+        effective_draws=float(np.interp(limit, grid, effective)),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class AxisSampler:
+    """Sampler of a fit's axes, with the checked arguments of `sample`."""
+
+    fit: Fit
+    priors: Mapping[str, Prior]
+    seed: int
+    walkers: int | None
+    convergence: Convergence
+    absent_draws: int
+
+    def __post_init__(self) -> None:
+        if not self.absent_draws >= 2:
+            raise AllanjaxError(f"absent_draws must be at least 2, got {self.absent_draws!r}")
+        if not (isinstance(self.seed, int | np.integer) and self.seed >= 0):
+            raise AllanjaxError(f"seed must be an integer of at least 0, got {self.seed!r}")
+
+    def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
+        """Posteriors of the named axes, with a progress bar if wanted."""
+        results = []
+        with _progress_bar(progress) as bar:
+            for name in names:
+                task = None if bar is None else bar.add_task(name, total=None)
+
+                def report(steps: int, expected: int, task: Any = task) -> None:
+                    if bar is not None:
+                        bar.update(task, completed=steps, total=expected)
+
+                results.append(dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report))
+        return tuple(results)
+
+    def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
+        """Posterior of an axis whose model is the fit's; `report` is told the steps done and expected."""
+        likelihood, widening = likelihood_of(self.fit, name), self.fit[name].widening
+        if widening != 1.0:
+            likelihood = WiderLikelihood.of(likelihood, widening)
+        posterior = LogPosterior.of(likelihood, self._all_priors(likelihood))
+        sampled = self._sampled(likelihood, name)
+        walkers = self._walkers(len(sampled))
+        target = Target.of(posterior, sampled, walkers // 2)
+        # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
+        streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
+        random = np.random.RandomState(streams)
+        try:
+            start = first_walkers(target, walkers, random)
+        except FitError as error:
+            raise FitError(f"{name}: {error}") from None
+        chains = run(target, start, random, self.convergence, report)
+        if not chains.converged:
+            warnings.warn(self._complaint(name, likelihood, sampled, chains), PosteriorWarning, stacklevel=4)
+        return self._result(name, target, chains, random)
+
+    def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
+        """Default priors, replaced by those of the user."""
+        priors = default_priors(likelihood)
+        for label, prior in self.priors.items():
+            if label not in priors:
+                raise AllanjaxError(
+                    f"a prior for {label!r}, but there is no such parameter; there are {', '.join(priors)}"
+                )
+            if not isinstance(prior, Prior):
+                raise AllanjaxError(
+                    f"the prior of {label} must be a Prior, e.g. LogUniform(1e-6, 1e-4); got {prior!r}"
+                )
+        return priors | dict(self.priors)
+
+    def _sampled(self, likelihood: Likelihood, name: str) -> Int[np.ndarray, " sampled"]:
+        """Indices of the parameters to sample."""
+        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
+        if not sampled.size:
+            raise FitError(f"{name}: no posterior, the fit found no term and no free parameter")
+        return sampled
+
+    def _walkers(self, count: int) -> int:
+        """Number of walkers for `count` parameters."""
+        if self.walkers is None:
+            return max(_WALKERS, 4 * count)
+        if self.walkers % 2 or self.walkers < 2 * max(count, 2):
+            raise AllanjaxError(
+                f"walkers must be an even number of at least {2 * max(count, 2)} for {count} parameters, "
+                f"got {self.walkers!r}"
+            )
+        return self.walkers
+
+    def _complaint(
+        self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
+    ) -> str:
+        """Warning about chains that have not converged: the worst parameter, and the remedy."""
+        wanted = self.convergence
+        length = wanted.min_length * chains.tau
+        excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
+        lack = np.max([length / len(chains.y), excess, chains.change / wanted.max_change], axis=0)
+        lack = np.nan_to_num(lack, nan=np.inf)
+        worst = int(np.argmax(lack))
+        label = likelihood.parameters[sampled[worst]].label
+        return (
+            f"{name}: the posterior has not converged in {chains.steps} steps; worst is {label} with τ = "
+            f"{chains.tau[worst]:.3g} steps ({len(chains.y)} after the burn-in, "
+            f"{length[worst]:.0f} wanted; τ last changed by "
+            f"{100.0 * chains.change[worst]:.2g} %) and R̂ = {chains.r_hat[worst]:.4f}; "
+            f"allow more steps, e.g. max_steps={4 * wanted.max_steps}, or give narrower priors"
+        )
+
+    def _result(
+        self, name: str, target: Target, chains: Chains, random: np.random.RandomState
+    ) -> AxisPosterior:
+        """Posterior of one axis from its chains, with the marginals of parameters that were not sampled."""
+        posterior, sampled = target.posterior, target.sampled
+        fit, parameters = self.fit[name], posterior.likelihood.parameters
+        full = target.embedded(chains.y)
+        chain = posterior.values(full)[..., sampled]
+        # The density per SI unit, instead of per unit of the coordinates.
+        jacobian = posterior.log_jacobian(full)[..., sampled].sum(axis=-1)
+        thin = max(1, int(np.nan_to_num(chains.tau).max() / 2.0))
+        y = chains.y[::thin].reshape(-1, len(sampled))
+        draws = chain[::thin].reshape(-1, len(sampled))
+
+        known = sampled_marginals(posterior, fit.axis, sampled.tolist(), draws)
+        for i, p in enumerate(parameters):
+            if i in known:
+                continue
+            if posterior.amplitude[i]:
+                grid = absent_amplitude(target, i, y, self.absent_draws, random)
+                known[i] = absent_marginal(p, fit.axis, grid)
+            else:
+                known[i] = undetermined(p, fit.axis)
+        marginals = {parameters[i].label: m for i, m in known.items()}
+        for c in fit.coefficients.values():
+            if c.held:
+                marginals[c.label] = dataclasses.replace(c, source="posterior", sampled=False)
+            elif c.rivals:
+                # Draws are of the chosen terms only.
+                marginals[c.label] = dataclasses.replace(marginals[c.label], detected=False, rivals=c.rivals)
+        in_order = [p.label for p in self.fit.template.parameters if p.label in marginals]
+        curve = self.fit.curve
+        return AxisPosterior(
+            axis=fit.axis,
+            labels=tuple(parameters[i].label for i in sampled),
+            draws=draws,
+            chain=chain,
+            log_probability=chains.log_density - jacobian,
+            coefficients={label: marginals[label] for label in in_order},
+            priors=dict(zip((p.label for p in parameters), posterior.priors, strict=True)),
+            converged=chains.converged,
+            tau=chains.tau,
+            r_hat=chains.r_hat,
+            acceptance=chains.acceptance,
+            steps=chains.steps,
+            rate=curve.rate,
+            duration=curve.n / curve.rate,
+            _template=self.fit.template,
+        )
+
+
+def _progress_bar(wanted: bool | None) -> AbstractContextManager[Any]:
+    """Context of a progress bar on stderr, or of None if none is wanted."""
+    if not (sys.stderr.isatty() if wanted is None else wanted):
+        return nullcontext()
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("steps"),
+        TimeElapsedColumn(),
+    )
+    return Progress(*columns, console=Console(stderr=True))

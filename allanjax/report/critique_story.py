@@ -13,7 +13,7 @@ from allanjax.base.wording import duration, format_with_error, plain
 from allanjax.critic.finding import CoefficientChange, Discrepancy, Finding
 from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
-from allanjax.estimate.misfit import LIMIT
+from allanjax.estimate.result import LIMIT
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.record.recording import Axis
 

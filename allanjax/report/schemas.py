@@ -5,7 +5,7 @@ from dataclasses import fields
 from importlib.resources import files
 from typing import Any, Literal
 
-from allanjax.estimate.horizon_result import SCHEMA_VERSION as HORIZON_VERSION
+from allanjax.estimate.horizon import SCHEMA_VERSION as HORIZON_VERSION
 from allanjax.fleet.options import FitOptions
 
 Name = Literal["check", "fit", "critique", "fleet", "horizon"]

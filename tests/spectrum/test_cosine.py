@@ -13,7 +13,7 @@ from scipy.fft import dct
 from scipy.optimize import minimize
 
 import allanjax as aj
-from allanjax.estimate.spectral.columns import columns_of
+from allanjax.estimate.spectral.components import columns_of
 from allanjax.spectrum.cosine import Bins
 
 RATE = 4.0

@@ -1,6 +1,7 @@
-"""Expected squares of cosine coefficients, in closed form and exact, of noise with exponential covariances.
+"""Components of a spectrum: the levels that are fitted, and what noise terms and filters make of them.
 
-The orthonormal cosine transform of n values with autocovariance r_0, r_d = r_1·Q^{d−1} (d ≥ 1) has
+The expectations are in closed form and exact. The orthonormal cosine transform of n values with
+autocovariance r_0, r_d = r_1·Q^{d−1} (d ≥ 1) has
 
     E c_j² = r_0 + r_1·{2(y − 2s)/D − [1 − (−1)^j Qⁿ]/n · 4y²(1 − s)/D²},
 
@@ -14,15 +15,158 @@ filter are of one form, and no lag is ever summed.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num
+from jaxtyping import Array, Float, Num, Shaped
 
-from allanjax.estimate.spectral.levels import Levels
+from allanjax.base.arrays import namespace
 from allanjax.noise.numerics import averaged_lags, mean_lags
 from allanjax.noise.response import HALF_POWER, LARGEST_BANDWIDTH, LONGEST
+from allanjax.noise.terms import NoiseTerm
+from allanjax.spectrum.cosine import Bins, Part, exact_expectation
+
+#: Numbers of levels of which the last only pad the arrays: few compiled programs serve every record.
+CAPACITIES = (256, 640, 1280)
+# Lags are padded to a multiple of this, so that compiled functions are used again.
+_LAGS = 256
+
+
+class Levels(NamedTuple):
+    """Levels of the cosine spectrum with what their expectations depend on, in sample intervals.
+
+    A level is χ² around its expectation with 2·shape degrees of freedom; one with shape 0 only pads.
+
+    Attributes:
+        level: mean squares of coefficients [rate²].
+        shape: half the degrees of freedom of each.
+        angle: frequencies in radians per sample interval at two nodes of each level, whose mean and variance
+            are those of its coefficients (2, m).
+        interval: number of samples that each value was averaged from before the transform, 1 of a record;
+            one number for a record, one for each level of a stream.
+        length: number of values in the transform that it comes from, likewise.
+        parity: (−1)^j of a single coefficient j, else 0.
+        columns: expectations [rate²] of the terms without a free shape at the nodes, for unit power
+            (columns, 2, m).
+    """
+
+    level: Any
+    shape: Any
+    angle: Any
+    interval: Any
+    length: Any
+    parity: Any
+    columns: Any
+
+    def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Levels:
+        """Copy with these mean squares [rate²] and degrees of freedom, without padding."""
+        capacity = len(self.shape)
+        return self._replace(level=padded(level, capacity, 1.0), shape=padded(dof / 2.0, capacity, 0.0))
+
+
+def room_for(count: int, rooms: tuple[int, ...]) -> int:
+    """The smallest of these rooms that so many have, or the least multiple of the last."""
+    return next((room for room in rooms if room >= count), -(-count // rooms[-1]) * rooms[-1])
+
+
+def padded(x: Shaped[np.ndarray, "... m"], capacity: int, fill: float) -> Shaped[np.ndarray, "... capacity"]:
+    """Values of m levels, terms or shapes followed by `fill` for those that pad."""
+    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])], constant_values=fill)
+
+
+def levels_of(
+    bins: Bins, columns: Float[np.ndarray, "terms 2 m"], slots: int, capacity: int | None = None
+) -> Levels:
+    """Levels of bins, without data yet.
+
+    Args:
+        bins: the bins.
+        columns: expectations of terms without a free shape at the nodes, for unit power.
+        slots: number of columns that there is room for.
+        capacity: number of levels that there is room for; the least that fits if not given.
+    """
+    angle, interval, length, parity = ([] for _ in range(4))
+    for part in bins.parts:
+        first, size = part.edges[:-1], np.diff(part.edges)
+        angle.append(2.0 * np.pi * part.node_frequencies / bins.rate)
+        interval.append(np.full(len(size), np.rint(bins.rate / part.rate)))
+        length.append(np.full(len(size), float(part.n)))
+        parity.append(np.where(size == 1, 1.0 - 2.0 * (first % 2), 0.0))
+    m, parts, whole = len(bins.size), len(bins.parts), float(bins.parts[0].n)
+    capacity = room_for(m, CAPACITIES) if capacity is None else capacity
+    room = [(0, slots - len(columns)), (0, 0), (0, 0)]
+    return Levels(
+        level=padded(np.ones(m), capacity, 1.0),
+        shape=np.zeros(capacity),
+        angle=padded(np.concatenate(angle, axis=1), capacity, np.pi / 2.0),
+        interval=padded(np.concatenate(interval), capacity, 1.0) if parts > 1 else np.asarray(1.0),
+        length=padded(np.concatenate(length), capacity, whole) if parts > 1 else np.asarray(whole),
+        parity=padded(np.concatenate(parity), capacity, 0.0),
+        columns=padded(np.pad(columns, room), capacity, 0.0),
+    )
+
+
+class Place(NamedTuple):
+    """Where the expectations of a part of a spectrum are evaluated.
+
+    Attributes:
+        frequency: nodes of the bins [Hz] (2, m).
+        rate: rate of the values that were transformed [Hz].
+        length: number of values in a transform.
+        lags, weights: lags [s], and weights of G there whose sums are the exact expectations of the lowest
+            coefficients; none where these are no part of the spectrum.
+    """
+
+    frequency: Any
+    rate: Any
+    length: Any
+    lags: Any
+    weights: Any
+
+    @classmethod
+    def of(cls, part: Part) -> Place:
+        """Place of a part of a spectrum."""
+        lags, weights = np.zeros(0), np.zeros((0, 0))
+        if part.low:
+            lags, weights = exact_expectation(part.n, part.rate, part.low)
+            pad = -len(lags) % _LAGS
+            lags, weights = np.pad(lags, (0, pad)), np.pad(weights, ((0, 0), (0, pad)))
+        return cls(part.node_frequencies, np.asarray(part.rate), np.asarray(float(part.n)), lags, weights)
+
+    def expected(self, term: NoiseTerm) -> Float[Array, "2 m"]:
+        """Expected squares [rate²] of the coefficients at the nodes, exact for the lowest ones."""
+        xp = namespace(self, term)
+        above = self._from_density(term)
+        # An oscillating covariance needs too many lags; its difference from a smooth one has a short memory.
+        smooth = term.at_low_frequencies() if term.oscillates else term
+        if smooth is None or not len(self.lags):
+            return above
+        low = self.weights @ xp.asarray(smooth.phase_covariance(xp.asarray(self.lags)))
+        count = len(low)
+        if smooth is not term:
+            low = low + (above - self._from_density(smooth))[:, :count]
+        return xp.concatenate([xp.broadcast_to(low, (2, count)), above[:, count:]], axis=1)
+
+    def _from_density(self, term: NoiseTerm) -> Float[Array, "2 m"]:
+        """Expected squares [rate²] from the density of the samples, but for the record's finite length."""
+        ends = term.end_effect(self.frequency, self.rate) / self.length
+        return term.sampled_psd(self.frequency, self.rate) * self.rate + ends
+
+
+def columns_of(terms: Sequence[NoiseTerm], bins: Bins) -> Float[np.ndarray, "terms 2 m"]:
+    """Expected squares [rate²] of random terms of unit amplitude at two nodes of each bin.
+
+    The terms' other parameters must have values.
+    """
+    places = [Place.of(part) for part in bins.parts]
+    found = np.zeros((len(terms), 2, len(bins.size)))
+    for column, term in zip(found, terms, strict=True):
+        unit = term.with_unit_amplitude().sampled(bins.rate)
+        column[:] = np.concatenate([np.asarray(place.expected(unit)) for place in places], axis=1)
+    return found
 
 
 def geometric(
@@ -101,7 +245,6 @@ def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -
 NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range(5)
 MOVING_AVERAGE, BIQUAD = 5, 6
 BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(7, 11)
-
 # Largest bandwidth of a digital filter [radians per sample interval], and the bandwidth of a moving
 # average times its duration.
 _DIGITAL_LIMIT = LARGEST_BANDWIDTH * np.pi

@@ -1,4 +1,4 @@
-"""Fit of a model to levels of a cosine spectrum, by the maximum of the joint spectral model's likelihood.
+"""Fit of a model to the levels of a spectrum: its slots in the joint model, designs, and the maximum.
 
 Where a model cannot follow the levels within their scatter (χ² beyond all doubt, p < 1e-6), all of them are
 given a relative error, common to about an octave, with which χ² equals its degrees of freedom.
@@ -6,31 +6,395 @@ given a relative error, common to about an octave, with which χ² equals its de
 
 from __future__ import annotations
 
+import abc
 import dataclasses
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
 from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score, normal_score
+from allanjax.base.linalg import CholeskyWhitened
+from allanjax.estimate.design import Design, free_shapes
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, infer, without_padding
-from allanjax.estimate.spectral.design import SpectralDesign
-from allanjax.estimate.spectral.level_design import LevelDesign, TangentDesign
-from allanjax.estimate.spectral.model import expected, power_scales
-from allanjax.estimate.spectral.scoring import maximize
+from allanjax.estimate.spectral.components import (
+    BIQUAD,
+    BUTTERWORTH_1,
+    MOVING_AVERAGE,
+    NONE,
+    ONE_POLE,
+    TWO_POLES,
+    Levels,
+    bandwidths,
+    columns_of,
+    levels_of,
+    padded,
+    room_for,
+)
+from allanjax.estimate.spectral.model import (
+    FULL,
+    PLAIN,
+    Layout,
+    Others,
+    Slots,
+    expected,
+    maximize,
+    power_scales,
+    units,
+)
+from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
+from allanjax.noise.terms import Markov, NoiseTerm, Resonance
+from allanjax.spectrum.cosine import Bins
 
+_COLUMN, _MARKOV, _OSCILLATOR, _OTHER = range(4)
+# Numbers of levels of a tight arrangement are multiples of this.
+_TIGHT = 64
+# Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
+# starts of other shapes are two to a decade or denser.
+_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
+# Margin kept from a shape's upper bound, which is open, in ln.
+_INSIDE = 1e-2
+# Numbers of terms and free shapes that arrays have room for; of more, multiples of the last.
+_TERMS, _SHAPES = (8, 24), (4, 8, 32)
 # Number of times that the error of a model is estimated anew, and when it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
 _FEW = 0.05
 # Difference of minus twice the log-likelihood below which two solutions are the same.
 _AS_LIKELY = 0.02
+
+
+class Arrangement(NamedTuple):
+    """A model of random terms in the slots of the joint spectral model.
+
+    Attributes:
+        slots: the slots; no parameter is free yet.
+        levels: the levels, without data yet.
+        component: component of each term.
+        time: parameter with the correlation time of each Markov process in a slot, −1 of other terms.
+        parameter, offset: parameter of each free shape of the model, and what is added to ln(value − lower
+            bound) for it.
+        held: parameters with the shapes that have a value.
+    """
+
+    slots: Slots
+    levels: Levels
+    component: Int[np.ndarray, " terms"]
+    time: Int[np.ndarray, " terms"]
+    parameter: Int[np.ndarray, " shapes"]
+    offset: Float[np.ndarray, " shapes"]
+    held: Float[np.ndarray, " parameters"]
+
+    @classmethod
+    def of(cls, model: Model, bins: Bins, tight: bool = False) -> Arrangement:
+        """Arrangement of a model for the levels of these bins, with no spare slots if it is to be tight.
+
+        A tight one is evaluated faster, and is compiled for each structure of a model.
+        """
+        model = model.sampled(bins.rate)
+        kind, layout = _kinds(model, tight)
+        others = np.flatnonzero(kind == _OTHER)
+        own = [p for p in model.parameters if p.free and p.term in others and not p.parameter.is_amplitude]
+        layout = layout._replace(others=len(others), shapes=len(own))
+        first = np.array([0, layout.first_markov, layout.first_oscillator, layout.first_other])
+        before = np.array([np.sum(kind[:k] == kind[k]) for k in range(len(kind))], int)
+        component = first[kind] + before
+        columns = columns_of([model.terms[k] for k in np.flatnonzero(kind == _COLUMN)], bins)
+        capacity = -(-len(bins.size) // _TIGHT) * _TIGHT if tight else None
+        levels = levels_of(bins, columns, layout.columns, capacity)
+        inside = np.zeros(layout.components, bool)
+        inside[component] = model.inside or False
+        further = None
+        if own:
+            shapes = tuple((int(before[p.term]), p.parameter.name, p.parameter.lower) for p in own)
+            terms = tuple(model.terms[k] for k in others)
+            further = Others.of(terms, shapes, bins, len(levels.shape))
+        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), False, further)
+
+        def place(p: ModelParameter) -> tuple[int, float]:
+            """Parameter of a shape of the model, and its offset."""
+            angle = math.log(2.0 * math.pi / bins.rate)
+            frequency = p.parameter.name in ("frequency", "bandwidth")
+            if p.term == len(model):
+                return (layout.response, angle) if frequency else (layout.response + 1, 0.0)
+            if kind[p.term] == _MARKOV:
+                return layout.times + int(before[p.term]), math.log(bins.rate)
+            if kind[p.term] == _OSCILLATOR:
+                at = layout.frequencies if frequency else layout.qualities
+                return at + int(before[p.term]), angle if frequency else 0.0
+            return layout.other_shapes + own.index(p), 0.0
+
+        held = slots.usual()
+        free = []
+        slotted = np.append((kind == _MARKOV) | (kind == _OSCILLATOR), True)
+        for p in model.parameters:
+            if p.parameter.is_amplitude or not (p.free or slotted[p.term]):
+                continue
+            index, offset = place(p)
+            if p.free:
+                free.append((index, offset))
+            if p.start is not None:
+                held[index] = math.log(p.start - p.parameter.lower) + offset
+        time = np.where(kind == _MARKOV, layout.times + before, -1)
+        parameter, shift = np.array(free).reshape(-1, 2).T
+        return cls(slots, levels, component, time, parameter.astype(int), shift, held)
+
+
+def _kinds(model: Model, tight: bool) -> tuple[Int[np.ndarray, " terms"], Layout]:
+    """Kind of each term, and a layout that has room for all; what has no room is one of the others."""
+    kind = np.array([_kind(term) for term in model.terms], int)
+    counts = [np.sum(kind == k) for k in range(_OTHER)]
+    usual = model.response is None and all(c <= room for c, room in zip(counts, PLAIN[:_OTHER], strict=True))
+    layout = PLAIN if usual else FULL
+    for k in (_MARKOV, _OSCILLATOR):
+        kind[np.flatnonzero(kind == k)[layout[k] :]] = _OTHER
+    if tight:
+        kept = [int(np.sum(kind == k)) for k in range(_OTHER)]
+        return kind, Layout(max(kept[_COLUMN], 1), kept[_MARKOV], kept[_OSCILLATOR])
+    columns = -(-counts[_COLUMN] // layout.columns) * layout.columns
+    return kind, layout._replace(columns=max(int(columns), layout.columns))
+
+
+def _kind(term: NoiseTerm) -> int:
+    """Kind of slot for a term."""
+    free = [p for p in term.parameters()[1:] if term.is_free(p)]
+    if not free:
+        return _COLUMN
+    if isinstance(term, Markov) and term.has_free_amplitude:
+        return _MARKOV
+    return _OSCILLATOR if isinstance(term, Resonance) else _OTHER
+
+
+def _response(model: Model) -> int:
+    """Kind of response of a model."""
+    if model.response is None:
+        return NONE
+    if isinstance(model.response, Butterworth):
+        return BUTTERWORTH_1 + model.response.order - 1
+    kinds = {LowPass1: ONE_POLE, LowPass2: TWO_POLES, MovingAverage: MOVING_AVERAGE, Biquad: BIQUAD}
+    return kinds[type(model.response)]
+
+
+class LevelDesign(Design):
+    """Model of levels of a spectrum, which are independent, each χ² around its expectation.
+
+    A relative error of the model is taken to be common to the bins of an octave.
+
+    Attributes:
+        moves: which shapes there are; the others only pad.
+        per_octave: number of bins in the octave around each bin.
+    """
+
+    moves: Bool[np.ndarray, " shapes"]
+    per_octave: Float[np.ndarray, " m"]
+
+    @property
+    @abc.abstractmethod
+    def degrees(self) -> Float[np.ndarray, " m"]:
+        """Degrees of freedom of each level; 0 of those that only pad."""
+
+    @property
+    @abc.abstractmethod
+    def room(self) -> int:
+        """Number of terms that arrays have room for."""
+
+    @property
+    def movable(self) -> Bool[np.ndarray, " shapes"]:
+        return self.moves
+
+    @property
+    def has_shapes(self) -> bool:
+        return True
+
+    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
+        return padded(V, len(self.per_octave), 1.0)
+
+    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
+        return padded(values, self.room, 0)
+
+    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
+        return padded(values, len(self.moves), 0)
+
+    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
+        there = jnp.arange(means.shape[1]) < self.rows
+        return jnp.where(there, power @ means, 1.0)
+
+    def products(self, shape: Float[Array, " shapes"]) -> Array:
+        return self.means(shape)
+
+    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
+        return self.mean(power, products) ** 2 / jnp.maximum(self.degrees / 2.0, 1e-9)
+
+    def variances(self, covariance: Array) -> Float[Array, " m"]:
+        return covariance
+
+    def whiten(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        power_error: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> CholeskyWhitened:
+        relative = covariance / mean**2 + power_error**2 * self.per_octave
+        known = jnp.asarray(self.degrees) / 2.0 > 0.0
+        scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
+        return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
+
+    def whiten_and_weigh(
+        self,
+        covariance: Array,
+        mean: Float[Array, " m"],
+        power_error: Float[Array, ""],
+        X: Float[Array, "m k"],
+    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
+        scale = self.whiten(covariance, mean, power_error, jnp.ones((len(mean), 1))).values
+        return X * scale, (X * scale**2).T
+
+    @property
+    def weight(self) -> Float[Array, " m"]:
+        return jnp.asarray(self.degrees)
+
+
+class TangentDesign(LevelDesign):
+    """Levels whose expectations are linear in the shapes around a solution.
+
+    Attributes:
+        base: levels of each term of unit amplitude at the solution.
+        by_shape: their derivatives by the shapes there.
+        centre: the shapes there.
+        degrees_of_freedom: of each level.
+    """
+
+    base: Float[ArrayLike, "terms m"]
+    by_shape: Float[ArrayLike, "terms m shapes"]
+    centre: Float[ArrayLike, " shapes"]
+    degrees_of_freedom: Float[np.ndarray, " m"]
+
+    @property
+    def degrees(self) -> Float[np.ndarray, " m"]:
+        return self.degrees_of_freedom
+
+    @property
+    def room(self) -> int:
+        return int(np.shape(self.base)[0])
+
+    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
+        return jnp.asarray(self.base) + jnp.asarray(self.by_shape) @ (shape - jnp.asarray(self.centre))
+
+
+class SpectralDesign(LevelDesign):
+    """Model of levels of the cosine spectrum, χ² around their expectations.
+
+    Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are no
+    part of the model. What the terms and shapes are is data: one program serves all models without shapes of
+    their own kind.
+
+    Attributes:
+        levels, slots: the levels, and the slots of the joint spectral model.
+        component: component of each term.
+        time: parameter with the correlation time of a Markov process, −1 of other terms.
+        parameter, offset: parameter of each free shape, and what is added to ln(value − lower bound) for it.
+        held: parameters with the shapes that are not free.
+        interval: sample interval [s].
+        reach, top: largest distance of each shape from its start, and its upper end.
+    """
+
+    levels: Levels
+    slots: Slots
+    component: Int[np.ndarray, " terms"]
+    time: Int[np.ndarray, " terms"]
+    parameter: Int[np.ndarray, " shapes"]
+    offset: Float[np.ndarray, " shapes"]
+    held: Float[np.ndarray, " parameters"]
+    interval: Float[np.ndarray, ""]
+    reach: Float[np.ndarray, " shapes"]
+    top: Float[np.ndarray, " shapes"]
+
+    @classmethod
+    def of(cls, model: Model, bins: Bins, tight: bool = False) -> SpectralDesign:
+        """Design of a noise model of random terms only, for levels without data yet; see `Arrangement.of`."""
+        found, shapes = Arrangement.of(model, bins, tight), free_shapes(model)
+        terms = room_for(len(model), _TERMS) - len(model)
+        more = room_for(len(shapes), _SHAPES) - len(shapes)
+        owner = [p.term if p.term < len(model) else model.inside.index(True) for p in shapes]
+        top = [
+            np.log(_upper(found.slots.kind, p, len(model), bins.rate) - p.parameter.lower) - _INSIDE
+            for p in shapes
+        ]
+
+        def with_room(values: Any, fill: float) -> Shaped[np.ndarray, " shapes"]:
+            return np.append(values, np.full(more, fill)).astype(type(fill))
+
+        return cls(
+            owner=with_room(owner, 0),
+            terms=np.asarray(len(model)),
+            rows=np.asarray(len(bins.size)),
+            levels=found.levels,
+            slots=found.slots,
+            component=np.append(found.component, np.zeros(terms, int)),
+            time=np.append(found.time, np.full(terms, -1)),
+            parameter=with_room(found.parameter, len(found.held)),
+            offset=with_room(found.offset, 0.0),
+            held=found.held,
+            interval=np.asarray(1.0 / bins.rate),
+            reach=with_room([_REACH[p.parameter.kind] for p in shapes], 0.0),
+            top=with_room(top, 0.0),
+            moves=np.arange(len(shapes) + more) < len(shapes),
+            per_octave=padded(bins.per_octave(), len(found.levels.shape), 1.0),
+        )
+
+    def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> SpectralDesign:
+        """Copy for these mean squares [rate²] and degrees of freedom."""
+        return dataclasses.replace(self, levels=self.levels.with_data(level, dof))
+
+    def owned(self, model: Model, there: Bool[np.ndarray, " terms"]) -> SpectralDesign:
+        """Copy in which the response belongs to the first of these terms that pass it, if there is one."""
+        if model.response is None or not (passing := there & np.array(model.inside, bool)).any():
+            return self
+        owner = self.owner.copy()
+        owner[[k for k, p in enumerate(free_shapes(model)) if p.term == len(model)]] = np.argmax(passing)
+        return dataclasses.replace(self, owner=owner)
+
+    @property
+    def degrees(self) -> Float[np.ndarray, " m"]:
+        return 2.0 * self.levels.shape
+
+    @property
+    def room(self) -> int:
+        return len(self.component)
+
+    def parameters(self, shape: Float[Array, " shapes"]) -> Float[Array, " parameters"]:
+        """Parameters of the joint spectral model with these shapes, and without powers."""
+        return jnp.asarray(self.held).at[self.parameter].set(shape + self.offset, mode="drop")
+
+    def unit_power(self, theta: Float[Array, " parameters"]) -> Float[Array, " terms"]:
+        """Power of each term's component where the term has unit amplitude; zero of what only pads.
+
+        That of a Gauss–Markov process is its variance q_c²T_c/2 (4.59).
+        """
+        variance = jnp.exp(theta[self.time]) * self.interval / 2.0
+        there = jnp.arange(len(self.component)) < self.terms
+        return jnp.where(there, jnp.where(jnp.asarray(self.time) >= 0, variance, 1.0), 0.0)
+
+    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
+        theta = self.parameters(shape)
+        every = units(theta, self.slots, self.levels)
+        return every[self.component] * self.unit_power(theta)[:, None]
+
+
+def _upper(kind: int, p: ModelParameter, terms: int, rate: float) -> float:
+    """Upper bound of a shape, of a term or of this kind of response, for samples at `rate` [Hz]."""
+    if p.term == terms and p.parameter.name == "bandwidth":
+        return bandwidths(kind)[1] * rate / (2.0 * np.pi)
+    return p.parameter.upper
 
 
 def solve_levels(

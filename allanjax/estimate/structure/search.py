@@ -8,7 +8,7 @@ shorter than eight samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,10 +25,10 @@ from allanjax.estimate.spectral.components import (
     TWO_POLES,
 )
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.excess import at_all, middles, smoothed_scores, windows
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
+    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     WHITE,
@@ -39,6 +39,8 @@ from allanjax.estimate.structure.structure import (
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
+# Narrowest window [coefficients], and the least gain of one [nats].
+_NARROWEST, _WORTH = 8, 4.0
 # Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
 # the expected ones of its two parameters.
 _GAIN, _PREDICTS = 2.0, 3.0
@@ -76,6 +78,55 @@ _DOUBTFUL = 0.2
 _CLEAR = 2.5
 
 
+def middles(spectrum: Spectrum) -> Float[np.ndarray, " m"]:
+    """Index of the coefficient in the middle of each bin."""
+    edges = spectrum.bins.edges
+    return 0.5 * (edges[:-1] + edges[1:] - 1)
+
+
+def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
+    """Expected squares of all coefficients, interpolated between the bins."""
+    middle = np.log(middles(spectrum))
+    mean = np.log(fitted.mean[: len(middle)])
+    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, mean))
+
+
+def smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
+    """Largest deviation of levels, averaged over a fifth of an octave or more, in standard deviations."""
+    k = np.asarray(spectrum.levels.shape)
+    ratio = np.asarray(spectrum.levels.level) / fitted.mean - 1.0
+    best = 0.0
+    for width in (6, 12, 24, 48):
+        window = np.ones(width)
+        total, weight = np.convolve(k * ratio, window, "valid"), np.convolve(k, window, "valid")
+        best = max(best, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
+    return best
+
+
+def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
+    """Windows with most excess: middle and width [coefficients] and gain [nats], no two of which overlap."""
+    total = np.concatenate([[0.0], np.cumsum(ratio)])
+    found: list[tuple[float, float, float]] = []
+    width = _NARROWEST
+    while width <= (len(ratio) - LOWEST) // 4:
+        step = max(width // 4, 1)
+        excess = (total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]) / width
+        for k in np.argsort(-excess)[: 4 * most]:
+            level = float(excess[k])
+            if level <= 1.0:
+                break
+            gain = 0.5 * width * (level - 1.0 - np.log(level)) - np.log(len(ratio) / width)
+            found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
+        width *= 2
+    chosen: list[tuple[float, float, float]] = []
+    for gain, middle, wide in sorted(found, reverse=True):
+        if gain < _WORTH or len(chosen) == most:
+            break
+        if all(abs(middle - other) > 0.5 * (wide + w) for other, w, _ in chosen):
+            chosen.append((middle, wide, gain))
+    return chosen
+
+
 class Record(NamedTuple):
     """One record's spectrum, to be binned as the resonances ask for.
 
@@ -106,9 +157,7 @@ class Record(NamedTuple):
         return Spectrum.of(self.squares, Bins.of(self.n, self.rate, around, _PER_OCTAVE), self.further)
 
 
-def searched(
-    record: Record, start: Structure, tell: Callable[[str], None] = lambda text: None
-) -> tuple[Spectrum, Fitted]:
+def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
     spectrum, now = refitted(record, start)
     before = now.structure
@@ -117,7 +166,6 @@ def searched(
         if found is None:
             break
         spectrum, now = found
-        tell(described(now.structure, record.rate))
     # A start to which only lines were added has had its swaps.
     if _outline(now.structure, record.n) == _outline(before, record.n):
         return spectrum, now
@@ -150,20 +198,6 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
         if k != WHITE:
             structure = structure.without(int(k))
     return spectrum.fit(structure, FINE)
-
-
-def described(structure: Structure, rate: float) -> str:
-    """Short text about what is in a structure besides terms without a free shape."""
-    hertz = rate / (2.0 * np.pi)
-    parts = []
-    if structure.kind != NONE:
-        w, q = structure.bandwidth
-        parts.append(f"response {structure.kind} {w * hertz:.4g} Hz Q {q:.2g}")
-    for k in structure.oscillators:
-        where = "in" if structure.inside[FULL.first_oscillator + k] else "after"
-        parts.append(f"{structure.frequency(k) * hertz:.4g} Hz Q {structure.quality(k):.3g} {where}")
-    parts += [f"T {structure.time(k) / rate:.3g} s" for k in structure.markovs]
-    return "; ".join(parts) or "nothing"
 
 
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:

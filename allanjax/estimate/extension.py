@@ -1,0 +1,509 @@
+"""Fit of an axis whose spectrum the plain noise terms do not follow: with filter, resonances and lines.
+
+What there is besides the terms is searched for in the spectrum (`Content`); the terms are chosen anew, from
+the spectrum divided by what that makes of it; and all of it is fitted jointly (`fit_jointly`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Container, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.chi_squared import beyond_doubt
+from allanjax.estimate.axis_fits import WhittleFit, inferred, result_of, spectrum_of
+from allanjax.estimate.design import free_shapes
+from allanjax.estimate.deterministic import line_columns, take_out_lines
+from allanjax.estimate.gls import Solution
+from allanjax.estimate.result import AxisFit, extended_model, misfit_of
+from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
+from allanjax.estimate.spectral.components import NONE, padded
+from allanjax.estimate.spectral.fit import TangentDesign, chi_squared, error_of_powers
+from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.structure.search import TIMES, WIDE, Record, completed, narrow, refitted, searched
+from allanjax.estimate.structure.structure import (
+    FINE,
+    FIXED,
+    LINE,
+    LOWEST,
+    OUTSIDE,
+    WHITE,
+    Fitted,
+    Spectrum,
+    Structure,
+    response_of,
+    term_of,
+)
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
+from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
+from allanjax.record.recording import Axis
+from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
+
+# Coefficients on either side of a line that have its power, and that are looked at.
+_CORE, _LINE_AROUND = 4, 40
+# Share of the excess there that a line's core has; log odds of a peak in white noise; peaks that are tried.
+_NEARLY_ALL, _SURE, _TRIED = 0.9, 10.0, 64
+# Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
+_BLOCK, _MEDIAN = 64, 0.4549
+# Looks for lines, each after those found before are taken out.
+_LOOKS = 3
+# Rounds of projecting out ramp and lines and fitting the rest.
+_WEIGHT_ROUNDS = 2
+# Numbers of terms, free shapes and levels that arrays have room for: those of the joint spectral model.
+_TERMS, _SHAPES, _LEVELS = 24, 32, 1024
+# Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
+# its widths: judgements.
+_FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
+# Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
+# shown to be the oscillator's shape: a judgement.
+_SHAPED, _AROUND = 0.05, 1.5
+# Correlation time [samples] below which a Markov process is filtered white noise.
+_SHORT = 20.0
+# Least distance of two lines [coefficients].
+_APART = 1.5
+# Joint fits, until all that is in the model is seen.
+_ROUNDS = 6
+# Share of the discrepancy that must be gone, and samples that a search needs.
+_LESS, _SHORTEST = 0.5, 1024
+
+
+class Content(NamedTuple):
+    """What a spectrum consists of.
+
+    Attributes:
+        structure: terms, response and resonances.
+        lines: frequencies of the lines [Hz].
+        bins: bins that are fine around the resonances.
+        c: cosine coefficients without the lines.
+    """
+
+    structure: Structure
+    lines: list[float]
+    bins: Bins
+    c: Float[np.ndarray, " n-1"]
+
+    @property
+    def further(self) -> list[int]:
+        """Components that are no plain terms, then a negative number for each line."""
+        own = [
+            k
+            for k in np.flatnonzero(self.structure.active).tolist()
+            if k == OUTSIDE or k >= FULL.first_oscillator
+        ]
+        return own + [-1 - k for k in range(len(self.lines))]
+
+    @property
+    def plain_terms(self) -> list[int]:
+        """Components with some power that are basic terms or Markov processes."""
+        markovs = range(FULL.first_markov, FULL.first_oscillator)
+        return [k for k in self.structure.there if k < OUTSIDE or k in markovs]
+
+
+def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
+    """What the spectrum of these samples consists of."""
+    n, lines, x = len(x), list[float](), x - x.mean()
+    c = cosine_transform(x)
+    for _ in range(_LOOKS):
+        if not (more := _conspicuous(c, rate)):
+            break
+        lines, c = _without_lines(x, rate, lines + more)
+    spectrum, found = searched(Record(c**2, rate), Structure.plain(list(range(len(FIXED)))))
+    if sharp := narrow(found.structure, n):
+        more = [found.structure.frequency(k) * rate / (2.0 * np.pi) for k in sharp]
+        lines, c = _without_lines(x, rate, lines + more)
+        record, rest = Record(c**2, rate), without(found.structure, sharp)
+        spectrum, found = searched(record, refitted(record, rest)[1].structure)
+    structure = completed(spectrum, found).structure
+    return Content(without(structure, narrow(structure, n)), lines, spectrum.bins, c)
+
+
+def _conspicuous(c: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
+    """Frequencies of peaks that are as narrow as lines and far above their surroundings [Hz]."""
+    n, square = len(c) + 1, c**2
+    blocks = square[: len(c) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
+    rough = np.repeat(np.median(blocks, axis=1) / _MEDIAN, _BLOCK)
+    sure = 2.0 * (np.log(n) + _SURE)
+    found: list[int] = []
+    for j in np.argsort(square[: len(rough)] / rough)[::-1][:_TRIED].tolist():
+        if square[j] < sure * rough[j] or j < LOWEST or any(abs(j - k) <= _CORE for k in found):
+            continue
+        around = square[max(j - _LINE_AROUND, 0) : j + _LINE_AROUND + 1]
+        level = float(np.median(around)) / _MEDIAN
+        core = square[max(j - _CORE, 0) : j + _CORE + 1] - level
+        if square[j] > sure * level and core.sum() > _NEARLY_ALL * (around - level).sum():
+            found.append(j)
+    return [(j + 1) * rate / (2.0 * n) for j in found]
+
+
+def _without_lines(
+    x: Float[np.ndarray, " n"], rate: float, lines: Sequence[float]
+) -> tuple[list[float], Float[np.ndarray, " n-1"]]:
+    """Lines near these frequencies [Hz], and the coefficients without them."""
+    c, taken = take_out_lines(x, rate, [(f, False) for f in lines])
+    for line in taken:
+        own = line_columns(line.frequency, line.indices, len(x), rate)
+        c[line.indices - 1] -= own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
+    return [line.frequency for line in taken], c
+
+
+def without(structure: Structure, resonances: Sequence[int]) -> Structure:
+    for k in resonances:
+        structure = structure.without(FULL.first_oscillator + k)
+    return structure
+
+
+class Template(NamedTuple):
+    """Model of an axis, with the values of a structure.
+
+    Attributes:
+        model: all five basic terms first, the ramp too, then Markov processes and what there is further.
+        active: its terms that are in use; for the others there is a limit.
+        component: of its random terms, the component of the structure.
+    """
+
+    model: Model
+    active: Bool[np.ndarray, " terms"]
+    component: Int[np.ndarray, " random"]
+
+    @classmethod
+    def of(cls, content: Content, ramp: bool) -> Template:
+        """Template of what there is, with or without a ramp in use."""
+        structure, rate = content.structure, content.bins.rate
+        terms: list[tuple[NoiseTerm, bool, bool]] = []
+        component = []
+        for label, term in zip(basic_terms().term_labels, basic_terms().terms, strict=True):
+            if label in FIXED:
+                k = FIXED.index(label)
+                component.append(k)
+                here = bool(structure.active[k])
+                amplitude = float(np.sqrt(structure.power[k])) if here else None
+                terms.append((term.replace(coefficient=amplitude), bool(structure.inside[k]), here))
+            else:
+                terms.append((term, False, ramp))
+        own = [FULL.first_markov + int(k) for k in structure.markovs]
+        for k in [*own, *content.further]:
+            if k < 0:
+                terms.append((Sinusoid(frequency=content.lines[-1 - k]), False, True))
+                continue
+            component.append(k)
+            white = PowerLaw(float(np.sqrt(structure.power[k])), 0.0).hold("exponent")
+            terms.append(
+                (white if k == OUTSIDE else term_of(structure, k, rate), bool(structure.inside[k]), True)
+            )
+        each, inside, active = zip(*terms, strict=True)
+        response = response_of(structure, rate)
+        model = Model(each, response, () if response is None else inside)
+        return cls(model, np.array(active), np.array(component))
+
+
+def fit_jointly(
+    content: Content, ramp: bool, axis: Axis, x: Float[np.ndarray, " n"]
+) -> tuple[Template, WhittleFit, Structure]:
+    """Joint fit of what the spectrum of these samples consists of, and its structure."""
+    template, rate = Template.of(content, ramp), content.bins.rate
+    base = Record(content.c**2, rate).binned(content.structure)
+    spectrum = spectrum_of(template.model, x, rate, {}, bins=base.bins)
+    used = spectrum.used([k for k in range(len(template.model)) if not template.active[k]])
+    found, rows = base.fit(content.structure), len(base.bins.size)
+    for _ in range(_WEIGHT_ROUNDS):
+        projection = spectrum.project(found.mean[:rows], used)
+        base = base.with_data(projection.level, projection.dof).weighing(found, _error(found, base))
+        found = base.fit(found.structure, FINE)
+    template = Template.of(content._replace(structure=found.structure), ramp)
+    mean, per_octave = found.mean[:rows], base.bins.per_octave()
+    degrees = 2.0 * np.asarray(base.levels.shape)
+    unshaped = _unshaped(found.structure, base, projection.level / mean)
+    design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
+    left = max(projection.estimates - np.sum(template.active) - len(solution.shape), 1.0)
+    ratio = projection.level / mean
+    chi2 = chi_squared(ratio, projection.dof)
+    sure = chi2 > beyond_doubt(left)
+    error = error_of_powers(ratio, projection.dof, per_octave, left) if sure else 0.0
+    misfit: dict[str, Any] = {"chi2": np.asarray(chi2), "power_error": np.asarray(error)}
+    solution = solution._replace(**misfit)
+    of = template.model, axis, template.active, spectrum, projection, design, solution, mean
+    return template, inferred(*of), found.structure
+
+
+def _error(found: Fitted, spectrum: Spectrum) -> Float[np.ndarray, " capacity"]:
+    """Relative error of the levels where the response has fallen and on the skirts of resonances.
+
+    No sensor's are just like the model's; such errors are common to an octave.
+    """
+    structure, bins = found.structure, spectrum.bins
+    f, rows, square = bins.frequency, len(bins.size), np.zeros(len(bins.size))
+    if (response := response_of(structure, bins.rate)) is not None:
+        fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
+        square += (_FILTER * fallen) ** 2
+    hertz = bins.rate / (2.0 * np.pi)
+    for k in structure.oscillators:
+        beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
+        square += np.where(beside, _SKIRT * found.resonant[k, :rows], 0.0) ** 2
+    return padded(np.sqrt(square * bins.per_octave()), len(spectrum.size), 0.0)
+
+
+def _tangent(
+    template: Template,
+    found: Fitted,
+    rate: float,
+    degrees: Float[np.ndarray, " capacity"],
+    per_octave: Float[np.ndarray, " m"],
+    unshaped: Container[int],
+) -> tuple[TangentDesign, Solution]:
+    """Levels around a fit, linear in all shapes, and the solution; see `_fillers` for the unshaped."""
+    random = [k for k, term in enumerate(template.model.terms) if not term.deterministic]
+    noise = template.model.without(
+        [label for k, label in enumerate(template.model.term_labels) if k not in random]
+    )
+    at, slope, structure = FULL, found.slope * found.mean, found.structure
+    component, shapes = template.component, free_shapes(noise)
+    # A Gauss–Markov process of unit amplitude has the variance T_c/2 (4.59).
+    is_markov = (component >= at.first_markov) & (component < at.first_oscillator)
+    time = np.array(
+        [
+            structure.time(k - at.first_markov) / rate if m else 2.0
+            for k, m in zip(component, is_markov, strict=True)
+        ]
+    )
+    unit = slope[component] / found.by_power[component, None] * (time / 2.0)[:, None]
+    power = structure.power[component] / (time / 2.0)
+    inside = np.array(noise.inside, bool) if noise.response is not None else np.zeros(len(noise), bool)
+    levels = np.where(inside & (power > 0.0), (power[:, None] * unit).sum(axis=1), 0.0)
+    owner_of_response = WHITE if levels[WHITE] > 0.0 else int(np.argmax(levels))
+    owner, by_shape = [], np.zeros((len(noise), unit.shape[1], len(shapes)))
+    for s, p in enumerate(shapes):
+        if p.term == len(noise):
+            owner.append(owner_of_response)
+            of_response = found.by_response[int(p.parameter.name != "bandwidth")]
+            by_shape[:, :, s] = of_response[component] * (time / 2.0)[:, None]
+            continue
+        k = p.term
+        owner.append(k)
+        if power[k] > 0.0:
+            place = _parameter(p.parameter.name, int(component[k]))
+            by_shape[k, :, s] = slope[place] / power[k] + (unit[k] if is_markov[k] else 0.0)
+    levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
+    fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])
+    for i, (plateau, by_own) in fillers.items():
+        # Powers are counted anew: what it has at low frequencies is that of white noise.
+        power[WHITE] += plateau * power[i]
+        unit[i] -= plateau * levels_of_white
+        by_shape[i] -= plateau * slopes_of_white
+        for s, p in enumerate(shapes):
+            if p.term == i:
+                by_shape[i, :, s] -= plateau * by_own[p.parameter.name] * levels_of_white
+    room = [(0, _TERMS - len(noise)), (0, max(_LEVELS - unit.shape[1], 0))]
+    design = TangentDesign(
+        owner=padded(np.array(owner, int), _SHAPES, 0),
+        terms=np.asarray(len(noise)),
+        rows=np.asarray(len(per_octave)),
+        moves=np.arange(_SHAPES) < len(shapes),
+        per_octave=padded(per_octave, max(_LEVELS, unit.shape[1]), 1.0),
+        base=np.pad(unit, room),
+        by_shape=np.pad(by_shape, [*room, (0, _SHAPES - len(shapes))]),
+        centre=padded(shape_values(noise), _SHAPES, 0.0),
+        degrees_of_freedom=padded(degrees, max(_LEVELS, len(degrees)), 0.0),
+    )
+    nothing, converged = np.asarray(0.0), np.asarray(np.isfinite(found.loss))
+    values: Any = power, shape_values(noise), nothing, nothing, converged, np.asarray(2.0 * found.loss)
+    return design, Solution(*values)
+
+
+def _unshaped(structure: Structure, spectrum: Spectrum, ratio: Float[np.ndarray, " m"]) -> frozenset[int]:
+    """Components that are resonances around which the levels are not those of the model."""
+    f, rows, hertz = spectrum.bins.frequency, len(ratio), spectrum.bins.rate / (2.0 * np.pi)
+    weight, found = np.asarray(spectrum.levels.shape)[:rows], set[int]()
+    for k in structure.oscillators:
+        apart = abs(np.log(f / (structure.frequency(k) * hertz)))
+        w = np.where(apart < np.log(_AROUND), weight, 0.0)
+        by_chance = np.count_nonzero(w)
+        if (w @ (ratio - 1.0) ** 2 - by_chance) > _SHAPED**2 * w.sum():
+            found.add(FULL.first_oscillator + int(k))
+    return frozenset(found)
+
+
+def _fillers(noise: Model, rate: float, unshaped: Sequence[int]) -> dict[int, tuple[float, dict[str, float]]]:
+    """Terms that are white at low frequencies, which nothing tells from white noise there.
+
+    So are resonances that are not shown to have an oscillator's shape. By index: their density there for unit
+    amplitude, and its logarithmic derivatives by ln(shape − bound).
+    """
+    found: dict[int, tuple[float, dict[str, float]]] = {}
+    for i, term in enumerate(noise.terms):
+        if isinstance(term, PowerLaw):
+            found[i] = 1.0, {}
+        elif isinstance(term, Markov):
+            T = float(term.correlation_time or 0.0)
+            if T * rate < _SHORT:
+                found[i] = T**2, {"correlation_time": 2.0}
+        elif isinstance(term, Resonance):
+            f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
+            if Q < WIDE or i in unshaped:
+                found[i] = 1.0 / (np.pi * f * Q), {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
+    return found
+
+
+def shape_values(noise: Model) -> Float[np.ndarray, " shapes"]:
+    """Free shapes of a model with values, ln(value − lower bound)."""
+    return np.log([float(p.start or 0.0) - p.parameter.lower for p in free_shapes(noise)])
+
+
+def _parameter(name: str, component: int) -> int:
+    """Parameter of the joint spectral model that a shape of a component is."""
+    at = FULL
+    if component < at.first_oscillator:
+        return at.times + component - at.first_markov
+    first = at.frequencies if name == "frequency" else at.qualities
+    return first + component - at.first_oscillator
+
+
+class Extension(NamedTuple):
+    """Fit of one axis with its extension, and the ranking of its terms."""
+
+    result: AxisFit
+    selection: AxisSelection
+
+
+def extended(
+    x: Float[np.ndarray, " n"], rate: float, plain: AxisFit, curve: AllanDeviation, k: int
+) -> Extension | None:
+    """Fit of one axis with what its spectrum has besides the plain terms; None if that explains little.
+
+    Args:
+        x: samples.
+        rate: sample rate [Hz].
+        plain: the fit of the plain terms.
+        curve: Allan deviations of all axes, of which this one is k.
+    """
+    axis = plain.axis
+    if len(x) < _SHORTEST:
+        return None
+    content = content_of(x, rate)
+    of = content.structure
+    besides = of.kind != NONE or len(of.oscillators) or len(of.markovs) or content.lines
+    # Without plain terms there is nothing to correct.
+    if not besides or not content.plain_terms:
+        return None
+    selection = _selection(content, axis)
+    content = content._replace(structure=_with_terms(content, selection))
+    ramp = "drift_ramp" in selection.chosen.terms
+    for _ in range(_ROUNDS):
+        template, found, structure = fit_jointly(content, ramp, axis, x)
+        result = result_of(found, template.model, axis, template.active)
+        if (
+            not result.converged
+            or (tidied := _tidied(content._replace(structure=structure), template, result)) is None
+        ):
+            break
+        content = tidied
+    if not result.converged or (plain.converged and result.discrepancy > _LESS * plain.discrepancy):
+        return None
+    inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]
+    model = extended_model(template.model, result.coefficients, inactive)
+    deviation = np.sqrt(np.asarray(model.sampled(rate).allan_variance(curve.cluster_time)))
+    misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / deviation, curve.edf[:, k], "s")
+    if result.misfit is not None and misfit.excessive:
+        return None
+    result = dataclasses.replace(result, own_template=template.model, plain=plain, _model=model)
+    result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
+    return Extension(result, selection)
+
+
+def _selection(content: Content, axis: Axis) -> AxisSelection:
+    """Ranking of the terms by the spectrum, divided by what the rest of the structure makes of it."""
+    structure, fine = content.structure, content.bins
+    bins = Bins.of(fine.n, fine.rate)
+    f, response = fine.frequency, response_of(structure, fine.rate)
+    passed = 1.0 if response is None else np.asarray(response.power(f, fine.rate))
+    total, terms = np.zeros(len(f)), np.zeros(len(f))
+    for k in structure.there:
+        density = np.asarray(term_of(structure, k, fine.rate).sampled_psd(f, fine.rate))
+        total += density * (passed if structure.inside[k] else 1.0)
+        terms += density if k in content.plain_terms else 0.0
+    every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
+    # A ramp is not divided: it is in the lowest coefficients, where nothing is changed.
+    corrected = content.c / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
+    basic = basic_terms() + Markov()
+    candidates = candidates_of(basic + Markov() if len(structure.markovs) > 1 else basic, fine.rate)
+    statistics = bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
+    return rank_terms(candidates, bins, statistics, [axis], axis.name).results[0]
+
+
+def _with_terms(content: Content, selection: AxisSelection) -> Structure:
+    """Structure with the chosen terms, and as many Markov processes as were chosen.
+
+    Where no set of terms suffices those with a free time were left out, and the structure keeps its own.
+    """
+    chosen, structure = selection.chosen.terms, content.structure
+    for k, label in enumerate(FIXED):
+        if label not in chosen:
+            structure = structure.without(k)
+        elif not structure.active[k]:
+            structure = structure.using(k, 0.0)
+    count = sum(label.startswith("markov") for label in chosen)
+    if selection.discrepancy > 0.0 or count == len(structure.markovs):
+        return structure
+    for k in structure.markovs:
+        structure = structure.without(FULL.first_markov + int(k))
+    spectrum = Record(content.c**2, content.bins.rate).binned(structure)
+    for _ in range(count):
+        level = float(np.median(spectrum.rough[: len(spectrum.bins.size)]))
+        starts = [structure.with_markov(max(spectrum.n**p, 20.0), level) for p in TIMES]
+        fits = [spectrum.fit(start) for start in starts if start is not None]
+        structure = min(fits, key=lambda fit: fit.loss).structure
+    return structure
+
+
+def _overlap(structure: Structure, k: int, other: int) -> bool:
+    """Whether two components are resonances with overlapping peaks."""
+    first = FULL.first_oscillator
+    return min(k, other) >= first and structure.are_close(k - first, other - first)
+
+
+def _tidied(content: Content, template: Template, result: AxisFit) -> Content | None:
+    """Content without resonances and lines that the joint fit does not show; None if it shows all.
+
+    A resonance that has become as narrow as a line is one.
+    """
+    structure, spacing = content.structure, content.bins.rate / (2.0 * content.bins.n)
+    further = dict(
+        zip(
+            template.model.term_labels[len(template.model) - len(content.further) :],
+            content.further,
+            strict=True,
+        )
+    )
+    found: dict[str, dict[str, Estimate]] = {label: {} for label in further}
+    for c in result.coefficients.values():
+        if c.term in found and c.parameter is not None:
+            found[c.term][c.parameter.name] = c
+    narrow = {
+        label: own["frequency"].value
+        for label, own in found.items()
+        if "quality_factor" in own and own["frequency"].value < own["quality_factor"].value * LINE * spacing
+    }
+    # What is too narrow spoils its neighbours, which are judged once it is a line.
+    unseen = sorted(
+        (label for label, own in found.items() if not own["amplitude"].detected),
+        key=lambda label: found[label]["amplitude"].value,
+    )
+    gone = list(narrow)
+    # Of resonances that overlap none may be seen, but all together are: the weakest goes first.
+    for label in unseen if not narrow else ():
+        if not any(_overlap(structure, further[label], further[other]) for other in gone):
+            gone.append(label)
+    if not gone:
+        return None
+    for label in gone:
+        structure = structure.without(further[label]) if further[label] >= 0 else structure
+    lines = [
+        own["frequency"].value for label, own in found.items() if further[label] < 0 and label not in gone
+    ]
+    for f in narrow.values():
+        lines += [f] if all(abs(f - line) > _APART * spacing for line in lines) else []
+    return content._replace(structure=structure, lines=lines)

@@ -1,1 +1,0 @@
-"""Fits of axes that the plain terms do not follow: with filter, resonances and lines."""
