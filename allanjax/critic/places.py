@@ -6,13 +6,12 @@ no other frequency is tried, and what is too weak to be found without that is fo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from allanjax.critic.step import Step
-from allanjax.critic.view import View
+from allanjax.critic.view import Candidate, View
 
 # Quality factor from which on a resonance may be a disturbance from outside: a wider one is the sensor's own.
 _SHARP = 50.0
@@ -32,10 +31,10 @@ class Place(NamedTuple):
         return abs(frequency - self.frequency) <= self.reach
 
 
-def places_in(view: View, steps: Sequence[Step]) -> list[Place]:
-    """Places of the lines among these steps, and of the view's narrow resonances."""
+def places_in(view: View, candidates: Iterable[Candidate]) -> list[Place]:
+    """Places of the lines among these, and of the view's narrow resonances."""
     resolved = _RESOLVED / view.duration
-    lines = [s.candidate.parameters["frequency"] for s in steps if s.candidate.cause == "sinusoid"]
+    lines = [c.parameters["frequency"] for c in candidates if c.cause == "sinusoid"]
     found = [
         Place(line.value, max(resolved, _DEVIATIONS * line.std), line.value * view.duration)
         for line in lines

@@ -1,0 +1,337 @@
+"""A critique: fit, compare with simulations, find causes, extend, compare again."""
+
+from __future__ import annotations
+
+import dataclasses
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.wording import finite_or_none, plain
+from allanjax.critic.cause import Cause
+from allanjax.critic.causes.common_mode import NAME, common_mode
+from allanjax.critic.comparison import StageResiduals
+from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
+from allanjax.critic.gain import coefficient_changes, drift_changes
+from allanjax.critic.noise import WHITE
+from allanjax.critic.places import elsewhere, places_in
+from allanjax.critic.policy import AcceptanceRule, judged
+from allanjax.critic.profiles import before_and_after, discrepancies
+from allanjax.critic.result import AxisCritique, Critique, Snapshot
+from allanjax.critic.search import (
+    Draft,
+    Search,
+    basic_model,
+    concluded,
+    extended,
+    further_terms,
+    going_on,
+    search,
+    view_of,
+)
+from allanjax.critic.step import Step
+from allanjax.critic.view import View
+from allanjax.estimate.fit import fit_inspected
+from allanjax.estimate.result import Fit
+from allanjax.inspection import Inspection, inspect
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
+from allanjax.record.recording import Axis, DeadAxis, Recording
+
+_T = TypeVar("_T")
+
+# Statistics that compare with other channels: what they show has its cause in these.
+_BETWEEN = ("cross_correlation", "auxiliary_correlation")
+# Statistics of the samples themselves, by the cause that explains each.
+_IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
+# Statistics of the samples' distribution: imputed samples are drawn, by a simple rule, and show it.
+_OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
+# Fewest samples of a record that is criticized: a judgement.
+_SHORTEST = 1024
+# Axes that are worked on at a time: each takes some twenty times the memory of its samples.
+_WORKERS = 2
+
+
+def criticize(
+    recording: Recording,
+    given: Fit | None,
+    causes: Sequence[Cause],
+    false_alarms: float,
+    vibrating: bool,
+    tell: Callable[[str], None],
+) -> Critique:
+    """Critique of a recording, given what `critique` takes."""
+    recording, seen = _undisturbed(recording, vibrating)
+    _check(recording, given, false_alarms)
+    per_axis = false_alarms / len(recording.axes)
+
+    failed: dict[str, DeadAxis] = {}
+    searches, fit = _searches(recording, seen, given, causes, per_axis, tell, failed)
+    recording = _left(recording, failed)
+    tell("comparing measurement and simulation")
+    stages = [_stages(s) for s in searches]
+
+    def residuals(k: int, stage: int) -> StageResiduals:
+        view = searches[k].start
+        return StageResiduals(view.axis, view.scale, view.rate, stages[k][stage])
+
+    first, last = ([residuals(k, stage) for k in range(len(searches))] for stage in (0, -1))
+    shared = tuple(
+        common_mode(
+            recording.axes,
+            [w.whitened_coefficients for w in last],
+            [w.share(WHITE) for w in last],
+            recording.rate,
+            AcceptanceRule.of(per_axis).level(NAME),
+        )
+    )
+
+    def judged(k: int) -> AxisCritique:
+        s, axis = searches[k], searches[k].start.axis
+        result = fit[axis.name]
+        before = _compared(k, first, s.start.recorded(s.start.raw), recording)
+        now = s.end.samples if s.preprocessed else s.start.raw
+        after = _compared(k, last, s.end.recorded(now), recording)
+        tell(f"{axis.name}: measuring the gain")
+        middle = [residuals(k, stage) for stage in range(1, len(stages[k]) - 1)]
+        records = [first[k], *middle, *([last[k]] if s.steps else [])]
+        findings = [
+            _finding(step, (*pairs, *_of_samples(step, before, after)), drift)
+            for step, pairs, drift in zip(
+                s.steps, before_and_after(records, recording.auxiliary), drift_changes(s.steps), strict=True
+            )
+        ]
+        findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
+        # An effect may be why there is no fit.
+        baseline = result.model if result.converged else basic_model(s.start)
+        model, left_out = extended(s)
+        told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
+        return AxisCritique(axis, *told)
+
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
+    _left(recording, failed)
+    unfitted = [r for r in fit.results if not r.converged]
+    notes = [*fit.notes]
+    notes += [f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence" for r in unfitted]
+    notes += [note for s in searches for note in s.notes]
+    axes, dead = tuple(a for a in found if a is not None), (*recording.dead, *failed.values())
+    return Critique(recording.name, recording.rate, fit, axes, shared, tuple(notes), dead)
+
+
+def _guarded(
+    work: Callable[[int], _T], axes: Sequence[Axis], failed: dict[str, DeadAxis]
+) -> Callable[[int], _T | None]:
+    """The work on an axis by its number; None, and a reason in `failed`, where it has failed."""
+
+    def attempt(k: int) -> _T | None:
+        if axes[k].name in failed:
+            return None
+        try:
+            return work(k)
+        except (MemoryError, OSError):
+            raise
+        except AllanjaxError as error:
+            reason = str(error)
+        except Exception as error:
+            *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+            place = f"{Path(frame.f_code.co_filename).name}:{line}"
+            reason = (
+                f"its critique failed by a fault of allanjax, {type(error).__name__} in {place} ({error}); "
+                "please report it together with the recording"
+            )
+        failed[axes[k].name] = DeadAxis(axes[k], reason)
+        return None
+
+    return attempt
+
+
+def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
+    """The recording without axes whose critique has failed; a FitError if nothing is left."""
+    left = [name for name in recording.names if name not in failed]
+    if not left:
+        reasons = "; ".join(f"{name}: {axis.reason}" for name, axis in failed.items())
+        raise FitError(f"{recording.name or 'the recording'}: {reasons}")
+    return dataclasses.replace(recording.select(*left), dead=recording.dead)
+
+
+def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Inspection]:
+    """The recording without what disturbs its beginning and end, and the facts about it.
+
+    What happens between is for the critique to name.
+    """
+    seen = inspect(recording, vibrating=vibrating, may_move=True)
+    facts = [fact for fact in seen.facts if fact.kind not in ("disturbances", "spikes")]
+    whole = 0.0, recording.duration
+    start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
+    if (start, stop) != whole:
+        text = f"{seen.said}: the critique is of {plain(start)} to {plain(stop)} s"
+        facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
+        recording = recording.between(start, stop)
+    elif seen.refusal:
+        text = f"{seen.said}: the critique is of all of it, as too little would be left without"
+        facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
+    return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
+
+
+def _searches(
+    recording: Recording,
+    seen: Inspection,
+    given: Fit | None,
+    causes: Sequence[Cause],
+    false_alarms: float,
+    tell: Callable[[str], None],
+    failed: dict[str, DeadAxis],
+) -> tuple[list[Search], Fit]:
+    """Searches in all axes but those that `failed`, and the fit that the critique begins with."""
+
+    def searched(k: int) -> Draft:
+        """Search in one axis, from the model that was given."""
+        scale, x = float(recording.own_scales[k]), recording.values[:, k]
+        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
+        drawn = None if recording.missing is None else recording.missing[:, k]
+        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
+        return search(view, causes, false_alarms, tell)
+
+    def concluding(k: int) -> Search:
+        """Search in an axis, at the places where others have something, too."""
+        others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
+        there = [again for cause in causes if (again := cause.at(others)) is not None]
+        draft = going_on(drafts[k], there, false_alarms, tell) if others else drafts[k]
+        further = None if given is None or given.chosen else further_terms(given.results[k].model)
+        return dataclasses.replace(concluded(draft, causes), others=further or None)
+
+    # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
+    # search needs no fit: it is for the report.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
+        found = pool.map(_guarded(searched, recording.axes, failed), range(len(recording.axes)))
+        drafts = {k: draft for k, draft in enumerate(found) if draft is not None}
+        places = {k: places_in(draft.end, (s.candidate for s in draft.steps)) for k, draft in drafts.items()}
+        searches = list(pool.map(_guarded(concluding, recording.axes, failed), range(len(recording.axes))))
+    # It looks for filters, resonances and lines itself.
+    return [s for s in searches if s is not None], fitting.result().without_extensions()
+
+
+def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:
+    """Raise AllanjaxError or FitError if this cannot be criticized."""
+    label = recording.name or "the recording"
+    if not 0.0 < false_alarms < 1.0:
+        raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
+    if recording.n < _SHORTEST:
+        raise FitError(
+            f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
+        )
+    if given is not None and given.axes != recording.names:
+        raise AllanjaxError(
+            f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
+        )
+    if given is not None and given.template.response is not None:
+        raise FitError(
+            f"{label}: the critique does not judge a model with a response ({given.template.response!r}) "
+            "yet: leave the fit out, and it looks for a filter itself"
+        )
+    for result in given.results if given else ():
+        if not result.converged:
+            raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
+
+
+def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None]) -> Fit:
+    """Fit of the Allan variances, or of the spectrum where that does not converge."""
+    tell("fitting the noise model")
+    # What was done to the recording is what is looked for.
+    fit = fit_inspected(recording, seen, None, "allan", plain=True, as_is=True)
+    if all(result.converged for result in fit.results):
+        return fit
+    # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
+    return fit_inspected(recording, seen, None, "whittle", plain=True, as_is=True)
+
+
+def _stages(s: Search) -> tuple[Snapshot, ...]:
+    """Axis before the first finding and after each."""
+    # The last one is without all lines: of harmonics, which are one finding, some may have come late.
+    views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
+    return tuple(_snapshot(view) for view in views)
+
+
+def _snapshot(view: View) -> Snapshot:
+    noise = view.noise
+    own = noise.terms, noise.power, noise.shape, view.slope
+    return Snapshot(view.samples, view.variance(), *own, view.imputed)
+
+
+def _compared(
+    k: int, records: Sequence[StageResiduals], raw: np.ndarray, recording: Recording
+) -> tuple[Discrepancy, ...]:
+    others = {w.axis.name: w for i, w in enumerate(records) if i != k}
+    return discrepancies(records[k], raw, others, recording.auxiliary)
+
+
+def _of_samples(
+    step: Step, before: tuple[Discrepancy, ...], after: tuple[Discrepancy, ...]
+) -> list[tuple[Discrepancy, Discrepancy]]:
+    """Discrepancy of the samples themselves that a finding removes, before it and after it."""
+    statistic = _IN_SAMPLES.get(step.candidate.cause)
+    old, new = ({d.statistic: d for d in found} for found in (before, after))
+    return [(old[statistic], new[statistic])] if statistic else []
+
+
+def _finding(
+    step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...], drift: DriftChange | None
+) -> Finding:
+    candidate, view = step.candidate, step.before
+    start, end = candidate.support
+    return Finding(
+        cause=candidate.cause,
+        axes=(view.axis.name,),
+        parameters=candidate.parameters,
+        p_value=candidate.p_value,
+        evidence=finite_or_none(candidate.gain),
+        gain=finite_or_none(step.gain),
+        rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
+        span=(float(start), float(end if np.isfinite(end) else view.duration)),
+        domain=candidate.domain,
+        details=candidate.details,
+        coefficients=coefficient_changes(step),
+        drift=drift,
+        discrepancies=pairs,
+    )
+
+
+def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
+    """Finding of the most significant discrepancy that is left, if it is beyond doubt."""
+    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.preprocessed else ())
+    left = [d for d in after if d.p_value < judged("unexplained", "p_value") and d.statistic not in known]
+    if not left:
+        return []
+    worst = min(left, key=lambda d: d.p_value)
+    numbers = {
+        "where": (worst.where, worst.where_unit),
+        "measured": (worst.measured, worst.unit),
+        "simulated": (worst.simulated, worst.unit),
+    }
+    # Where a statistic has no place there is none.
+    parameters = {
+        name: s.start.estimate(name, value, 0.0, unit) for name, (value, unit) in numbers.items() if unit
+    }
+    time = worst.where_unit == "s"
+    span = (0.0, s.start.duration) if time else (0.0, s.start.rate / 2.0)
+    return [
+        Finding(
+            "unexplained",
+            (s.start.axis.name,),
+            parameters,
+            worst.p_value,
+            0.0,
+            0.0,
+            (),
+            span,
+            "time" if time else "frequency",
+            discrepancies=((worst, worst),),
+            details={"statistic": worst.statistic},
+        )
+    ]
