@@ -115,7 +115,8 @@ class Treatment:
         elif self.cut:
             used = listed([span(*part, step) for part in self.parts], len(self.parts))
             then = f": coefficients are of {used}" if used else ": coefficients are of all of it, as asked"
-            facts.append(fact(self.cut, then, every, "none"))
+            out = n / rate - sum(stop - start for start, stop in self.parts) if self.parts else None
+            facts.append(dataclasses.replace(fact(self.cut, then, every, "none"), size=out, unit="s"))
         for name in dict.fromkeys(axes[e.axes[0]].name for e in self.alone):
             own = [e for e in self.alone if axes[e.axes[0]].name == name]
             drawn = ": left out on this axis, and drawn given its other samples"

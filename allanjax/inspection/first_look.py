@@ -12,11 +12,11 @@ from allanjax.base.equality import ByValue
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.disturbances import Part, Places, Treatment
 from allanjax.inspection.facts import Fact, ordered, warnings_of
-from allanjax.inspection.levels import resolved, saturated
+from allanjax.inspection.levels import Ends, resolved, saturated
 from allanjax.inspection.motion import motions, rms_within
 from allanjax.inspection.plausible import implausible, short
 from allanjax.inspection.quiet import Event, quiet_parts
-from allanjax.inspection.sampling import sampling_facts, temperature_facts
+from allanjax.inspection.sampling import dead_facts, sampling_facts, temperature_facts
 from allanjax.inspection.scores import mean_squares
 from allanjax.inspection.spectral import spectral_facts
 from allanjax.inspection.spikes import spikes_in
@@ -31,8 +31,12 @@ from allanjax.inspection.words import (
     span,
 )
 from allanjax.record.completion import bridged, completed
-from allanjax.record.recording import Axis, Recording
+from allanjax.record.recording import Axis, DeadAxis, Recording
 
+_NOT_EXAMINED = (
+    "not examined in a stream: spikes, lines, interpolated samples, temperature; a stretch that is read as a "
+    "whole (--start, --stop) shows them"
+)
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
 
@@ -193,11 +197,14 @@ def look(
     may_move: bool = False,
     recording: Recording | None = None,
     spikes: Sequence[Bool[np.ndarray, " n"]] = (),
+    ends: Ends | None = None,
+    dead: Sequence[DeadAxis] = (),
 ) -> Inspection:
     """Inspection of a recording with this rate [Hz] that is known by its windows; see `inspect`.
 
     `recording` is the recording itself, and `spikes` say which samples of its axes are isolated ones, where
-    it is in memory; the windows are without these.
+    it is in memory; the windows are without these. Where it is a stream, `ends` are those of its samples, and
+    `dead` its dead axes.
     """
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
@@ -227,7 +234,8 @@ def look(
     facts += short(part.n, rate, axes)
     if recording is None:
         found, steps = resolved(part, axes, None)
-        facts += found
+        facts += [*found, *dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
+        facts += [] if ends is None else saturated(axes, ends, steps)
     else:
         found, steps = _of_samples(recording, part, stretch, spikes)
         facts += found
@@ -267,7 +275,8 @@ def _of_samples(
     own = [x[rows][~lost[rows]] for x, lost in zip(recording.values.T, drawn.T, strict=True)]
     facts, steps = resolved(part, recording.axes, own)
     held = {name for fact in facts if fact.kind == "repeated samples" or fact.grave for name in fact.axes}
-    facts += saturated(recording.axes, own)
+    for k, (axis, x) in enumerate(zip(recording.axes, own, strict=True)):
+        facts += saturated([axis], Ends.of(x[:, None]), steps[k : k + 1])
     whole = np.column_stack([bridged(x, at) for x, at in zip(recording.values.T, spikes, strict=True)])
     facts += spectral_facts(whole[rows], recording.rate, recording.axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording), *_spike_facts(recording, spikes)]

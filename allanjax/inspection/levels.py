@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact
@@ -50,18 +51,65 @@ def lattice(x: Float[np.ndarray, " n"]) -> float | None:
     return q if np.mean(off < TOLERANCE * np.maximum(np.rint(gaps / q), 1.0)) > _SHARE else None
 
 
-def is_piled_up(raw: Float[np.ndarray, " n"], q: float | None) -> bool:
-    """Whether more samples are at the largest value than a tail would leave there."""
-    top = raw.max()
-    at_top = int(np.sum(raw == top))
-    if q is None:
-        clipped = np.concatenate([[0], (raw == top).astype(int), [0]])
+@dataclasses.dataclass(frozen=True, eq=False)
+class Ends:
+    """How often samples are at the ends of their range, in constant memory however many they are.
+
+    Each array has two rows: of the upper end, and of the lower one, for which signs are changed.
+
+    Attributes:
+        n: number of samples.
+        value, count, runs: the largest value, samples that are there, and runs of them.
+        below, count_below: the largest of the other values, and samples that are there.
+    """
+
+    n: int
+    value: Float[np.ndarray, "2 axes"]
+    count: Int[np.ndarray, "2 axes"]
+    runs: Int[np.ndarray, "2 axes"]
+    below: Float[np.ndarray, "2 axes"]
+    count_below: Int[np.ndarray, "2 axes"]
+
+    @classmethod
+    def of(cls, values: Float[np.ndarray, "n axes"]) -> Ends:
+        """Ends of the range of these samples."""
+        sides = [values, -values]
+        value = [x.max(axis=0, initial=-np.inf) for x in sides]
+        at = [x == top for x, top in zip(sides, value, strict=True)]
+        others = [np.where(there, -np.inf, x) for x, there in zip(sides, at, strict=True)]
+        below = [x.max(axis=0, initial=-np.inf) for x in others]
+        runs = [there[:1].sum(axis=0) + (there[1:] & ~there[:-1]).sum(axis=0) for there in at]
+        count_below = [(x == level).sum(axis=0) for x, level in zip(others, below, strict=True)]
+        count = [there.sum(axis=0) for there in at]
+        return cls(len(values), *map(np.array, (value, count, runs, below, count_below)))
+
+    def merge(self, right: Ends) -> Ends:
+        """Ends of the range of the samples of two pieces."""
+        value = np.maximum(self.value, right.value)
+        both = [(x, x.value == value) for x in (self, right)]
+        count, runs = (
+            np.sum([np.where(at, getattr(x, name), 0) for x, at in both], axis=0)
+            for name in ("count", "runs")
+        )
+        others = [(np.where(at, x.below, x.value), np.where(at, x.count_below, x.count)) for x, at in both]
+        below = np.maximum(others[0][0], others[1][0])
+        count_below = np.sum([np.where(level == below, counted, 0) for level, counted in others], axis=0)
+        return Ends(self.n + right.n, value, count, runs, below, count_below)
+
+    def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Ends:
+        """Those of some of the axes."""
+        names = [field.name for field in dataclasses.fields(self) if field.name != "n"]
+        return dataclasses.replace(self, **{name: getattr(self, name)[:, keep] for name in names})
+
+    def piled_up(self, steps: Float[np.ndarray, " axes"]) -> Bool[np.ndarray, "2 axes"]:
+        """Whether more samples are at an end than a tail would leave there, given the steps, 0 for none."""
         # Copies of one extreme sample are another matter.
-        return int(np.sum(np.diff(clipped) == 1)) >= _LEAST or at_top >= _MANY
-    if np.ptp(raw) < _FEW_LEVELS * q:
-        return False
-    below = int(np.sum(abs(raw - (top - q)) < q / 2.0))
-    return at_top > below + 6.0 * np.sqrt(below + 1.0) and at_top >= 5 * _LEAST
+        often = (self.runs >= _LEAST) | (self.count >= _MANY)
+        adjacent = abs(self.value - steps - self.below) < steps / 2.0
+        tail = np.where(adjacent, self.count_below, 0)
+        beyond = (self.count > tail + 6.0 * np.sqrt(tail + 1.0)) & (self.count >= 5 * _LEAST)
+        has_tail = self.value.sum(axis=0) >= _FEW_LEVELS * steps
+        return np.where(steps > 0.0, beyond & has_tail, often)
 
 
 def resolved(
@@ -103,17 +151,15 @@ def resolved(
     return facts, steps
 
 
-def saturated(axes: Sequence[Axis], columns: Sequence[Float[np.ndarray, " recorded"]]) -> list[Fact]:
+def saturated(axes: Sequence[Axis], ends: Ends, steps: Float[np.ndarray, " axes"]) -> list[Fact]:
     """Facts about axes with more samples at their largest or smallest value than a tail would leave there."""
     facts = []
-    for axis, column in zip(axes, columns, strict=True):
-        for level, side in ((column.max(), 1.0), (column.min(), -1.0)):
-            at = column == level
-            if np.count_nonzero(at) >= _LEAST and is_piled_up(side * column, lattice(column)):
-                share = 100.0 * float(np.mean(at))
-                text = (
-                    f"{axis.name} is at {amount(level, axis, 4)} in {plain(share, 2)} % of the samples: its "
-                    "range ends there; use a wider one, or remove the offset"
-                )
-                facts.append(Fact("saturation", text, (axis.name,), "not a measurement", share, "%"))
+    for side, k in np.argwhere(ends.piled_up(steps) & (ends.count >= _LEAST)):
+        axis, share = axes[k], 100.0 * float(ends.count[side, k]) / ends.n
+        level = amount((1.0, -1.0)[side] * ends.value[side, k], axis, 4)
+        text = (
+            f"{axis.name} is at {level} in {plain(share, 2)} % of the samples: its range ends there; use a "
+            "wider one, or remove the offset"
+        )
+        facts.append(Fact("saturation", text, (axis.name,), "not a measurement", share, "%"))
     return facts

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from allanjax.inspection.facts import Fact
 from allanjax.inspection.words import amount
 from allanjax.record.completion import widening
 from allanjax.record.io.timestamps import told_jitter
-from allanjax.record.recording import Recording
+from allanjax.record.recording import DeadAxis, Recording
 
 # Jitter, as a share of the interval, up to which samples are as good as even; readers refuse a fifth.
 _JITTER = 0.05
@@ -32,8 +32,13 @@ def sampling_facts(recording: Recording) -> Iterator[Fact]:
         yield Fact("jitter", text, recording.names, size=recording.jitter, unit="s")
     if recording.gaps:
         yield _gaps(recording)
-    for dead in recording.dead:
-        yield Fact("dead axes", f"{dead.axis.name}: {dead.reason}", (dead.axis.name,), "not a measurement")
+    yield from dead_facts(recording.dead)
+
+
+def dead_facts(dead: Sequence[DeadAxis]) -> Iterator[Fact]:
+    """Facts about axes that do not change, or are without samples."""
+    for d in dead:
+        yield Fact("dead axes", f"{d.axis.name}: {d.reason}", (d.axis.name,), "not a measurement")
 
 
 def _gaps(recording: Recording) -> Fact:
