@@ -1,10 +1,14 @@
 """The command line: `allanjax check`, `characterize`, `critique`, `fleet` and others."""
 
+import logging
+import os
 import sys
+import warnings
 from typing import Annotated
 
 import typer
 
+from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.plain import speak_plainly
 from allanjax.cli import (
     calibrate,
@@ -35,6 +39,10 @@ app = typer.Typer(
 )
 
 
+# Without a handler Python prints what libraries log.
+_SILENT = logging.NullHandler()
+
+
 def main() -> None:
     """Entry point of the command `allanjax`."""
     for stream in (sys.stdout, sys.stderr):
@@ -62,7 +70,17 @@ def _common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    pass
+    # What libraries warn of, with paths and lines, is of no use to who runs a command.
+    warnings.showwarning = _show_own
+    logging.getLogger().addHandler(_SILENT)
+    # Of processes that the command starts, too.
+    os.environ.setdefault("PYTHONWARNINGS", "ignore")
+
+
+def _show_own(message: Warning | str, category: type[Warning], *_: object) -> None:
+    """Print a warning of allanjax on stderr, and no other."""
+    if issubclass(category, AllanjaxWarning):
+        print(f"warning: {message}", file=sys.stderr)
 
 
 # A module a command, in the order of `allanjax --help`: its help, examples and function.

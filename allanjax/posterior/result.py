@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.presented import TextProperty, presented
 from allanjax.base.wording import duration
@@ -37,7 +37,7 @@ _MINIMUM_POINTS = 200
 _INTEGRAL_UNIT = {"gyro": "deg", "accel": "m/s"}
 
 
-class PosteriorWarning(UserWarning):
+class PosteriorWarning(AllanjaxWarning):
     """A posterior whose chain has not converged."""
 
 

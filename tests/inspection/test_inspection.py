@@ -399,6 +399,17 @@ def test_a_fact_reaches_whoever_uses_the_record(what):
     assert aj.check(told)[kind].verdict == ("stop" if means == "grave" else "look")
     assert (fact.text in fit.warnings) == (means != "")
     assert fact.to_dict() in aj.to_dict(fit)["facts"]
+    # Of a stream in two pieces what takes the samples themselves is said to be left out.
+    pieces = aj.AllanAccumulator(RATE, told.names), aj.AllanAccumulator(RATE, told.names, start=9999)
+    for piece, samples in zip(pieces, np.split(told.values, [9999]), strict=True):
+        for part in np.array_split(samples, 5):
+            piece.update(part)
+    of_stream = pieces[0].merge(pieces[1]).inspect().facts
+    assert "not examined" in [other.kind for other in of_stream]
+    if kind in ("saturation", "resolution"):
+        (same,) = (other for other in of_stream if other.kind == kind)
+        assert (same.axes, same.consequence) == (names, consequence)
+        assert same.size == pytest.approx(fact.size, rel=0.02)
     assert tuple(fit.not_measured) == (names if means == "grave" else ())
     for name, result, true in zip(fit.axes, fit.results, N, strict=True):
         if result.measured and what != "line":
