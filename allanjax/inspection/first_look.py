@@ -218,18 +218,21 @@ def look(
     moving = motions(part, sensors, rate)
     about = {sensors[m.axis] for m in moving}
     auxiliary = {} if recording is None else recording.auxiliary
-    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about)
+    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about, vibrating)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # In a wrong unit noise looks like motion.
     wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
     moving = [] if vibrating else [m for m in moving if names[m.axis] not in wrong]
+    refusal = "" if as_is else treatment.refusal(axes, rate, n, quiet)
     if shown := tuple(dict.fromkeys(names[m.axis] for m in moving)):
         # Two axes that show motion mean that all move.
         concerned = shown if len(shown) == 1 else names
-        facts.append(Fact("at rest", said_of_motion(moving, axes), concerned, "not a measurement"))
-    # The warning about motion comes first, and is reason enough.
-    refusal = "" if as_is or moving else treatment.refusal(axes, rate, n, quiet)
+        facts.append(
+            Fact("at rest", said_of_motion(moving, axes, bool(refusal)), concerned, "not a measurement")
+        )
+        # The warning about motion comes first, and is reason enough.
+        refusal = ""
     facts += treatment.facts(axes, rate, n, as_is, refusal)
     facts += short(part.n, rate, axes)
     if recording is None:

@@ -55,6 +55,7 @@ def implausible(
     white: Float[np.ndarray, "scales axes"],
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
     moving: Collection[str] = (),
+    vibrating: bool = False,
 ) -> list[Fact]:
     """Facts about units or a rate that cannot be right.
 
@@ -66,18 +67,19 @@ def implausible(
             least is an upper bound of the white noise N.
         auxiliary: other columns, among which may be one of times.
         moving: sensors that are known not to be at rest.
+        vibrating: whether the platform is meant to move.
     """
     grave: Consequence = "not a measurement"
-    gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
-    found = [
-        Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving), gyros, grave),
-        Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave),
-    ]
+    found = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
     for accel in accelerometers(axes):
         line = _accel(axes, accel, rate, mean, "accel" in moving)
         # What a single axis reads is a matter of its tilt.
         means: Consequence = grave if len(accel) >= 3 else "none"
         found.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
+    # Where accelerometers of the right unit move, gyros do, too.
+    moves = vibrating or ("accel" in moving and not any(fact.text for fact in found[1:]))
+    gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
+    found.append(Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving, moves), gyros, grave))
     return [fact for fact in found if fact.text]
 
 
@@ -134,6 +136,7 @@ def _gyro(
     mean: Float[np.ndarray, " axes"],
     white: Float[np.ndarray, "scales axes"],
     moving: bool,
+    platform_moves: bool,
 ) -> str:
     """Warning about the gyros if their bias or noise is that of no gyro at rest, or ""."""
     gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
@@ -144,7 +147,8 @@ def _gyro(
     # Motion is not white, but noise in another unit still is.
     flat = bool(np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[gyros]) < 0.0)
     known = f"gyros average {bias / DEG:.3g} deg/s with a noise of {noise / _ROOT_HOUR:.2g} deg/√h"
-    if (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving):
+    beyond = (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving)
+    if beyond and not platform_moves:
         remedy = "is the unit right? (--gyro-unit)"
         if "deg" not in unit:
             remedy = f"are they deg/s? --gyro-unit deg/s{_HEADER}"
@@ -175,7 +179,8 @@ def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
         if abs(nearest / rate - 1.0) > _SAME_RATE:
             return (
                 f"the column {name!r} grows by {step:g} a sample, {nearest:.4g} Hz if in {rates[nearest]}, "
-                f"and the rate given is {rate:g} Hz; leave out --rate and --time none to use it"
+                f"and the rate is {rate:g} Hz; if that is wrong, take its times by --time {name}, or its "
+                f"rate by --time none --rate {nearest:.6g} (rate={nearest:.6g})"
             )
     return ""
 

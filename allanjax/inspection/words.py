@@ -81,9 +81,14 @@ def _clause(kind: str, events: Sequence[Event], axes: Sequence[Axis], rate: floa
     return f"a {noun} {of}{size}{off} at {middles} ({axis.name})"
 
 
-def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
-    """Warning that this is no static recording, with the numbers that show it."""
-    reasons = []
+def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:
+    """Warning that this is no static recording, with the numbers that show it.
+
+    `disturbed` says whether there would be no coefficients for another reason, if it were meant to move.
+    """
+    reasons, say = [], "--vibrating (vibrating=True)"
+    if disturbed:
+        say = "--vibrating --as-is (vibrating=True, as_is=True)"
     # The strongest of each sensor, which is the last.
     for m in {axes[m.axis].sensor: m for m in moving}.values():
         axis = axes[m.axis]
@@ -97,7 +102,7 @@ def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis]) -> str:
     return (
         f"this does not look like a static recording: {'; '.join(reasons)}. The coefficients are of the "
         "motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and --stop; if "
-        "its platform vibrates and is to, say so by --vibrating (vibrating=True)"
+        f"its platform vibrates and is to, say so by {say}"
     )
 
 

@@ -1,9 +1,14 @@
 """What is seen in a recording before its coefficients are estimated."""
 
+import json
+import re
+
 import bench
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.signal
+from commands import run
 from golden_records import CLEAN, PLAIN, SHAPED
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -213,6 +218,10 @@ def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
     fit = accumulator.fit("N + K")
     assert not fit.converged
     assert "start={:g}, stop={:g}".format(*whole.stretch) in fit["gyro_x"].reason
+    # What it says to read has a result.
+    calm = aj.AllanAccumulator(RATE, NAMES)
+    calm.update(x[slice(*(round(time * RATE) for time in whole.stretch))])
+    assert calm.fit("N + K")["gyro_x"].measured
 
 
 def _share(path, sensor):
@@ -417,3 +426,66 @@ def test_a_fact_reaches_whoever_uses_the_record(what):
             assert abs(c.value - true) < 4.0 * c.std, name
             assert c.std < (2.0 if name not in names else 60.0) * usual, name
             assert c.interval[0] < c.value < c.interval[1]
+
+
+def troubled(change=lambda x: x, unit=("rad/s", "m/s^2"), stamps=1.0, **more):
+    """Columns of a table: times, 4096 samples of six axes in which something is changed, and others."""
+    x, t = change(values(17, 4096)), TIME[:4096]
+    units = [unit[name.startswith("accel")] for name in NAMES]
+    named = {f"{name} [{of}]": column for name, of, column in zip(NAMES, units, x.T, strict=True)}
+    return {"time [s]": t * stamps} | named | {name: of(t) for name, of in more.items()}
+
+
+def loud(first, last, every=4096, by=20.0):
+    """Noise that is louder in a span of samples, and in others as long."""
+    rows = np.flatnonzero((np.arange(4096) - first) % every < last - first)
+    return lambda x: put(x, rows, slice(None), lambda y: LEVEL + by * (y - LEVEL))
+
+
+# Of a troubled table: how it is read, and the remedies that are printed with the words that follow each; None
+# where there is nothing to follow it by.
+STRETCH = "--start and --stop"
+REMEDIES = {
+    "deg/s as rad/s": (troubled(lambda x: x / np.repeat([DEG, 1.0], 3)), "", {"--gyro-unit deg/s": ""}),
+    "rad/s as deg/s": (troubled(unit=("deg/s", "m/s^2")), "", {"--gyro-unit rad/s": ""}),
+    "g as m/s²": (troubled(lambda x: x / np.repeat([1.0, G], 3)), "", {"--accel-unit g": ""}),
+    "10 Hz, not 100": (
+        troubled(lambda x: x / np.repeat([1.0, 10.0], 3), ("rad/s", "m/s")), "--time none --rate 100",
+        {"--rate 10": "--time none"},
+    ),
+    "two times": (
+        troubled(stamps=0.4, uptime=lambda t: t), "", {"--time uptime": "", "--time none --rate 100": ""},
+    ),
+    "moved": (
+        troubled(loud(300, 400, 400, by=200.0)), "",
+        {STRETCH: "--start 0 --stop 2.5", "--vibrating --as-is": ""},
+    ),
+    "vibrating": (troubled(lambda x: LEVEL + 150.0 * (x - LEVEL)), "", {STRETCH: None, "--vibrating": ""}),
+    "touched": (troubled(loud(300, 400, 400)), "", {STRETCH: "--start 0 --stop 2.5", "--as-is": ""}),
+    "loud": (troubled(loud(1200, 4096)), "", {STRETCH: "--start 0 --stop 11", "--as-is": ""}),
+    "warm": (
+        troubled(lambda x: x + 2.0 * SIGMA * np.sin(TIME[:4096] / 4.0)[:, None],
+                 temperature=lambda t: 25.0 + np.sin(t / 4.0)),
+        "", {"--objective whittle --regressors temperature": ""},
+    ),
+}  # fmt: skip
+# Options that belong together, with their values.
+OPTION = re.compile(r"(?:(?: |^)(?:and )?--[a-z-]+(?: (?!and)[a-z/0-9^]+(?![\w ]*=))?)+")
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("what", REMEDIES)
+def test_every_remedy_that_a_check_names_leads_to_a_result(what):
+    table, reading, remedies = REMEDIES[what]
+    pd.DataFrame(table).to_csv("log.csv", index=False)
+    done = run("check", "log.csv", *reading.split(), "--json")
+    (check,) = json.loads(done.stdout)["checks"]
+    told = " ".join(line["reason"] for line in check["lines"])
+    assert {" ".join(found.split()) for found in OPTION.findall(told)} == {*remedies}
+    for remedy, more in remedies.items():
+        if more is None:
+            continue
+        words = [*(() if remedy == STRETCH else remedy.split()), *more.split()]
+        words += [] if "--terms" in words else ["--terms", "N"]
+        done = run("characterize", "log.csv", *words, "--json")
+        assert (done.exit_code, done.stderr) == (0, ""), remedy
