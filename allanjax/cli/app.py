@@ -77,7 +77,7 @@ def _common(
     os.environ.setdefault("PYTHONWARNINGS", "ignore")
 
 
-def _show_own(message: Warning | str, category: type[Warning], *_: object) -> None:
+def _show_own(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Print a warning of allanjax on stderr, and no other."""
     if issubclass(category, AllanjaxWarning):
         print(f"warning: {message}", file=sys.stderr)

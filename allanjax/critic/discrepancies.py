@@ -16,7 +16,7 @@ from allanjax.critic.comparison import StageResiduals, allan_laws
 from allanjax.critic.finding import Discrepancy
 from allanjax.critic.noise import centred
 from allanjax.critic.profiles import TINY
-from allanjax.inspection.levels import lattice
+from allanjax.inspection.plausible import lattice
 
 
 def discrepancies(

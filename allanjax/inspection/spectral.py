@@ -13,8 +13,7 @@ from scipy.ndimage import uniform_filter1d
 
 from allanjax.base.chi_squared import quantile
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import Fact
-from allanjax.inspection.words import listed
+from allanjax.inspection.facts import Fact, listed
 from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.

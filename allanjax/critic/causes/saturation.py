@@ -8,7 +8,7 @@ from allanjax.critic.cause import Cause
 from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.inspection.levels import Ends, lattice
+from allanjax.inspection.plausible import Ends, lattice
 from allanjax.noise.estimate import Estimate
 
 
