@@ -116,7 +116,7 @@ class Treatment:
         return found
 
     def said(self, events: Sequence[Event]) -> str:
-        """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a knock of 1 deg/s at 9 s (gyro_x)"."""
+        """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
         by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _KINDS]
         return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
 

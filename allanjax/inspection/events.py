@@ -16,6 +16,7 @@ from allanjax.inspection.scores import (
     groups_of,
     mean_squares,
     noise_scores,
+    runs,
     shortest_half,
     steps_of,
 )
@@ -122,7 +123,7 @@ def _silent(windows: Windows) -> list[tuple[int, int]]:
     """Runs of windows in which an axis is constant that usually is not: it is stuck, or switched off."""
     constant = windows.low == windows.high
     usual = np.median(windows.repeated, axis=0) < _MOSTLY_NEW
-    return [(a, b) for a, b in _spans((constant & usual).any(axis=1)) if b - a >= _STUCK]
+    return [(a, b) for a, b in runs((constant & usual).any(axis=1), _GAP) if b - a >= _STUCK]
 
 
 def _runs(scores: Sequence[Scores], length: int, count: int) -> list[tuple[int, int]]:
@@ -141,7 +142,7 @@ def _runs(scores: Sequence[Scores], length: int, count: int) -> list[tuple[int, 
             # At the record's ends no average has these windows in its middle.
             peak[: inner + 1] |= high[0]
             peak[inner + len(high) - 1 :] |= high[-1]
-    return [(a, b) for a, b in _spans(peak | still) if peak[a:b].any()]
+    return [(a, b) for a, b in runs(peak | still, _GAP) if peak[a:b].any()]
 
 
 def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
@@ -163,8 +164,8 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
     if peaks >= _TELEGRAPH:
         return []
     strength = last.score[alarmed].max(axis=0)
-    runs = [(a, b) for a, b in _spans(sizes > _STILL_MOVING) if strength[a:b].max() > _STEP]
-    return [_where(steps, a, b, a + int(np.argmax(strength[a:b]))) for a, b in runs]
+    clear = [(a, b) for a, b in runs(sizes > _STILL_MOVING, _GAP) if strength[a:b].max() > _STEP]
+    return [_where(steps, a, b, a + int(np.argmax(strength[a:b]))) for a, b in clear]
 
 
 def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[int, int]:
@@ -187,18 +188,6 @@ def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[i
             return slow if lag == coarsest.lag else (max(middle - lag, 0), middle + lag)
         lag, middle = fine.lag, max(middle - 3 * fine.lag, 0) + int(np.argmax(near)) + fine.lag
     return max(middle - lag, 0), min(middle + lag, end)
-
-
-def _spans(mask: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
-    """Runs of true values; runs that are a few windows apart are joined."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    spans: list[tuple[int, int]] = []
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        if spans and a - spans[-1][1] <= _GAP:
-            spans[-1] = (spans[-1][0], int(b))
-        else:
-            spans.append((int(a), int(b)))
-    return spans
 
 
 def _overlaps(first: int, last: int, others: Sequence[Stretch]) -> bool:
@@ -366,9 +355,9 @@ def quiet_parts(
         if not split:
             parts.append((first, last))
             continue
-        runs = quiet_runs(len(part), cuts)
-        longest = max(b - a for a, b in runs) if runs else 0
-        pending += [(first + a, first + b, rounds + 1) for a, b in runs if b - a >= min(_FEWEST, longest)]
+        calm = quiet_runs(len(part), cuts)
+        longest = max((b - a for a, b in calm), default=0)
+        pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
     edges = windows.edges
     quiet = tuple((int(edges[a]), int(edges[b])) for a, b in sorted(parts))
     return tuple(_events(windows, _joined(sorted(found, key=lambda s: s.first)))), quiet

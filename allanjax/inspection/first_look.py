@@ -215,7 +215,7 @@ def look(
     part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
-    moving = motions(part, sensors, rate)
+    moving = motions(part, axes, rate)
     about = {sensors[m.axis] for m in moving}
     auxiliary = {} if recording is None else recording.auxiliary
     facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about, vibrating)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -172,60 +173,53 @@ def _running(x: Float[np.ndarray, "w axes"], length: int) -> Float[np.ndarray, "
     return (total[length:] - total[:-length]) / length
 
 
-@dataclasses.dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """Evidence that an axis is not at rest.
 
     Attributes:
-        kind: "changes" from one cluster time to the next, "wanders" over the record, "shakes".
         axis: index of the axis.
-        value: rms change, range of the mean, or rms about it [rad/s or m/s²].
-        limit: the largest such value of a sensor at rest.
-        time: the cluster time [s] of changes.
+        factor: how much more it moves than any sensor at rest.
+        words: how it moves.
     """
 
-    kind: str
     axis: int
-    value: float
-    limit: float
-    time: float = 0.0
+    factor: float
+    words: str
 
 
-def motions(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
+def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]:
     """Evidence of motion on every axis that shows it, the strongest last."""
-    moving = _changes(windows, sensors, rate)
     # Means over a second at least, or those of the windows if there are too few.
     over = max(int(np.ceil(rate / windows.size)), 1)
     whole = len(windows) // over * over
-    mean = windows.mean[:whole].reshape(-1, over, len(sensors)).mean(axis=1) if whole else windows.mean
-    wander, shake = np.ptp(mean, axis=0), rms_within(windows)
-    for kind, values, limits in (("wanders", wander, WANDERS), ("shakes", shake, SHAKES)):
-        moving += [
-            Motion(kind, k, float(values[k]), limits[sensor])
-            for k, sensor in enumerate(sensors)
-            if values[k] > limits[sensor]
-        ]
-    return sorted(moving, key=lambda m: m.value / m.limit)
-
-
-def _changes(windows: Windows, sensors: Sequence[str], rate: float) -> list[Motion]:
-    """Axes and cluster times at which the means of neighbouring clusters differ too much for rest."""
+    mean = windows.mean[:whole].reshape(-1, over, len(axes)).mean(axis=1) if whole else windows.mean
     within = mean_squares(windows)
     known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
-    sizes = [(1 << k, np.nanmean(within[k], axis=0)) for k in known]
-    sizes += [(s.lag * windows.size, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
+    changes = [((1 << k) / rate, np.nanmean(within[k], axis=0)) for k in known]
+    sensors = [axis.sensor for axis in axes]
+    changes += [(s.lag * windows.size / rate, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
+    # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
+    tests = [
+        (
+            f"changes by {{}} (rms) from one {time:.2g} s to the next",
+            np.sqrt(square),
+            AT_REST,
+            2.0 / min(time, 1.0),
+        )
+        for time, square in changes
+        if _SHORTEST <= time <= _LONGEST
+    ]
+    tests += [("wanders over {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
+    tests += [("shakes by {} (rms)", rms_within(windows), SHAKES, 1.0)]
     found = []
-    for size, square in sizes:
-        time = size / rate
-        if not _SHORTEST <= time <= _LONGEST:
-            continue
-        for k, sensor in enumerate(sensors):
-            # The limit follows white noise up to 1 s; the rms difference of two means is √2 times the Allan
-            # deviation.
-            limit = AT_REST[sensor] * np.sqrt(2.0 / min(time, 1.0))
-            if square[k] > limit**2:
-                found.append(Motion("changes", k, float(np.sqrt(square[k])), float(limit), time))
-    return found
+    for how, values, limits, square in tests:
+        for k, axis in enumerate(axes):
+            limit = limits[axis.sensor] * np.sqrt(square)
+            if values[k] > limit:
+                moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
+                words = f"{axis.name} {moved}, at rest by {most} at most"
+                found.append(Motion(k, values[k] / limit, words))
+    return sorted(found, key=lambda motion: motion.factor)
 
 
 def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
@@ -240,21 +234,23 @@ def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bo
 
     `disturbed` says whether there would be no coefficients for another reason, if it were meant to move.
     """
-    reasons, say = [], "--vibrating (vibrating=True)"
-    if disturbed:
-        say = "--vibrating --as-is (vibrating=True, as_is=True)"
     # The strongest of each sensor, which is the last.
-    for m in {axes[m.axis].sensor: m for m in moving}.values():
-        axis = axes[m.axis]
-        value, limit = amount(m.value, axis), amount(m.limit, axis)
-        how = {
-            "changes": f"changes by {value} (rms) from one {m.time:.2g} s to the next",
-            "wanders": f"wanders over {value}",
-            "shakes": f"shakes by {value} (rms)",
-        }
-        reasons.append(f"{axis.name} {how[m.kind]}, at rest by {limit} at most")
+    reasons = {axes[m.axis].sensor: m.words for m in moving}
+    say = "--vibrating --as-is (vibrating=True, as_is=True)" if disturbed else "--vibrating (vibrating=True)"
     return (
-        f"this does not look like a static recording: {'; '.join(reasons)}. The coefficients are of the "
-        "motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and --stop; if "
-        f"its platform vibrates and is to, say so by {say}"
+        f"this does not look like a static recording: {'; '.join(reasons.values())}. The coefficients are of "
+        "the motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and "
+        f"--stop; if its platform vibrates and is to, say so by {say}"
     )
+
+
+def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
+    """First index of each run of true values and the one after its last; those up to a gap apart are one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    found: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if found and a - found[-1][1] <= gap:
+            found[-1] = (found[-1][0], b)
+        else:
+            found.append((a, b))
+    return found
