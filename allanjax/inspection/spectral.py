@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import irfft, rfft
-from scipy.ndimage import uniform_filter1d
 
 from allanjax.base.chi_squared import quantile
 from allanjax.base.wording import plain
@@ -31,9 +30,8 @@ _SLIGHT = 1e-3
 _BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
 # Interpolated samples: how many are looked at; how far above those around it their line has to be; what
 # share of second differences is zero where the rate is more than twice their own, and where it is twice; what
-# counts as zero; the largest squares, in medians, so that single spikes do not matter; and samples over which
-# a square is compared with its mean.
-_LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL, _LONG = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0, 255
+# counts as zero; and the largest squares, in medians, so that single spikes do not matter.
+_LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
 
 
 class Spectrum(NamedTuple):
@@ -158,18 +156,18 @@ def interpolated_from(
         power = abs(c) ** 2
         c[power > _CLEAR / 4.0 * _around(power)] = 0.0
         square = irfft(c, len(own)) ** 2
-        # What is louder for longer than some samples of the sensor is no interpolation.
-        square /= np.maximum(uniform_filter1d(square, _LONG), 1e-300)
         square = np.minimum(square, _TAIL * np.median(square))
         total = total + abs(rfft(square / square.mean() - 1.0)) ** 2
     total = np.asarray(total)
+    total[0] = total[1]
     ratio, ends = total / _around(total), max(len(total) // 50, _FAR)
+    slow = ratio[_NEAR:ends].max()
     ratio[:ends] = 0.0
     # Of samples with one between two of the sensor's, half of the second differences are zero.
     ratio[-ends : None if straight < _TWICE else -1] = 0.0
     k = int(np.argmax(ratio))
-    # Bursts at regular times have a line with harmonics, of which the lowest are the strongest.
-    if ratio[k] < _CLEAR or total[k] < total[1:ends].max():
+    # Bursts at regular times have a line with harmonics, of which the lowest are the clearest.
+    if ratio[k] < max(_CLEAR, slow):
         return None
     line = k * rate / len(second)
     return line if straight > _STRAIGHT else rate - line
