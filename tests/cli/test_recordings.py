@@ -187,14 +187,6 @@ def test_reading_options_are_those_of_read():
     assert told["log_likelihood"] == pytest.approx(expected, rel=1e-9)
 
 
-def test_every_command_takes_every_option_of_reading():
-    names = ["rate", "gyro-unit", "accel-unit", "columns", "time", "time-unit", "start", "stop"]
-    names += ["topic", "instance", "gaps"]
-    for command in ("characterize", "critique", "check", "fleet", "kalman", "calibrate"):
-        shown = run(command, "--help").output
-        assert [name for name in names if f"--{name} " not in shown] == [], command
-
-
 UNIT = "a.csv --rate 100 --gyro-unit deg/s"
 
 

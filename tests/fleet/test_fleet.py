@@ -192,14 +192,11 @@ def test_rows_of_a_stored_fit(three):
 def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     """A unit with a line on one axis, one that clips, one that was knocked, and two without a remark."""
     n, rng, about = 2048, np.random.default_rng(5), {"gyro_unit": "rad/s", "names": ["gyro_x", "gyro_y"]}
-    for unit in ("calm", "line", "clips", "knock", "still"):
-        x = 1e-3 * rng.standard_normal((n, 2))
-        if unit == "line":
-            x[:, 1] += 1e-3 * np.sin(2.0 * np.pi * 7.3 * np.arange(n) / 100.0)
-        if unit == "clips":
-            x[:, 0] = np.minimum(np.round(x[:, 0], 5), 5e-4)
-        if unit == "knock":
-            x[500:540] += 0.3 * rng.standard_normal((40, 2))
+    units = {unit: 1e-3 * rng.standard_normal((n, 2)) for unit in ("calm", "line", "clips", "knock", "still")}
+    units["line"][:, 1] += 1e-3 * np.sin(2.0 * np.pi * 7.3 * np.arange(n) / 100.0)
+    units["clips"][:, 0] = np.minimum(np.round(units["clips"][:, 0], 5), 5e-4)
+    units["knock"][500:540] += 0.3 * rng.standard_normal((40, 2))
+    for unit, x in units.items():
         aj.write(aj.Recording.from_array(x, 100.0, **about), tmp_path / f"{unit}.parquet")
     told = aj.characterize_fleet(tmp_path / "*", tmp_path / "out", "N + K", plain=True, scheduler=cluster)
     found = told.table.groupby(["recording", "axis"])["remarks"].unique().map(", ".join).to_dict()
