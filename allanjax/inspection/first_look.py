@@ -310,18 +310,19 @@ def _spike_facts(
     recording: Recording, without: Float[np.ndarray, "n axes"], spikes: Sequence[Bool[np.ndarray, " n"]]
 ) -> Iterator[Fact]:
     """Facts about isolated spikes that are left out."""
-    for axis, off, at in zip(recording.axes, abs(recording.values - without).T, spikes, strict=True):
+    for axis, x, calm, at in zip(recording.axes, recording.values.T, without.T, spikes, strict=True):
         if not at.any():
             continue
+        off = float(abs(x - calm).max())
         places = (np.flatnonzero(at) / recording.rate).tolist()
         said = listed([f"{plain(time, 6)} s" for time in places])
         single = f"{len(places)} single samples" if len(places) > 1 else "a single sample"
         text = (
-            f"{single} of {axis.name} up to {amount(off.max(), axis, 3)} off, at {said}: left out, and drawn "
+            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {said}: left out, and drawn "
             "given the others"
         )
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)
-        yield Fact("spikes", text, (axis.name,), "widened", float(off.max()), "", spans)
+        yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
 
 
 def _longest(parts: Iterable[tuple[float, float]]) -> tuple[float, float] | None:
