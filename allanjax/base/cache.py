@@ -7,6 +7,8 @@ import tempfile
 import warnings
 from pathlib import Path
 
+from allanjax.base.errors import AllanjaxWarning
+
 
 def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) -> Path | None:
     """Keep compiled programs in a directory for later processes.
@@ -28,7 +30,7 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
     if path is None or problem:
         if chosen:
             advice = "programs are compiled anew every time; set ALLANJAX_CACHE to a directory or to off"
-            warnings.warn(f"{path}: {problem}; {advice}", stacklevel=2)
+            warnings.warn(f"{path}: {problem}; {advice}", AllanjaxWarning, stacklevel=2)
         return None
     import jax
 

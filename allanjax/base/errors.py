@@ -1,8 +1,12 @@
-"""Errors that allanjax raises for invalid input."""
+"""Errors that allanjax raises for invalid input, and its warnings."""
 
 
 class AllanjaxError(ValueError):
     """Base class of all errors that a user's input can cause; the message says what to do about it."""
+
+
+class AllanjaxWarning(UserWarning):
+    """Base class of all warnings by which allanjax, and no library, has something to say to its user."""
 
 
 class UnitError(AllanjaxError):

@@ -1,11 +1,15 @@
 """The command line: `allanjax check`, `characterize`, `critique`, `fleet` and others."""
 
+import logging
+import os
 import sys
+import warnings
 from importlib import import_module
 from typing import Annotated
 
 import typer
 
+from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
 from allanjax.cli.common import INTERRUPTED, epilog
 
@@ -18,6 +22,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+
+
+# Without a handler Python prints what libraries log.
+_SILENT = logging.NullHandler()
 
 
 def main() -> None:
@@ -47,7 +55,17 @@ def _common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    pass
+    # What libraries warn of, with paths and lines, is of no use to who runs a command.
+    warnings.showwarning = _show_own
+    logging.getLogger().addHandler(_SILENT)
+    # Of processes that the command starts, too.
+    os.environ.setdefault("PYTHONWARNINGS", "ignore")
+
+
+def _show_own(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    """Print a warning of allanjax on stderr, and no other."""
+    if issubclass(category, AllanjaxWarning):
+        print(f"warning: {message}", file=sys.stderr)
 
 
 # The order of `allanjax --help`; each is in the module of its name: its help, examples and function.

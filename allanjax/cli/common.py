@@ -1,7 +1,6 @@
 """Files, progress, errors and names of results, for all commands."""
 
 import json
-import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -154,8 +153,6 @@ def prepare(out: Path | None = None) -> None:
             print_error(f"{place} {wrong} for the results by --out")
             raise typer.Exit(1)
     os.environ["MPLBACKEND"] = "Agg"
-    # It would warn of a home folder that can not be written to.
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     from allanjax.base.cache import enable_compilation_cache
 
     enable_compilation_cache()

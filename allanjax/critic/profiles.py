@@ -31,7 +31,7 @@ from allanjax.critic.comparison import (
 )
 from allanjax.critic.finding import Discrepancy
 from allanjax.critic.noise import centred
-from allanjax.inspection.levels import lattice
+from allanjax.inspection.plausible import lattice
 from allanjax.record.units import unit_scale
 
 #: Smallest p-value that is reported: smaller ones are beyond floating point.

@@ -23,9 +23,10 @@ from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.groups import Groups, group_names
 from allanjax.fleet.options import FitOptions
+from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
 from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
-from allanjax.fleet.summary import cells, judged, left_out
+from allanjax.fleet.summary import cells, cells_of_units, judged, left_out
 from allanjax.fleet.table import rows_of, table_of, write_table
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
@@ -54,9 +55,10 @@ class FleetResult(ByValue):
         table: one row a recording, axis and coefficient, in the usual units; see `fleet_table.table_schema`.
         errors: what has no result and why: `file`, and a `message` that names the axis unless it is all.
         files: the recordings; `resumed` of them have results from an earlier run.
-        notes: what to know before reading the table: recordings of an earlier run that are left out,
-            recordings with warnings, what is no measurement, groups that the units fall into or that are too
-            small for a judgement.
+        notes: what to know about the table: recordings of an earlier run that are left out; recordings with
+            warnings; axes that are not a measurement, whose model is incomplete, or that were corrected;
+            units whose structure is unlike that of most others; groups that the units fall into, or that are
+            too small for a judgement.
     """
 
     table: pd.DataFrame
@@ -87,13 +89,15 @@ class FleetResult(ByValue):
         )
 
     def __str__(self) -> str:
-        # As the table's title the lines would be broken at its width.
-        return "\n".join([self._title(), *self.notes, text_table("", *cells(self.table))])
+        units = cells_of_units(self.table)
+        tables = [text_table("", *cells(self.table)), *([text_table("", *units)] if units[1] else [])]
+        return "\n".join([self._title(), *tables, *self.notes])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return html_table(" ".join([self._title(), *self.notes]), *cells(self.table))
+        title = " ".join([self._title(), *self.notes])
+        return html_table(title, *cells(self.table)) + html_table("", *cells_of_units(self.table))
 
 
 def characterize_fleet(
@@ -180,11 +184,12 @@ def characterize_fleet(
 
 @dataclass(frozen=True)
 class _Done:
-    """Progress of a fleet by the recordings' names: rows of the table, and errors."""
+    """Progress of a fleet by the recordings' names: rows of the table, structures of the axes, and errors."""
 
     recordings: Mapping[str, Path]
     groups: Mapping[str, str]
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    structures: dict[str, list[AxisStructure]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
 
     def take(self, name: str, outcome: Mapping[str, Any] | Exception) -> None:
@@ -193,6 +198,7 @@ class _Done:
             self.errors[name] = [_reason(self.recordings[name], outcome)]
         else:
             self.rows[name] = rows_of(outcome, name, str(self.recordings[name]), self.groups[name])
+            self.structures[name] = structures(outcome)
             self.errors[name] = _axes_without_result(outcome)
 
     @property
@@ -281,7 +287,13 @@ def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions
 
 
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
-    return [f"{axis['name']}: no result, {axis['reason']}" for axis in fit["axes"] if not axis["converged"]]
+    """Why axes have no result, or one that is not a measurement of the sensor, as `characterize` says it."""
+    missing = [axis for axis in fit["axes"] if not axis["converged"]]
+    wrong = [axis for axis in fit["axes"] if axis["converged"] and not axis["measured"]]
+    return [
+        *(f"{axis['name']}: no result, {axis['reason']}" for axis in missing),
+        *(f"{axis['name']}: not a measurement of this sensor: {why_not_measured(axis)}" for axis in wrong),
+    ]
 
 
 def _reason(path: Path, error: Exception) -> str:
@@ -301,7 +313,7 @@ def _reason(path: Path, error: Exception) -> str:
 
 def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> FleetResult:
     """Result of all that is done, after these notes; its table, errors, notes and picture are in `out`."""
-    table, more = judged(done.table())
+    table, more = judged(done.table(), done.structures)
     paths = tuple(done.recordings.values())
     result = FleetResult(table, done.failures(), paths, resumed, (*notes, *more))
     write_table(table, out / "fleet.parquet")

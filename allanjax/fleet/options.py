@@ -1,7 +1,7 @@
 """Options of reading and fitting, in one object that commands and fleets hand on as a whole."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -50,9 +50,7 @@ class FitOptions:
         """
         if seen is None or seen.stretch is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
-        found = accumulator.fit(self.model, self.objective, as_is=True, vibrating=self.vibrating)
-        stretch = () if seen.stretch is None else (seen.stretch,)
-        return replace(found, facts=seen.facts, notes=found.notes + seen.notes, parts=stretch)
+        return accumulator.fit_inspected(seen, self.model, self.objective)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
         """Inspection of a recording, or of what was accumulated of one, as its fit will see it."""

@@ -29,7 +29,7 @@ from allanjax.estimate.fit import (
 )
 from allanjax.estimate.joint_fits import check_terms, fit_stream, select_stream_terms
 from allanjax.estimate.result import Fit
-from allanjax.inspection import Inspection, Windows, look
+from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.validation import Source
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 # Samples that are gathered before they are processed: a call of a compiled program costs as much as many.
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
-_FORMAT = 2
+_FORMAT = 3
 _TOO_FINE = "the Allan variances did not determine the fit; it is that of the averaged spectra (whittle)"
 
 _T = TypeVar("_T")
@@ -86,6 +86,7 @@ class AllanAccumulator:
         self._pyramid = Pyramid.of(empty, start)
         self._spectra = SegmentSpectra.of(empty, self.rate, start)
         self._windows = Windows.of(empty)
+        self._ends = Ends.of(empty)
         # Axes that have not had a number so far; there are zeros for them in what follows.
         self._silent = np.ones(len(self.axes), bool)
         self._gathered: list[Float[np.ndarray, "n axes"]] = []
@@ -152,6 +153,7 @@ class AllanAccumulator:
         merged._pyramid = self._pyramid.merge(right._pyramid)
         merged._spectra = self._spectra.merge(right._spectra)
         merged._windows = self._windows.merge(right._windows)
+        merged._ends = self._ends.merge(right._ends)
         merged._silent = self._silent & right._silent
         return merged
 
@@ -184,7 +186,7 @@ class AllanAccumulator:
             self.rate, list(itertools.compress(self.axes, keep)), start=self.start, name=self.name
         )
         living._pyramid, living._spectra = self._pyramid.of_axes(keep), self._spectra.of_axes(keep)
-        living._windows = self._windows.of_axes(keep)
+        living._windows, living._ends = self._windows.of_axes(keep), self._ends.of_axes(keep)
         return living
 
     def result(self) -> AllanDeviation:
@@ -199,10 +201,20 @@ class AllanAccumulator:
     def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
         """Inspection of the samples so far, as `allanjax.inspect` does for a recording.
 
-        Its `stretch` is the one that an accumulator without the disturbed samples would have.
+        Its `stretch` is the one that an accumulator without the disturbed samples would have. Spikes, lines
+        and interpolated samples need the samples themselves: a fact says that these are not looked for.
         """
         living = self._living()
-        return look(living._windows, living.axes, self.rate, name=self.name, as_is=as_is, vibrating=vibrating)
+        return look(
+            living._windows,
+            living.axes,
+            self.rate,
+            name=self.name,
+            as_is=as_is,
+            vibrating=vibrating,
+            ends=living._ends,
+            dead=self.dead,
+        )
 
     def fit(
         self,
@@ -226,11 +238,14 @@ class AllanAccumulator:
             FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
                 need the record itself.
         """
+        return self.fit_inspected(self.inspect(as_is=as_is, vibrating=vibrating).uncut(), model, objective)
+
+    def fit_inspected(self, seen: Inspection, model: ModelLike | None, objective: Objective) -> Fit:
+        """Fit of these samples, of which `seen` is the inspection; see `fit`."""
         if objective in ("wavelet", "exact"):
             raise FitError(f'objective="{objective}" needs the samples themselves: give "allan" or "whittle"')
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
-        seen = self.inspect(as_is=as_is, vibrating=vibrating).uncut()
         choose = model is None and not seen.refusal
         selection = select_stream_terms(spectra, axes, name=self.name) if choose else None
         template, active = terms_to_fit(model, selection, axes, objective)
@@ -267,7 +282,7 @@ class AllanAccumulator:
         }
         arrays = {"header": np.array(json.dumps(header))}
         arrays |= _packed(self._pyramid, "pyramid") | _packed(self._spectra, "spectra")
-        arrays |= _packed(self._windows, "windows")
+        arrays |= _packed(self._windows, "windows") | _packed(self._ends, "ends")
         path = Path(path)
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
@@ -300,6 +315,7 @@ class AllanAccumulator:
                 found._pyramid = _unpacked(Pyramid, arrays, "pyramid")
                 found._spectra = _unpacked(SegmentSpectra, arrays, "spectra")
                 found._windows = _unpacked(Windows, arrays, "windows")
+                found._ends = _unpacked(Ends, arrays, "ends")
         except FileNotFoundError as error:
             raise RecordingError(f"{path}: no such file; check the path") from error
         except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
@@ -314,6 +330,7 @@ class AllanAccumulator:
         self._pyramid = self._pyramid.merge(Pyramid.of(values, start))
         self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
         self._windows = self._windows.updated(values)
+        self._ends = self._ends.merge(Ends.of(values))
         self._gathered = []
 
     def __eq__(self, other: object) -> bool:

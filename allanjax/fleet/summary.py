@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,13 @@ import numpy as np
 from allanjax.base.wording import format_interval, format_with_error, significant
 from allanjax.fleet.grades import Split, found_split, pooled_values
 from allanjax.fleet.outlying_units import FEWEST_UNITS
+from allanjax.fleet.remarks import (
+    INCOMPLETE,
+    NOT_MEASURED,
+    AxisStructure,
+    Remark,
+    unlike_mates,
+)
 from allanjax.fleet.table import families, mark_outlying
 from allanjax.noise.estimate import title_of
 
@@ -19,12 +26,16 @@ if TYPE_CHECKING:
 
 # Names that a note lists at most.
 _NAMED = 5
+# Rows of the printed table of units at most.
+_ROWS = 40
 # Numbers in words.
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six")
 
 
-def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Table with the groups that units fall into and outlying units marked, and notes on it."""
+def judged(
+    table: pd.DataFrame, units: Mapping[str, Sequence[AxisStructure]]
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Table with the groups that units fall into and outlying units marked, and notes on it and the units."""
     parted, notes = [], []
     for _, of in table.groupby("group", sort=False):
         for part, words in _parted(of):
@@ -35,7 +46,8 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
         table = pd.concat(parted).sort_index()
     table = mark_outlying(table)
-    return table, (*_warned(table), *_unmeasured(table), *notes, *_alike(table), *_too_few(table))
+    about = (*_warned(table), *_remarked(units), *_unlike(table, units))
+    return table, (*about, *notes, *_alike(table), *_too_few(table))
 
 
 def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
@@ -87,16 +99,31 @@ def _warned(table: pd.DataFrame) -> list[str]:
     return [heading, *(f"  {listed(names)}: {warning}" for warning, names in most)]
 
 
-def _unmeasured(table: pd.DataFrame) -> list[str]:
-    """Note on the fits that are no measurement of a sensor."""
-    of = table.loc[~table["measured"], ["recording", "axis"]].drop_duplicates()
-    if of.empty:
-        return []
-    axes = [f"{name} {', '.join(part['axis'])}" for name, part in of.groupby("recording", sort=False)]
-    return [
-        "the fitted curve is far off, and the coefficients are not a measurement of the sensor: "
-        f"{listed(axes)}. They are not compared; see what allanjax critique finds"
-    ]
+def _remarked(units: Mapping[str, Sequence[AxisStructure]]) -> Iterator[str]:
+    """Notes on axes that are not a measurement, whose model is incomplete, or that were corrected."""
+    wrong = "are not a measurement of the sensor: they are not in the statistics, nor compared"
+    sentences: Mapping[str, Callable[[Remark], bool]] = {
+        wrong: lambda remark: remark.kind == NOT_MEASURED,
+        "are of an incomplete model: their intervals allow for it": lambda remark: remark.kind == INCOMPLETE,
+        "are corrected for lines, resonances or filters": lambda remark: remark.corrected,
+    }
+    for sentence, concerns in sentences.items():
+        named = []
+        for name, unit in units.items():
+            axes = [axis.axis for axis in unit if any(map(concerns, axis.remarks))]
+            named += [f"{name} ({', '.join(axes)})"] if axes else []
+        if named:
+            yield f"the coefficients of {listed(named)} {sentence}"
+
+
+def _unlike(table: pd.DataFrame, units: Mapping[str, Sequence[AxisStructure]]) -> list[str]:
+    """Note on units whose structure is unlike that of most others of their group."""
+    found: dict[str, str] = {}
+    for _, of in table.groupby("group", sort=False):
+        found |= unlike_mates({name: units[name] for name in of["recording"].unique()})
+    named = [f"{name} ({words})" for name, words in found.items()]
+    whose = "units have" if len(named) > 1 else "unit has"
+    return [f"{len(named)} {whose} a structure unlike that of most others: {listed(named)}"] if named else []
 
 
 def _alike(table: pd.DataFrame) -> list[str]:
@@ -147,7 +174,8 @@ def listed(names: Sequence[str]) -> str:
 def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Headings of the printed table, and a row for each group, axis and coefficient.
 
-    Median, scatter and quantiles are those of estimates with an interval, without outlying units.
+    Median, scatter and quantiles are those of estimates with an interval, without outlying units; counts are
+    of axes that are a measurement of the sensor.
     """
     grouped = bool((table["group"] != "").any())
     headings = ("axis", "coefficient", *(["group"] if grouped else []))
@@ -155,11 +183,11 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     # Axes and coefficients in the order in which they first occur.
     order = [table[name].factorize(sort=name == "group")[0] for name in ("axis", "coefficient", "group")]
     for _, of in table.groupby(order, sort=True):
-        first = of.iloc[0]
-        found = of[of["detected"] & of["measured"] & np.isfinite(of["value"])]
+        first, odd = of.iloc[0], of[of["outlying"]]
+        of = of[of["measured"]]
+        found = of[of["detected"] & np.isfinite(of["value"])]
         usual = found.loc[~found["outlying"], "value"]
         spread = _spread(usual.to_numpy(), found["std"].to_numpy(), first["unit"])
-        odd = of[of["outlying"]]
         ratios = zip(odd["recording"], odd["value"] / usual.median(), strict=True)
         # Where all others have limits there is no median.
         units = [f"{name} ({significant(ratio, 2)})" if ratio == ratio else name for name, ratio in ratios]
@@ -173,6 +201,18 @@ def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         "5 … 95 %",
         "outlying, left out of both (× median)",
     ), rows
+
+
+def cells_of_units(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings of the printed table of units with remarks, and a row for each unit and remark on its axes."""
+    rows: list[tuple[str, ...]] = []
+    axes = table.loc[table["remarks"] != ""].drop_duplicates(["recording", "axis"])
+    for (name, remarks), of in axes.groupby(["recording", "remarks"], sort=False):
+        rows.append((str(name), ", ".join(of["axis"]), str(remarks)))
+    if len(rows) > _ROWS:
+        more = f"{len(rows) - _ROWS} more rows: see the column remarks"
+        rows = [*rows[:_ROWS], ("…", "", more)]
+    return ("unit", "axes", "corrected, left out or wrong"), rows
 
 
 def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Int
 
 from allanjax.fleet.outlying_units import FALSE_ALARMS, Values, log_values, outlying, testable
+from allanjax.fleet.remarks import structures
 from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def table_schema() -> pa.Schema:
             "outlying": flag,
             "start_s": number,
             "stop_s": number,
+            "remarks": text,
             "warnings": text,
         }
     )
@@ -60,8 +62,9 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
     """Rows of one recording, from its fit as `as_json.to_dict` gives it.
 
     Axes without result have no rows, and neither have filters, resonances and lines for which an axis was
-    corrected. Outlying units are marked later.
+    corrected; these are among its remarks. Outlying units are marked later.
     """
+    about = {axis.axis: axis for axis in structures(fit)}
     start, stop = fit["stretch_s"] or (None, None)
     of_all = {
         "recording": recording,
@@ -81,10 +84,12 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
             "lower_95": c["interval_95"][0],
             "upper_95": c["interval_95"][1],
             "p_value": axis["p_value"],
-            "terms": " + ".join(_terms(axis)),
+            "terms": " + ".join(about[axis["name"]].terms),
+            "remarks": ", ".join(map(str, about[axis["name"]].remarks)),
         }
         | of_all
         for axis in fit["axes"]
+        if axis["converged"]
         for c in axis["coefficients"]
         # Filters, resonances and lines are numbered by their strength: units do not compare in them.
         if c["term"] not in (axis["extension"] or {"further": ()})["further"]
@@ -151,11 +156,3 @@ def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
     import pyarrow.parquet as pq
 
     pq.write_table(pa.Table.from_pandas(table, table_schema(), preserve_index=False), path)
-
-
-def _terms(axis: Mapping[str, Any]) -> list[str]:
-    """Terms that the fit chose for the axis, or was given."""
-    for s in axis["selection"] or ():
-        if s["chosen"]:
-            return list(s["terms"])
-    return list(dict.fromkeys(c["term"] for c in axis["coefficients"]))

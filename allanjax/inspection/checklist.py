@@ -13,10 +13,9 @@ import numpy as np
 
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
+from allanjax.inspection.facts import amount
 from allanjax.inspection.first_look import Inspection
-from allanjax.inspection.plausible import accelerometers
-from allanjax.inspection.sampling import jitter_in_words, temperatures
-from allanjax.inspection.words import amount
+from allanjax.inspection.plausible import accelerometers, jitter_in_words, temperatures
 from allanjax.record.recording import Recording
 from allanjax.record.units import rate_unit_of
 

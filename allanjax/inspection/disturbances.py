@@ -1,4 +1,4 @@
-"""What is done about the events of a recording: cut out, drawn anew on one axis, kept, or refused."""
+"""What is done about events and spikes: cut out, drawn anew on one axis, kept, or refused; and in words."""
 
 from __future__ import annotations
 
@@ -6,47 +6,61 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import Fact
-from allanjax.inspection.quiet import Event
-from allanjax.inspection.words import grid, listed, refused, said_of_events, span, unclear
+from allanjax.inspection.events import Event
+from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
 from allanjax.record.completion import MOST_MISSING
 from allanjax.record.recording import Axis
 
-#: Least share of the recording that coefficients may be estimated from.
-LEAST_SHARE = 0.3
+# Least share of the recording that coefficients may be estimated from.
+_LEAST_SHARE = 0.3
 # A part that is quieter by this factor, and this share of the recording, may be the sensor at rest.
 _MUCH, _LONG = 1.5, 0.1
 # An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
 _SLIGHT = 0.1
-_KIND = "disturbances"
+# Ways to get coefficients nevertheless.
+_REMEDY = (
+    "choose a stretch by --start and --stop (start=, stop=, .between), use all by --as-is (as_is=True), or "
+    "see what allanjax critique finds"
+)
+# Kinds of events in the order in which they are told.
+_KINDS = ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
+# Standard deviations of what is left of a sample less the mean of its neighbours beyond which it is a spike:
+# Gaussian noise has one in 10¹⁵ samples.
+_FAR = 8.0
+# Median of the magnitude of a normal variate.
+_MEDIAN = 0.6745
+# Largest share of an axis's samples that are spikes: of more, the noise itself has heavy tails.
+_MOST = 0.01
 
 #: Samples of axes by their names: from the first up to but not including the last, as often as needed.
 Places = Mapping[str, tuple[tuple[int, int], ...]]
-Part = tuple[float, float]
 
 
 @dataclasses.dataclass(frozen=True)
 class Treatment:
-    """What is done about events.
+    """What is done about the events of a recording of n samples of these axes at this rate [Hz].
 
     Attributes:
-        parts: start and end [s] of what is used; none for all of it.
-        lost: stretches on one axis alone, which are drawn given its other samples.
+        as_is: whether all of it is to be used in any case.
+        quiet: parts without the events that have to be cut out, as sample indices.
         cut, alone, kept, harmless: the events that are cut out; that are on one axis alone; that are kept,
             and allowed for; that change nothing.
         possible: whether enough is left without those that have to be cut out.
         unclear: whether the sensor was disturbed for so long that the quiet part may not be the one at rest.
     """
 
-    parts: tuple[Part, ...]
-    lost: Places
-    cut: tuple[Event, ...]
-    alone: tuple[Event, ...]
-    kept: tuple[Event, ...]
-    harmless: tuple[Event, ...]
+    axes: Sequence[Axis]
+    rate: float
+    n: int
+    as_is: bool
+    quiet: Sequence[tuple[int, int]]
+    cut: Sequence[Event]
+    alone: Sequence[Event]
+    kept: Sequence[Event]
+    harmless: Sequence[Event]
     possible: bool
     unclear: bool
 
@@ -54,89 +68,165 @@ class Treatment:
     def of(
         cls,
         events: Sequence[Event],
-        parts: Sequence[tuple[int, int]],
+        quiet: Sequence[tuple[int, int]],
         axes: Sequence[Axis],
         rate: float,
         n: int,
         as_is: bool,
     ) -> Treatment:
-        """Treatment of events, given the parts without those that are to be cut out, as sample indices."""
+        """Treatment of events, given the parts without those that have to be cut out."""
         touched = [e for e in events if e.matters]
         cut = [e for e in touched if e.is_cut]
         alone = [e for e in touched if e.is_of_one_axis and not e.is_slight]
         kept = [e for e in touched if e.is_slight]
         harmless = [e for e in events if not e.matters]
-        quieter = [e for e in cut if e.kind == "quieter" and e.size > _MUCH]
-        unlikely_rest = sum(e.last - e.first for e in quieter) > _LONG * n
-        possible = sum(b - a for a, b in parts) >= LEAST_SHARE * n and not unlikely_rest
-        if cut and not possible and not unlikely_rest and sum(e.share for e in cut) < _SLIGHT:
+        quieter = sum(e.last - e.first for e in cut if e.kind == "quieter" and e.size > _MUCH)
+        unclear = quieter > _LONG * n
+        possible = sum(b - a for a, b in quiet) >= _LEAST_SHARE * n and not unclear
+        if cut and not (possible or unclear) and sum(e.share for e in cut) < _SLIGHT:
             cut, kept, possible = [], [*kept, *cut], True
-        rounded = [_rounded(a, b, n, rate) for a, b in parts] if cut and possible and not as_is else []
-        lost: dict[str, tuple[tuple[int, int], ...]] = {}
-        for e in alone:
-            name = axes[e.axes[0]].name
-            lost[name] = (*lost.get(name, ()), (e.first, e.last))
-        few = {name: of for name, of in lost.items() if sum(b - a for a, b in of) < MOST_MISSING * n}
-        of_all = (tuple(cut), tuple(alone), tuple(kept), tuple(harmless))
-        return cls(tuple(rounded), {} if as_is else few, *of_all, possible, unlikely_rest)
+        return cls(axes, rate, n, as_is, quiet, cut, alone, kept, harmless, possible, unclear)
 
-    def allowance(self, axes: int) -> Float[np.ndarray, " axes"]:
+    @property
+    def parts(self) -> tuple[tuple[float, float], ...]:
+        """Start and end [s] of what is used, rounded inwards; none for all of it."""
+        if not self.cut or not self.possible or self.as_is:
+            return ()
+        step, whole = grid(self.n / self.rate), self.n / self.rate
+        starts = [np.ceil(a / self.rate / step - 1e-9) * step if a else 0.0 for a, _ in self.quiet]
+        stops = [np.floor(b / self.rate / step + 1e-9) * step if b < self.n else whole for _, b in self.quiet]
+        return tuple((round(float(a), 9), round(float(b), 9)) for a, b in zip(starts, stops, strict=True))
+
+    @property
+    def lost(self) -> dict[str, tuple[tuple[int, int], ...]]:
+        """Stretches on one axis alone, which are drawn given its other samples, if these are most."""
+        found = {
+            name: tuple((e.first, e.last) for e in events)
+            for name, events in self._alone().items()
+            if not self.as_is
+        }
+        return {name: of for name, of in found.items() if sum(b - a for a, b in of) < MOST_MISSING * self.n}
+
+    @property
+    def allowance(self) -> Float[np.ndarray, " axes"]:
         """Relative error of the Allan deviation of each axis by the events that are kept."""
-        found = np.zeros(axes)
+        found = np.zeros(len(self.axes))
         for e in self.kept:
             found[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
         return found
 
-    def said(self, axes: Sequence[Axis], rate: float, n: int) -> str:
-        """The events that are cut out, in words."""
-        return said_of_events(self.cut, axes, rate, n / rate)
+    def said(self, events: Sequence[Event]) -> str:
+        """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
+        by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _KINDS]
+        return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
 
-    def refusal(self, axes: Sequence[Axis], rate: float, n: int, parts: Sequence[tuple[int, int]]) -> str:
+    @property
+    def refusal(self) -> str:
         """Why there are no coefficients, in words; "" if there are."""
-        if self.possible or not self.cut:
+        if self.possible or not self.cut or self.as_is:
             return ""
-        said = self.said(axes, rate, n)
-        a, b = max(parts, key=lambda part: part[1] - part[0])
-        longest = span(a / rate, b / rate, grid(n / rate))
-        return unclear(said) if self.unclear else refused(said, longest, LEAST_SHARE)
+        said = self.said(self.cut)
+        if self.unclear:
+            return f"{said}: which of the two is the sensor at rest cannot be told; {_REMEDY}"
+        a, b = max(self.quiet, key=lambda part: part[1] - part[0])
+        longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
+        return (
+            f"{said}; no part without it is as long as {100.0 * _LEAST_SHARE:.0f} % of the recording, the "
+            f"longest is {longest}: {_REMEDY}"
+        )
 
-    def facts(self, axes: Sequence[Axis], rate: float, n: int, as_is: bool, refusal: str) -> list[Fact]:
-        """Facts about all events but those that change nothing."""
-        every, step, facts = tuple(axis.name for axis in axes), grid(n / rate), []
-
-        def fact(events: Sequence[Event], then: str, names: tuple[str, ...], consequence: str) -> Fact:
-            said = said_of_events(events, axes, rate, n / rate)
-            spans = tuple((e.first / rate, e.last / rate) for e in events)
-            return Fact(_KIND, f"{said}{then}", names, consequence, spans=spans)  # type: ignore[arg-type]
-
+    def facts(self, refusal: str) -> list[Fact]:
+        """Facts about all events but those that change nothing; they say why there are no coefficients."""
+        facts, every = [], tuple(axis.name for axis in self.axes)
         if self.cut and refusal:
-            spans = tuple((e.first / rate, e.last / rate) for e in self.cut)
-            facts.append(Fact(_KIND, f"no coefficients: {refusal}", every, "not a measurement", spans=spans))
+            facts.append(self._fact(self.cut, every, "not a measurement", f"no coefficients: {refusal}"))
         elif self.cut:
-            used = listed([span(*part, step) for part in self.parts], len(self.parts))
-            then = f": coefficients are of {used}" if used else ": coefficients are of all of it, as asked"
-            facts.append(fact(self.cut, then, every, "none"))
-        for name in dict.fromkeys(axes[e.axes[0]].name for e in self.alone):
-            own = [e for e in self.alone if axes[e.axes[0]].name == name]
-            drawn = ": left out on this axis, and drawn given its other samples"
-            if as_is:
-                facts.append(fact(own, f" ({name} alone): kept, as asked", (name,), "none"))
-            elif name in self.lost:
-                facts.append(fact(own, f" ({name} alone){drawn}", (name,), "widened"))
-            else:
+            step, parts = grid(self.n / self.rate), self.parts
+            used = listed([span(*part, step) for part in parts], len(parts)) or "all of it, as asked"
+            text = f"{self.said(self.cut)}: coefficients are of {used}"
+            out = self.n / self.rate - sum(b - a for a, b in parts) if parts else None
+            fact = self._fact(self.cut, every, "none", text)
+            facts.append(dataclasses.replace(fact, size=out, unit="s"))
+        for name, own in self._alone().items():
+            then, consequence = f" ({name} alone): kept, as asked", "none"
+            if name in self.lost:
+                drawn = "left out on this axis, and drawn given its other samples"
+                then, consequence = f" ({name} alone): {drawn}", "widened"
+            elif not self.as_is:
                 most = f"more than {100.0 * MOST_MISSING:.0f} % of {name}, and of no other axis"
-                facts.append(fact(own, f": {most}", (name,), "not a measurement"))
+                then, consequence = f": {most}", "not a measurement"
+            facts.append(self._fact(own, (name,), consequence, f"{self.said(own)}{then}"))  # type: ignore[arg-type]
         if self.kept:
-            share = 100.0 * float(self.allowance(len(axes)).max())
-            then = f": kept; intervals allow for {plain(share, 1)} % in the Allan deviation"
-            names = tuple(axes[k].name for k in sorted({k for e in self.kept for k in e.axes}))
-            facts.append(fact(self.kept, then, names, "widened"))
+            share = plain(100.0 * float(self.allowance.max()), 1)
+            text = f"{self.said(self.kept)}: kept; intervals allow for {share} % in the Allan deviation"
+            names = tuple(every[k] for k in sorted({k for e in self.kept for k in e.axes}))
+            facts.append(self._fact(self.kept, names, "widened", text))
         return facts
 
+    def _alone(self) -> dict[str, list[Event]]:
+        """Events on one axis alone by its name."""
+        names = dict.fromkeys(self.axes[e.axes[0]].name for e in self.alone)
+        return {name: [e for e in self.alone if self.axes[e.axes[0]].name == name] for name in names}
 
-def _rounded(begin: int, end: int, n: int, rate: float) -> Part:
-    """Start and end [s] of a quiet part, rounded inwards."""
-    step = grid(n / rate)
-    start = np.ceil(begin / rate / step - 1e-9) * step if begin else 0.0
-    stop = np.floor(end / rate / step + 1e-9) * step if end < n else n / rate
-    return round(float(start), 9), round(float(stop), 9)
+    def _fact(
+        self, events: Sequence[Event], names: tuple[str, ...], consequence: Consequence, text: str
+    ) -> Fact:
+        spans = tuple((e.first / self.rate, e.last / self.rate) for e in events)
+        return Fact("disturbances", text, names, consequence, spans=spans)
+
+    def _clause(self, kind: str, events: Sequence[Event]) -> str:
+        """Clause about all events of one kind."""
+        step = grid(self.n / self.rate)
+        places = listed([self._around(e, step) for e in events])
+        largest = max(events, key=lambda e: abs(e.size))
+        axis = self.axes[largest.axis]
+        size = amount(abs(largest.size), axis)
+        if kind in ("noisier", "quieter"):
+            # Two digits, or three where it is near one.
+            ratio = plain(largest.size, 2 if largest.size >= 2.0 else 3)
+            return f"{places} {'is' if len(events) == 1 else 'are'} {ratio} times {kind} than the rest"
+        if kind == "silent":
+            return f"{axis.name} does not change at all in {places}"
+        if kind == "warm-up":
+            until = seconds(events[-1].last / self.rate, step)
+            return f"a warm-up until {until} s, {axis.name} {size} off at first"
+        if kind == "shift":
+            if len(events) == 1:
+                return f"{axis.name} moves by {size} in {places}"
+            return f"the mean moves by up to {size} ({axis.name}) in {places}"
+        middles = listed([f"{seconds(0.5 * (e.first + e.last) / self.rate, step)} s" for e in events])
+        noun, off = ("single value", " off") if kind == "spike" else (kind, "")
+        if len(events) > 1:
+            return f"{len(events)} {noun}s of up to {size}{off} at {middles} (largest: {axis.name})"
+        of = "" if kind == "spike" else "of "
+        return f"a {noun} {of}{size}{off} at {middles} ({axis.name})"
+
+    def _around(self, e: Event, step: float) -> str:
+        """Time span of an event, rounded; outwards if the rounded ends were the same."""
+        first, last = e.first / self.rate / step, e.last / self.rate / step
+        if round(first) == round(last):
+            first, last = np.floor(first), np.ceil(last)
+        return span(step * first, step * last, step)
+
+
+def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which samples are spikes; none where there are too many for that.
+
+    What is left of a sample less the mean of its neighbours is compared with the median of its magnitude.
+    Neighbours of a spike stand out by half as much with the other sign, and not once it is taken away; a
+    step, a knock or a burst is no spike.
+    """
+    left = np.zeros(len(x))
+    left[1:-1] = x[1:-1] - 0.5 * (x[:-2] + x[2:])
+    scale = float(np.median(abs(left))) / _MEDIAN
+    far, found = abs(left) > _FAR * scale, np.zeros(len(x), bool)
+    # Where the scale is zero the output is rounded, and its steps are no spikes.
+    if not scale > 0.0 or far.mean() > 3.0 * _MOST:
+        return found
+    places = np.flatnonzero(far)
+    around = np.pad(left, 2)[places[:, None] + np.arange(5)]
+    size = around[:, 2].copy()
+    largest = abs(size) >= abs(around).max(axis=1)
+    around[:, 1:4] += 0.5 * size[:, None] * [1.0, -2.0, 1.0]
+    found[places] = largest & (abs(around).max(axis=1) <= _FAR * scale)
+    return found if found.mean() <= _MOST else np.zeros(len(x), bool)

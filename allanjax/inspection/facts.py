@@ -1,12 +1,17 @@
-"""Facts about a record: found once when it is inspected, and asked by everything that uses the record."""
+"""Facts about a record, found once when it is inspected; and numbers, times and lists in their words."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
+import numpy as np
+
 from allanjax.base.equality import ByValue
+from allanjax.base.wording import plain
+from allanjax.record.recording import Axis
+from allanjax.record.units import rate_unit_of
 
 #: What a fact means for the coefficients of its axes.
 Consequence = Literal["none", "widened", "not a measurement"]
@@ -25,6 +30,8 @@ _WHY = {
     "gyro unit": "its unit is not plausible",
     "rate": "the sample rate is not plausible",
 }
+# So many words are listed; further ones are counted.
+_NAMED = 3
 # Kinds that a fit does not warn of: it corrects for them, or says so elsewhere.
 _QUIET = ("lines", "jitter", "gaps", "dead axes")
 
@@ -80,3 +87,32 @@ def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:
 def why_no_measurement(kinds: Iterable[str]) -> str:
     """Why coefficients are no measurement of the sensor, given the kinds of the grave facts, in words."""
     return ", ".join(dict.fromkeys(_WHY.get(kind, kind) for kind in kinds))
+
+
+def grid(duration: float) -> float:
+    """Rounding of times [s] in a recording this long: a power of ten, 1 s for 300 to 3000 s."""
+    return float(10.0 ** np.floor(np.log10(duration / 300.0)))
+
+
+def seconds(time: float, step: float) -> str:
+    """Time in s, rounded to a multiple of this step."""
+    digits = max(0, -int(np.floor(np.log10(step))))
+    return f"{round(time / step) * step:.{digits}f}"
+
+
+def span(first: float, last: float, step: float) -> str:
+    """Start and end of a time span, e.g. "6–596 s"."""
+    return f"{seconds(first, step)}–{seconds(last, step)} s"
+
+
+def amount(value: float, axis: Axis, digits: int = 2) -> str:
+    """Rate in the recording's unit, e.g. "0.21 deg/s"."""
+    unit, scale = rate_unit_of(axis.unit, axis.sensor)
+    return f"{plain(value / scale, digits)} {unit}"
+
+
+def listed(words: Sequence[str], most: int = _NAMED) -> str:
+    """Words as a list, e.g. "a, b and c" or "a, b, c and 4 more"."""
+    if len(words) > most:
+        return f"{', '.join(words[:most])} and {len(words) - most} more"
+    return " and ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)

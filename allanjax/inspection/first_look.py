@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.disturbances import Part, Places, Treatment
-from allanjax.inspection.facts import Fact, ordered, warnings_of
-from allanjax.inspection.levels import resolved, saturated
-from allanjax.inspection.motion import motions, rms_within
-from allanjax.inspection.plausible import implausible, short
-from allanjax.inspection.quiet import Event, quiet_parts
-from allanjax.inspection.sampling import sampling_facts, temperature_facts
-from allanjax.inspection.scores import mean_squares
-from allanjax.inspection.spectral import spectral_facts
-from allanjax.inspection.spikes import spikes_in
-from allanjax.inspection.windows import Windows
-from allanjax.inspection.words import (
-    amount,
-    cannot_cut,
-    grid,
-    listed,
-    said_of_events,
-    said_of_motion,
-    span,
+from allanjax.inspection.disturbances import Places, Treatment, spikes_in
+from allanjax.inspection.events import Event, quiet_parts
+from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
+from allanjax.inspection.plausible import (
+    Ends,
+    dead_facts,
+    implausible,
+    resolved,
+    sampling_facts,
+    saturated,
+    short,
+    temperature_facts,
 )
+from allanjax.inspection.scores import mean_squares, motions, rms_within, said_of_motion
+from allanjax.inspection.spectral import spectral_facts
+from allanjax.inspection.windows import Windows
 from allanjax.record.completion import bridged, completed
-from allanjax.record.recording import Axis, Recording
+from allanjax.record.recording import Axis, DeadAxis, Recording
 
+_NOT_EXAMINED = (
+    "not examined in a stream: spikes, lines, interpolated samples, temperature; a stretch that is read as a "
+    "whole (--start, --stop) shows them"
+)
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
 
@@ -76,7 +76,7 @@ class Inspection(ByValue):
     @property
     def stretch(self) -> tuple[float, float] | None:
         """Start and end [s] of the longest part to estimate from; None for all of the recording."""
-        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
+        return _longest(self.parts)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -125,7 +125,12 @@ class Inspection(ByValue):
         """This inspection for samples that cannot be cut any more: where a cut is needed, a refusal."""
         if self.stretch is None:
             return self
-        refusal = cannot_cut(self.said, span(*self.stretch, grid(self.n / self.rate)), self.stretch)
+        start, stop = (f"{time:.6g}" for time in self.stretch)
+        refusal = (
+            f"{self.said}, and what has been accumulated cannot be taken out again; "
+            f"{span(*self.stretch, grid(self.n / self.rate))} would do: read again with start={start}, "
+            f"stop={stop} (--start {start} --stop {stop}), or use all by as_is=True (--as-is)"
+        )
         facts = [fact for fact in self.facts if not fact.text.startswith(self.said)]
         names = tuple(axis.name for axis in self.axes)
         refused = Fact("disturbances", f"no coefficients: {refusal}", names, "not a measurement")
@@ -165,12 +170,11 @@ def inspect(
     Returns:
         The parts to use, and facts. It takes a second or two for 10⁶ samples of six axes.
     """
-    values = recording.values
-    drawn = np.zeros_like(values, bool) if recording.missing is None else recording.missing
+    values = recording.values.T
     # What is drawn in the place of lost samples is no spike of the sensor's.
-    spikes = [_spikes(x, lost) for x, lost in zip(values.T, drawn.T, strict=True)]
+    spikes = [_spikes(x, lost) for x, lost in zip(values, _drawn(recording).T, strict=True)]
     return look(
-        Windows.of(np.column_stack([bridged(x, at) for x, at in zip(values.T, spikes, strict=True)])),
+        Windows.of(np.column_stack([bridged(x, at) for x, at in zip(values, spikes, strict=True)])),
         recording.axes,
         recording.rate,
         name=recording.name,
@@ -193,49 +197,53 @@ def look(
     may_move: bool = False,
     recording: Recording | None = None,
     spikes: Sequence[Bool[np.ndarray, " n"]] = (),
+    ends: Ends | None = None,
+    dead: Sequence[DeadAxis] = (),
 ) -> Inspection:
     """Inspection of a recording with this rate [Hz] that is known by its windows; see `inspect`.
 
     `recording` is the recording itself, and `spikes` say which samples of its axes are isolated ones, where
-    it is in memory; the windows are without these.
+    it is in memory; the windows are without these. Where it is a stream, `ends` are those of its samples, and
+    `dead` its dead axes.
     """
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
     events, quiet = quiet_parts(windows, sensors, may_move)
     treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
-    stretch = max(treatment.parts, key=lambda part: part[1] - part[0], default=None)
-    spikes = [_within(treatment.parts, at, rate) for at in spikes]
+    parts = treatment.parts
+    stretch = _longest(parts)
     part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
-    moving = motions(part, sensors, rate)
+    moving = motions(part, axes, rate)
     about = {sensors[m.axis] for m in moving}
     auxiliary = {} if recording is None else recording.auxiliary
-    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about)
+    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about, vibrating)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # In a wrong unit noise looks like motion.
     wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
     moving = [] if vibrating else [m for m in moving if names[m.axis] not in wrong]
+    refusal = treatment.refusal
     if shown := tuple(dict.fromkeys(names[m.axis] for m in moving)):
         # Two axes that show motion mean that all move.
         concerned = shown if len(shown) == 1 else names
-        facts.append(Fact("at rest", said_of_motion(moving, axes), concerned, "not a measurement"))
-    # The warning about motion comes first, and is reason enough.
-    refusal = "" if as_is or moving else treatment.refusal(axes, rate, n, quiet)
-    facts += treatment.facts(axes, rate, n, as_is, refusal)
-    facts += short(part.n, rate, axes)
+        text = said_of_motion(moving, axes, bool(refusal))
+        facts.append(Fact("at rest", text, concerned, "not a measurement"))
+        # The warning about motion comes first, and is reason enough.
+        refusal = ""
+    spikes = [_within(parts, at, rate) for at in spikes]
     if recording is None:
         found, steps = resolved(part, axes, None)
-        facts += found
+        found += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
+        found += [] if ends is None else saturated(axes, ends, steps)
     else:
         found, steps = _of_samples(recording, part, stretch, spikes)
-        facts += found
     lost = dict(treatment.lost)
-    for axis, at in zip(axes, () if as_is else spikes, strict=False):
+    for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
-            lost[axis.name] = (*lost.get(axis.name, ()), *((int(k), int(k) + 1) for k in np.flatnonzero(at)))
-    note = said_of_events(treatment.harmless, axes, rate, n / rate)
+            lost[axis] = (*lost.get(axis, ()), *((k, k + 1) for k in np.flatnonzero(at).tolist()))
+    harmless = treatment.said(treatment.harmless)
     return Inspection(
         name,
         rate,
@@ -243,15 +251,15 @@ def look(
         tuple(axes),
         mean,
         rms,
-        treatment.parts,
+        parts,
         lost,
         refusal,
-        ordered(facts),
-        (f"{note}: too little to change a coefficient by more than its error",) if note else (),
+        ordered([*facts, *treatment.facts(refusal), *short(part.n, rate, axes), *found]),
+        (f"{harmless}: too little to change a coefficient by more than its error",) if harmless else (),
         events,
-        treatment.said(axes, rate, n),
+        treatment.said(treatment.cut),
         steps,
-        treatment.allowance(len(axes)),
+        treatment.allowance,
     )
 
 
@@ -263,47 +271,63 @@ def _of_samples(
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
     """Facts that the samples themselves show, and the step of each axis."""
     rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
-    drawn = np.zeros_like(recording.values, bool) if recording.missing is None else recording.missing
+    drawn = _drawn(recording)
     own = [x[rows][~lost[rows]] for x, lost in zip(recording.values.T, drawn.T, strict=True)]
     facts, steps = resolved(part, recording.axes, own)
     held = {name for fact in facts if fact.kind == "repeated samples" or fact.grave for name in fact.axes}
-    facts += saturated(recording.axes, own)
+    for k, (axis, x) in enumerate(zip(recording.axes, own, strict=True)):
+        facts += saturated([axis], Ends.of(x[:, None]), steps[k : k + 1])
     whole = np.column_stack([bridged(x, at) for x, at in zip(recording.values.T, spikes, strict=True)])
     facts += spectral_facts(whole[rows], recording.rate, recording.axes, held)
-    facts += [*sampling_facts(recording), *temperature_facts(recording), *_spike_facts(recording, spikes)]
-    return facts, steps
+    facts += [*sampling_facts(recording), *temperature_facts(recording)]
+    return facts + list(_spike_facts(recording, whole, spikes)), steps
+
+
+def _drawn(recording: Recording) -> Bool[np.ndarray, "n axes"]:
+    """Which samples were drawn where some are missing."""
+    return np.zeros_like(recording.values, bool) if recording.missing is None else recording.missing
 
 
 def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Isolated spikes of an axis that change its Allan variance by more than the estimate's own error."""
     at = spikes_in(x) & ~drawn
-    off = (x - bridged(x, at))[at]
-    noise = np.mean(np.diff(bridged(x, at)) ** 2) / 2.0
+    without = bridged(x, at)
+    off, noise = (x - without)[at], np.mean(np.diff(without) ** 2) / 2.0
     few = off @ off <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * len(x) * noise
     return np.zeros_like(at) if few else at
 
 
-def _within(parts: Sequence[Part], at: Bool[np.ndarray, " n"], rate: float) -> Bool[np.ndarray, " n"]:
+def _within(
+    parts: Sequence[tuple[float, float]], at: Bool[np.ndarray, " n"], rate: float
+) -> Bool[np.ndarray, " n"]:
     """Samples of the parts that are used; of all without any."""
     time = np.arange(len(at)) / rate
     inside = [(time >= first) & (time < last) for first, last in parts]
     return at & np.any(inside, axis=0) if parts else at
 
 
-def _spike_facts(recording: Recording, spikes: Sequence[Bool[np.ndarray, " n"]]) -> Iterator[Fact]:
+def _spike_facts(
+    recording: Recording, without: Float[np.ndarray, "n axes"], spikes: Sequence[Bool[np.ndarray, " n"]]
+) -> Iterator[Fact]:
     """Facts about isolated spikes that are left out."""
-    for axis, x, at in zip(recording.axes, recording.values.T, spikes, strict=True):
+    for axis, x, calm, at in zip(recording.axes, recording.values.T, without.T, spikes, strict=True):
         if not at.any():
             continue
-        places, off = np.flatnonzero(at) / recording.rate, abs(x - bridged(x, at)).max()
+        off = float(abs(x - calm).max())
+        places = (np.flatnonzero(at) / recording.rate).tolist()
         said = listed([f"{plain(time, 6)} s" for time in places])
         single = f"{len(places)} single samples" if len(places) > 1 else "a single sample"
         text = (
-            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {said}: left out, and drawn given "
-            "the others"
+            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {said}: left out, and drawn "
+            "given the others"
         )
-        spans = tuple((time, time + 1.0 / recording.rate) for time in places.tolist())
-        yield Fact("spikes", text, (axis.name,), "widened", float(off), "", spans)
+        spans = tuple((time, time + 1.0 / recording.rate) for time in places)
+        yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
+
+
+def _longest(parts: Iterable[tuple[float, float]]) -> tuple[float, float] | None:
+    """The longest of some parts; None without any."""
+    return max(parts, key=lambda part: part[1] - part[0], default=None)
 
 
 def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Recording:

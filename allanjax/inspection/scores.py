@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.inspection.facts import amount
 from allanjax.inspection.windows import Windows
+from allanjax.record.recording import Axis
 
 #: Width of the middle half of a normal law, in standard deviations.
 _HALF_WIDTH = 1.349
@@ -29,6 +32,19 @@ _SOFT = 0.5
 # Shares of equal neighbours between which a lattice ceases to be dithered by the noise: at 0.4 the noise is
 # 0.7 steps, at 0.6 it is 0.4, and the level then rules how often the value changes.
 _DITHERED, _COARSE = 0.4, 0.6
+
+DEG = np.pi / 180.0
+# Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] at rest has. The noisiest consumer
+# gyros have 2 deg/√h, 0.033 deg/s at 1 s, and the noisiest accelerometers 1 mg/√Hz, 0.01 m/s²; a correlated
+# part, or a line, makes up to ten times of it.
+AT_REST = {"gyro": 0.3 * DEG, "accel": 0.15}
+# Cluster times [s] tested: below, vibration and quantization are large at rest, too; above, drift is.
+_SHORTEST, _LONGEST = 0.3, 10.0
+# Largest range of the mean at rest [rad/s or m/s²]: zero-rate levels drift by less than 3 deg/s once a sensor
+# runs, and 0.5 m/s² is a tilt of 3 degrees.
+WANDERS = {"gyro": 3.0 * DEG, "accel": 0.5}
+# Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
+SHAKES = {"gyro": 10.0 * DEG, "accel": 2.0}
 
 #: Scores of axes and groups of axes.
 Scores = Float[np.ndarray, "groups places"]
@@ -155,3 +171,86 @@ def _running(x: Float[np.ndarray, "w axes"], length: int) -> Float[np.ndarray, "
     """Running means over `length` windows."""
     total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
     return (total[length:] - total[:-length]) / length
+
+
+class Motion(NamedTuple):
+    """Evidence that an axis is not at rest.
+
+    Attributes:
+        axis: index of the axis.
+        factor: how much more it moves than any sensor at rest.
+        words: how it moves.
+    """
+
+    axis: int
+    factor: float
+    words: str
+
+
+def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]:
+    """Evidence of motion on every axis that shows it, the strongest last."""
+    # Means over a second at least, or those of the windows if there are too few.
+    over = max(int(np.ceil(rate / windows.size)), 1)
+    whole = len(windows) // over * over
+    mean = windows.mean[:whole].reshape(-1, over, len(axes)).mean(axis=1) if whole else windows.mean
+    within = mean_squares(windows)
+    known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
+    changes = [((1 << k) / rate, np.nanmean(within[k], axis=0)) for k in known]
+    sensors = [axis.sensor for axis in axes]
+    changes += [(s.lag * windows.size / rate, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
+    # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
+    tests = [
+        (
+            f"changes by {{}} (rms) from one {time:.2g} s to the next",
+            np.sqrt(square),
+            AT_REST,
+            2.0 / min(time, 1.0),
+        )
+        for time, square in changes
+        if _SHORTEST <= time <= _LONGEST
+    ]
+    tests += [("wanders over {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
+    tests += [("shakes by {} (rms)", rms_within(windows), SHAKES, 1.0)]
+    found = []
+    for how, values, limits, square in tests:
+        for k, axis in enumerate(axes):
+            limit = limits[axis.sensor] * np.sqrt(square)
+            if values[k] > limit:
+                moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
+                words = f"{axis.name} {moved}, at rest by {most} at most"
+                found.append(Motion(k, values[k] / limit, words))
+    return sorted(found, key=lambda motion: motion.factor)
+
+
+def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
+    """Rms of the samples about the mean of their window."""
+    # The sum of squares about the mean is a weighted sum over the differences of halves of all sizes.
+    scales = 2.0 ** np.arange(len(windows.power))
+    return np.sqrt((windows.power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
+
+
+def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:
+    """Warning that this is no static recording, with the numbers that show it.
+
+    `disturbed` says whether there would be no coefficients for another reason, if it were meant to move.
+    """
+    # The strongest of each sensor, which is the last.
+    reasons = {axes[m.axis].sensor: m.words for m in moving}
+    say = "--vibrating --as-is (vibrating=True, as_is=True)" if disturbed else "--vibrating (vibrating=True)"
+    return (
+        f"this does not look like a static recording: {'; '.join(reasons.values())}. The coefficients are of "
+        "the motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and "
+        f"--stop; if its platform vibrates and is to, say so by {say}"
+    )
+
+
+def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
+    """First index of each run of true values and the one after its last; those up to a gap apart are one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    found: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if found and a - found[-1][1] <= gap:
+            found[-1] = (found[-1][0], b)
+        else:
+            found.append((a, b))
+    return found

@@ -12,8 +12,8 @@ from scipy.fft import irfft, rfft
 
 from allanjax.base.chi_squared import quantile
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import Fact
-from allanjax.inspection.words import listed
+from allanjax.inspection.facts import Fact, listed
+from allanjax.inspection.scores import runs
 from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
@@ -32,20 +32,6 @@ _BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
 # share of second differences is zero where the rate is more than twice their own, and where it is twice; what
 # counts as zero; and the largest squares, in medians, so that single spikes do not matter.
 _LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
-
-
-class SpectralLine(NamedTuple):
-    """A peak in a spectrum that is narrower than anything filters or noise terms make.
-
-    Attributes:
-        axis: index of its axis.
-        frequency: its middle [Hz].
-        share: its share of the axis's power, but for drift.
-    """
-
-    axis: int
-    frequency: float
-    share: float
 
 
 class Spectrum(NamedTuple):
@@ -81,12 +67,7 @@ def spectral_facts(
             yield Fact("interpolation", text, names, "not a measurement", native, "Hz")
     if (spectrum := spectrum_of(values, rate)) is None:
         return
-    lines = lines_in(spectrum)
-    for k in dict.fromkeys(line.axis for line in lines):
-        own_lines = [line for line in lines if line.axis == k]
-        said = [f"{plain(x.frequency, 4)} Hz ({plain(100.0 * x.share, 2)} % of its power)" for x in own_lines]
-        text = f"{axes[k].name} vibrates at {listed(said)}"
-        yield Fact("lines", text, (axes[k].name,), size=own_lines[0].frequency, unit="Hz")
+    yield from _lines(spectrum, axes)
 
 
 def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | None:
@@ -105,24 +86,25 @@ def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | 
     )
 
 
-def lines_in(spectrum: Spectrum) -> list[SpectralLine]:
-    """Lines of all axes, which may wander by some bins, the strongest of each axis first."""
-    found = []
-    for k, level in enumerate(spectrum.level.T):
-        around = _around(level)
-        many = 2.0 * spectrum.segments
+def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
+    """Facts about peaks that are narrower than anything filters or noise terms make."""
+    for axis, level in zip(axes, spectrum.level.T, strict=True):
+        around, many = _around(level), 2.0 * spectrum.segments
         # The median of as many bins is known to some ten per cent.
-        limit = 1.2 * float(quantile(1.0 - _CHANCE / len(level), many)) / many
-        above = level > limit * around
+        above = level > 1.2 * float(quantile(1.0 - _CHANCE / len(level), many)) / many * around
         above[:_LOWEST] = False
         excess = np.where(above, level - around, 0.0)
-        own = [
-            SpectralLine(k, float(spectrum.frequency[a:b] @ excess[a:b] / excess[a:b].sum()), float(share))
-            for a, b in _runs(above)
-            if (share := excess[a:b].sum() / level[_DRIFT:].sum()) > _SLIGHT
+        # Share of the axis's power but for drift, and middle.
+        lines = [
+            (power / level[_DRIFT:].sum(), float(spectrum.frequency[a:b] @ excess[a:b] / power))
+            for a, b in runs(above, 1)
+            if (power := excess[a:b].sum()) > _SLIGHT * level[_DRIFT:].sum()
         ]
-        found += sorted(own, key=lambda line: -line.share)
-    return found
+        if lines:
+            lines.sort(key=lambda line: -line[0])
+            said = [f"{plain(at, 4)} Hz ({plain(100.0 * share, 2)} % of its power)" for share, at in lines]
+            text = f"{axis.name} vibrates at {listed(said)}"
+            yield Fact("lines", text, (axis.name,), size=lines[0][1], unit="Hz")
 
 
 def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
@@ -177,12 +159,15 @@ def interpolated_from(
         square = np.minimum(square, _TAIL * np.median(square))
         total = total + abs(rfft(square / square.mean() - 1.0)) ** 2
     total = np.asarray(total)
+    total[0] = total[1]
     ratio, ends = total / _around(total), max(len(total) // 50, _FAR)
+    slow = ratio[_NEAR:ends].max()
     ratio[:ends] = 0.0
     # Of samples with one between two of the sensor's, half of the second differences are zero.
     ratio[-ends : None if straight < _TWICE else -1] = 0.0
     k = int(np.argmax(ratio))
-    if ratio[k] < _CLEAR:
+    # Bursts at regular times have a line with harmonics, of which the lowest are the clearest.
+    if ratio[k] < max(_CLEAR, slow):
         return None
     line = k * rate / len(second)
     return line if straight > _STRAIGHT else rate - line
@@ -201,15 +186,3 @@ def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         medians = np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
         left, right = medians[: len(logs)], medians[_FAR + _NEAR + 1 :][: len(logs)]
         return np.exp(np.nanmean([left, right], axis=0))
-
-
-def _runs(mask: Bool[np.ndarray, " m"]) -> list[tuple[int, int]]:
-    """First index of each run of true values and the one after its last; runs a bin apart are one."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    runs: list[tuple[int, int]] = []
-    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if runs and a - runs[-1][1] <= 1:
-            runs[-1] = (runs[-1][0], b)
-        else:
-            runs.append((a, b))
-    return runs

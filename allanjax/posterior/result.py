@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration
@@ -150,7 +150,7 @@ def lowest_point(
     )
 
 
-class PosteriorWarning(UserWarning):
+class PosteriorWarning(AllanjaxWarning):
     """A posterior whose chain has not converged."""
 
 

@@ -36,12 +36,14 @@ from allanjax.report.figure import (
 
 _BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY = COLOURS
 _MEDIAN, _OUTLYING, _LIMIT = _BLUE, _RED, "0.6"
+# Points of axes with remarks.
+_HOLLOW: dict[str, Any] = {"markerfacecolor": "white", "markeredgewidth": 0.9, "markersize": 3.8}
 # Colours of each group's points; the first one if there is a single group.
 _GROUPS = (POINTS, _GREEN, _PURPLE, _ORANGE, _SKY, "0.5")
 
 # Inches: places are fixed, so that nothing can overlap.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
-_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.75, 0.65
+_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.95, 0.65
 _NAME_HEIGHT = 0.125
 # Most letters of a unit's name beside its point, the last ones; width of a letter as a share of the panel.
 _LONGEST, _LETTER = 18, 0.0115
@@ -74,9 +76,11 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
 
     Points are the units' estimates with their 95 % intervals, axis beside axis, group beside group, the units
     of each in the order of the table; hollow triangles are the 95 % limits of units in which the coefficient
-    was not detected. Outlying units are red and named. Blue are the median of the others' estimates in their
-    group and the band of 90 % of them. Coefficients that no unit determines, or that were held, have no
-    panel. The recordings of up to twelve units are named in the title.
+    was not detected. Hollow circles are of axes with remarks (corrected, incomplete, partly left out); grey
+    crosses are not a measurement of the sensor, and in no statistic. Outlying units are red and named. Blue
+    are the median of the others' estimates in their group and the band of 90 % of them. Coefficients that no
+    unit determines, or that were held, have no panel. The recordings of up to twelve units are named in the
+    title.
 
     Args:
         table: of a fleet's coefficients, `FleetResult.table`.
@@ -126,11 +130,12 @@ def plot_fleet_result(fleet: FleetResult, path: str | os.PathLike[str] | None = 
 
 
 def _drawn(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows with an estimate and its interval, or a limit; `height` is where they are drawn."""
-    height = np.where(table["detected"], table["value"], table["upper_limit_95"])
-    # Neither a value that was held nor one without an error is an estimate.
+    """Rows with an interval, a limit, or no measurement; `height` is where they are drawn."""
+    height = np.where(table["detected"] | ~table["measured"], table["value"], table["upper_limit_95"])
+    # Neither a value that was held nor one without an error is an estimate; zero is no fitted value.
     estimated = table["lower_95"] < table["upper_95"]
-    return table.assign(height=height)[np.isfinite(height) & (estimated | ~table["detected"])]
+    shown = np.where(table["measured"], estimated | ~table["detected"], table["value"] != 0.0)
+    return table.assign(height=height)[np.isfinite(height) & shown]
 
 
 def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
@@ -158,10 +163,15 @@ def _facts(table: pd.DataFrame, letters: int) -> list[str]:
 
 def _key(table: pd.DataFrame) -> list[Any]:
     """Entries of the key for points, lines and bands."""
-    hollow: dict[str, Any] = {"marker": "v", "markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
+    no_line: dict[str, Any] = {"markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
+    remarked = (table["measured"] & (table["remarks"] != "")).any()
+    hollow = Line2D([], [], color=POINTS, marker="o", label="with a remark", **{**no_line, "linewidth": 0.8})
+    cross = Line2D([], [], color=_LIMIT, marker="x", label="not a measurement", **no_line)
     return [
         *(points_entry(name, colour) for name, colour in _group_colours(table)),
-        Line2D([], [], color=_LIMIT, label="not detected: 95 % limit", **hollow),
+        *([hollow] if remarked else []),
+        *([] if table["measured"].all() else [cross]),
+        Line2D([], [], color=_LIMIT, marker="v", label="not detected: 95 % limit", **no_line),
         points_entry("outlying", _OUTLYING),
         Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
         Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
@@ -219,19 +229,23 @@ def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: list[str]) -> None
 def _draw_group(panel: Axes, of: pd.DataFrame, colour: str) -> None:
     """Draw the values of a group's units on one axis, and the band of most of them."""
     x, y, detected, outlying = (of[name].to_numpy() for name in ("x", "height", "detected", "outlying"))
+    measured, remarked = of["measured"].to_numpy(), (of["remarks"] != "").to_numpy()
     usual = detected & ~outlying
     if usual.any():
         low, median, high = np.quantile(y[usual], (_BAND[0], 0.5, _BAND[1]))
         reach = [x[0] - _BESIDE_POINTS, x[-1] + _BESIDE_POINTS]
         panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
         panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
-    panel.plot(x[~detected], y[~detected], "v", color=_LIMIT, mfc="none", markersize=3.5, mew=0.7)
+    limit = ~detected & measured
+    panel.plot(x[limit], y[limit], "v", color=_LIMIT, mfc="none", markersize=3.5, mew=0.7)
+    panel.plot(x[~measured], y[~measured], "x", color=_LIMIT, markersize=4.0, mew=0.9)
     # Many units' bars must not hide their points.
     bars = 0.8 if len(of) <= _MANY else 0.4
     ends = np.nan_to_num(np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y]), posinf=0.0)
     for rows, shown, zorder in ((usual, colour, 3), (outlying, _OUTLYING, 4)):
-        look = {**marks(2.6), "color": shown, "elinewidth": bars, "zorder": zorder}
-        panel.errorbar(x[rows], y[rows], np.maximum(ends[:, rows], 0.0), **look)
+        for part, more in ((rows & ~remarked, {}), (rows & remarked, _HOLLOW)):
+            look = {**marks(2.6), "color": shown, "elinewidth": bars, "zorder": zorder, **more}
+            panel.errorbar(x[part], y[part], np.maximum(ends[:, part], 0.0), **look)
 
 
 def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:

@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import bench
@@ -146,6 +148,28 @@ def test_check_says_look_or_stop_and_the_lengths():
     told = document["checks"][0]["lengths"]
     assert len(told) == len(expected.lengths) > 0
     assert {entry["detected"] for entry in told} == {True, False}
+
+
+# What happens while a command runs, and what of it is printed.
+WARNED = [
+    ('warnings.warn("divide by zero", RuntimeWarning)', ""),
+    ('warnings.warn_explicit("no default style", UserWarning, "/lib/openpyxl/style.py", 237)', ""),
+    ('logging.getLogger("jax._src.xla_bridge").warning("no GPU")', ""),
+    (
+        'warnings.warn("a cache that is full", allanjax.base.errors.AllanjaxWarning)',
+        "warning: a cache that is full\n",
+    ),
+]
+
+
+@pytest.mark.parametrize(("happens", "printed"), WARNED)
+def test_warnings_of_libraries_do_not_reach_a_user(happens, printed):
+    """In a process of its own, as pytest takes warnings for itself."""
+    code = "import logging, sys, warnings, allanjax.base.errors, allanjax.cli.schema as s\n"
+    code += "from allanjax.cli.app import main\n"
+    code += f"s.print_json = lambda _: {happens}\nsys.argv[1:] = ['schema', 'fleet']\nmain()"
+    done = subprocess.run([sys.executable, "-W", "always", "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, printed)
 
 
 def test_reading_options_are_those_of_read():

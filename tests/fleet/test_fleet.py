@@ -15,7 +15,7 @@ from imu_columns import refused
 import allanjax as aj
 
 COLUMNS = {
-    "recording file group axis sensor coefficient unit terms warnings": "str",
+    "recording file group axis sensor coefficient unit terms remarks warnings": "str",
     "value std lower_95 upper_95 upper_limit_95 p_value start_s stop_s": "float64",
     "detected measured outlying": "bool",
 }
@@ -172,13 +172,57 @@ def test_rows_of_a_stored_fit(three):
     result = three.run(three.files)
     assert result.errors == ({"file": str(three.files[1]), "message": "gyro_y: no result, constant"},)
     assert len(result.table) == 3
-    both = [coefficient(ARW, 1.0, 0.1), coefficient("sinusoid", 2.0, 0.1)]
+    both = [coefficient(ARW, 1.0, 0.1), coefficient("sinusoid", 2.0, 0.1, unit="Hz")]
     sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
-    corrected = {"extension": {"further": ["sinusoid"]}, "selection": sets}
-    for more, labels, last in ((corrected, [ARW], "flicker"), ({}, [ARW, "sinusoid"], "sinusoid")):
+    extension = {"further": ["sinusoid"], "model": [{"term": "sinusoid"}]}
+    corrected = {"extension": extension, "selection": sets}
+    for more, labels, last, remark in (
+        (corrected, [ARW], "flicker", "line 2 Hz"),
+        ({}, [ARW, "sinusoid"], "sinusoid", ""),
+    ):
         three.store("b", [axis("gyro_x", both, **more)])
-        table = three.run(three.files[1:2]).table
-        assert (table["coefficient"].tolist(), {*table["terms"]}) == (labels, {f"{ARW} + {last}"})
+        result = three.run(three.files[1:2])
+        table = result.table
+        found = table["coefficient"].tolist(), {*table["terms"]}, {*table["remarks"]}
+        assert found == (labels, {f"{ARW} + {last}"}, {remark})
+        assert any("b (gyro_x) are corrected" in note for note in result.notes) == bool(remark)
+
+
+@pytest.mark.usefixtures("no_windows")
+def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
+    """A unit with a line on one axis, one that clips, one that was knocked, and two without a remark."""
+    n, rng, about = 2048, np.random.default_rng(5), {"gyro_unit": "rad/s", "names": ["gyro_x", "gyro_y"]}
+    units = {unit: 1e-3 * rng.standard_normal((n, 2)) for unit in ("calm", "line", "clips", "knock", "still")}
+    units["line"][:, 1] += 1e-3 * np.sin(2.0 * np.pi * 7.3 * np.arange(n) / 100.0)
+    units["clips"][:, 0] = np.minimum(np.round(units["clips"][:, 0], 5), 5e-4)
+    units["knock"][500:540] += 0.3 * rng.standard_normal((40, 2))
+    for unit, x in units.items():
+        aj.write(aj.Recording.from_array(x, 100.0, **about), tmp_path / f"{unit}.parquet")
+    told = aj.characterize_fleet(tmp_path / "*", tmp_path / "out", "N + K", plain=True, scheduler=cluster)
+    found = told.table.groupby(["recording", "axis"])["remarks"].unique().map(", ".join).to_dict()
+    used = sum(stop - start for start, stop in aj.inspect(aj.read(tmp_path / "knock.parquet")).parts)
+    expected = dict.fromkeys(found, "length 20 s")
+    expected["line", "gyro_y"] = "incomplete, length 20 s, line 7.3 Hz"
+    # 5e-4 is half a standard deviation, above which 31 % are.
+    expected["clips", "gyro_x"] = "not a measurement, saturation 31 %, length 20 s"
+    expected |= {("knock", f"gyro_{k}"): f"cut {20.48 - used:.2g} s, length {used:.2g} s" for k in "xy"}
+    assert found == expected
+    (error,) = told.errors
+    assert error["file"] == str(tmp_path / "clips.parquet")
+    assert error["message"] == "gyro_x: not a measurement of this sensor: its range was exceeded"
+    text, odd = str(told), "3 units have a structure unlike that of most others: "
+    for words in (
+        "4 of 4",
+        "clips (gyro_x) are not a measurement",
+        "line (gyro_y) are of an incomplete model",
+        odd,
+    ):
+        assert words in text
+    # One unit's crosses, and hollow circles of all units, which are short.
+    (panel, *_) = told.plot().axes
+    assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "x") == 1
+    hollow = [line for line in panel.lines if line.get_markerfacecolor() == "white"]
+    assert sum(len(line.get_xdata()) for line in hollow) == 9
 
 
 def test_recordings_that_are_left_out_are_told(three):

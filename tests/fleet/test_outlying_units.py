@@ -123,7 +123,7 @@ def test_what_has_no_error_is_neither_marked_nor_compared_with(fleet):
     for spoilt in (unmeasured, {"interval_95": [8.0, 8.0]}):
         result = of_units(fleet, values, 0.025, lambda u, spoilt=spoilt: spoilt if u > 5 else {})
         assert marks(result) == [("unit_5", "gyro_x")]
-        assert any("unit_6 gyro_x" in note for note in result.notes) == (spoilt is unmeasured)
+        assert any("unit_6 (gyro_x)" in note for note in result.notes) == (spoilt is unmeasured)
     # Of an interval the end that faces the others counts.
     values = [3.0, 1.0, 1.03, 0.97, 1.01, 0.99]
     for ends, found in (([0.3, 3.1], []), ([2.8, 30.0], [("unit_0", "gyro_x")])):
@@ -184,7 +184,12 @@ def test_warnings_and_what_is_no_measurement_are_told(fleet):
         fleet.store(f"unit_{u}", both, warnings=warnings, stretch_s=[u, 9.0])
     result = fleet.run([fleet.file(f"unit_{u}") for u in range(4)])
     assert marks(result) == []
-    told = ("2 recordings", "unit_1, unit_2: too short", "unit_2: 0–5 s are noisier", "unit_0 gyro_x, gyro_y")
+    told = (
+        "2 recordings",
+        "unit_1, unit_2: too short",
+        "unit_2: 0–5 s are noisier",
+        "unit_0 (gyro_x, gyro_y)",
+    )
     assert all(word in note for word, note in zip(told, result.notes[:4], strict=True))
     table = result.table.groupby("recording", sort=False).first()
     assert table["warnings"].tolist() == ["", "too short", "0–5 s are noisier\ntoo short", ""]

@@ -1,14 +1,18 @@
 """What is seen in a recording before its coefficients are estimated."""
 
+import json
+import re
+
 import bench
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.signal
+from commands import run
 from golden_records import CLEAN, PLAIN, SHAPED
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 import allanjax as aj
-from allanjax.inspection import Windows
 
 RATE, N = 100.0, 30_000
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
@@ -41,39 +45,6 @@ def motion(seed, n):
     band = scipy.signal.butter(2, (0.3, 8.0), "bandpass", fs=RATE, output="sos")
     x = scipy.signal.sosfilt(band, np.random.default_rng(seed).standard_normal((n + 500, 6)), axis=0)[500:]
     return x / np.std(x, axis=0)
-
-
-def test_windows_are_sums_of_squares_by_brute_force():
-    x = np.random.default_rng(0).integers(-30, 30, (100_000, 2)) / 8.0
-    w = Windows.of(x)
-    assert (w.size, len(w), len(w.rest), w.n) == (128, 781, 32, 100_000)
-    whole = x[: 781 * 128].reshape(781, 128, 2)
-    for k, scale in enumerate(2 ** np.arange(7)):
-        squares = np.diff(whole.reshape(781, -1, 2, scale, 2).mean(axis=3), axis=2)[:, :, 0] ** 2
-        assert_allclose(w.power[k], squares.sum(axis=1), rtol=1e-12)
-        assert (w.pairs[k] == 64 // scale).all()
-        if scale == 1:
-            assert_allclose(w.peak, np.sqrt(squares.max(axis=1)), rtol=1e-12)
-    assert_allclose(w.mean, whole.mean(axis=1), atol=1e-12)
-    assert_array_equal([w.low, w.high], [whole.min(axis=1), whole.max(axis=1)])
-    # Neighbours in blocks of sixteen.
-    assert_array_equal(w.repeats, np.sum(np.diff(whole.reshape(781, 8, 16, 2), axis=2) == 0.0, axis=(1, 2)))
-    assert_allclose(w.resolution, 0.125)
-
-
-def test_windows_of_a_stream_are_those_of_the_whole_and_merged_ones_hold_every_sample():
-    x = np.random.default_rng(1).standard_normal((70_001, 2))
-    whole = Windows.of(x)
-    for chunk in (17, 5000, 40_000):
-        stream = Windows.of(x[:0])
-        for k in range(0, len(x), chunk):
-            stream = stream.updated(x[k : k + chunk])
-        for name in ("size", "count", "mean", "low", "high", "power", "pairs", "peak", "repeats", "rest"):
-            assert_allclose(getattr(stream, name), getattr(whole, name), rtol=1e-9, err_msg=name)
-    merged = Windows.of(x[:33_333]).merge(Windows.of(x[33_333:])).closed()
-    assert merged.n == merged.count.sum() == len(x)
-    assert_allclose(merged.count @ merged.mean, x.sum(axis=0), rtol=1e-9)
-    assert_allclose([merged.low.min(), merged.high.max()], [x.min(), x.max()])
 
 
 def ringing(at, t):
@@ -131,20 +102,6 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     assert f"start={start:g}, stop={stop:g}" in seen.uncut().refusal
     moved = aj.inspect(own(touched), may_move=True).stretch
     assert (moved is None) == (kind in ("step", "shift", "warm-up"))
-
-
-def test_mean_and_rms_of_a_whole_record_are_those_of_its_samples():
-    x = values(21, 29_993)
-    seen = aj.inspect(recording(x))
-    assert (seen.n, seen.rate, seen.name, seen.stretch, seen.warnings) == (29_993, RATE, "bench", None, ())
-    assert_allclose(seen.mean, x.mean(axis=0), rtol=1e-9)
-    assert_allclose(seen.rms, x.std(axis=0), rtol=1e-3)
-
-
-def test_a_fit_is_of_the_quiet_part():
-    fit, seen = bench.fit("handled"), aj.inspect(bench.recording("handled"))
-    assert (fit.stretch, fit.warnings) == (seen.stretch, seen.warnings)
-    assert aj.to_dict(fit)["stretch_s"] == list(seen.stretch)
 
 
 def test_what_changes_no_coefficient_is_a_note():
@@ -213,6 +170,10 @@ def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
     fit = accumulator.fit("N + K")
     assert not fit.converged
     assert "start={:g}, stop={:g}".format(*whole.stretch) in fit["gyro_x"].reason
+    # What it says to read has a result.
+    calm = aj.AllanAccumulator(RATE, NAMES)
+    calm.update(x[slice(*(round(time * RATE) for time in whole.stretch))])
+    assert calm.fit("N + K")["gyro_x"].measured
 
 
 def _share(path, sensor):
@@ -250,13 +211,6 @@ def test_motion_is_what_no_sensor_does(axis, path, limit):
     assert aj.inspect(recording(x)).moving == tuple(range(6))
 
 
-def test_what_moves_is_no_measurement_of_the_sensor():
-    x = values(12, 16_384)[:, :3] + 0.2 * WAVES[:16_384, None] * [1, 0, 0]
-    found = aj.fit(recording(x), "N + K", plain=True)
-    assert [result.measured for result in found.values()] == [False, True, True]
-    assert np.isnan(found["gyro_x"]["N"].std)
-
-
 # Factors of the numbers or a bias [deg/s], and their units; the option that is named, if anything is said.
 PLAUSIBLE = [
     ({"accel": 1 / G}, "--accel-unit g"), ({"accel_unit": "g"}, "--accel-unit m/s^2"),
@@ -282,6 +236,10 @@ def test_units_that_can_and_cannot_be():
         kind = "accel unit" if any("accel" in key for key in change) else "gyro unit"
         assert [fact.kind for fact in seen.facts] == [kind] * bool(option), change
         assert all(option in fact.text and fact.grave for fact in seen.facts), change
+        if len(words := option.split()) == 2:
+            followed = units | {words[0][2:].replace("-", "_"): words[1]}
+            rate = float(followed.pop("rate", RATE))
+            assert aj.inspect(recording(x, rate, **followed)).facts == ()
 
 
 def test_noise_that_no_gyro_has():
@@ -375,6 +333,7 @@ FACTS = {
     "31 Hz": (lambda x: between(x, 31.25), "interpolation", "xyz", "grave"),
     "80 Hz": (lambda x: between(x, 80.0), "interpolation", "xyz", "grave"),
     "50 Hz": (lambda x: between(x, 50.0), "interpolation", "xyz", "grave"),
+    "moved": (lambda x: x + 0.2 * WAVES[:20_000, None] * [1, 0, 0], "at rest", "x", "grave"),
     "few levels": (lambda x: put(x, ..., 0, lambda y: 1.5 * SIGMA[0] * np.round(y / 1.5 / SIGMA[0])),
                    "resolution", "x", "widened"),
     "spikes": (lambda x: put(x, SOME, 1, lambda y: y + 90.0 * SIGMA[1]), "spikes", "y", "widened"),
@@ -396,9 +355,21 @@ def test_a_fact_reaches_whoever_uses_the_record(what):
     (fact,) = (fact for fact in fit.facts if fact.kind == kind)
     assert (fact.axes, fact.consequence) == (names, consequence)
     assert aj.inspect(told).facts == aj.select_terms(told, "N + K").facts == fit.facts
+    assert aj.inspect(told).parts == fit.parts
     assert aj.check(told)[kind].verdict == ("stop" if means == "grave" else "look")
     assert (fact.text in fit.warnings) == (means != "")
     assert fact.to_dict() in aj.to_dict(fit)["facts"]
+    # Of a stream in two pieces what takes the samples themselves is said to be left out.
+    pieces = aj.AllanAccumulator(RATE, told.names), aj.AllanAccumulator(RATE, told.names, start=9999)
+    for piece, samples in zip(pieces, np.split(told.values, [9999]), strict=True):
+        for part in np.array_split(samples, 5):
+            piece.update(part)
+    of_stream = pieces[0].merge(pieces[1]).inspect().facts
+    assert "not examined" in [other.kind for other in of_stream]
+    if kind in ("saturation", "resolution"):
+        (same,) = (other for other in of_stream if other.kind == kind)
+        assert (same.axes, same.consequence) == (names, consequence)
+        assert same.size == pytest.approx(fact.size, rel=0.02)
     assert tuple(fit.not_measured) == (names if means == "grave" else ())
     for name, result, true in zip(fit.axes, fit.results, N, strict=True):
         if result.measured and what != "line":
@@ -406,3 +377,43 @@ def test_a_fact_reaches_whoever_uses_the_record(what):
             assert abs(c.value - true) < 4.0 * c.std, name
             assert c.std < (2.0 if name not in names else 60.0) * usual, name
             assert c.interval[0] < c.value < c.interval[1]
+
+
+def loud(first, last, every=4096, by=20.0):
+    """Six axes that are louder in a span of samples, and in others as long."""
+    rows = np.flatnonzero((np.arange(4096) - first) % every < last - first)
+    return put(values(17, 4096), rows, slice(None), lambda y: LEVEL + by * (y - LEVEL))
+
+
+# Samples, how many times faster than true their stamps are, other columns; and the remedies that are printed,
+# with the words that follow each, or None where there is nothing to follow it by.
+STRETCH, WARM = "--start and --stop", np.sin(TIME[:4096] / 4.0)
+REMEDIES = {
+    "two times": (values(17, 4096), 2.5, {"uptime": TIME[:4096]},
+                  {"--time uptime": "", "--time none --rate 100": ""}),
+    "moved": (loud(300, 400, 400, 200.0), 1.0, {}, {STRETCH: "--stop 2.5", "--vibrating --as-is": ""}),
+    "vibrating": (loud(0, 4096, by=150.0), 1.0, {}, {STRETCH: None, "--vibrating": ""}),
+    "touched": (loud(300, 400, 400), 1.0, {}, {STRETCH: "--stop 2.5", "--as-is": ""}),
+    "loud": (loud(1200, 4096), 1.0, {}, {STRETCH: "--stop 11", "--as-is": ""}),
+    "warm": (values(17, 4096) + 2.0 * SIGMA * WARM[:, None], 1.0, {"temperature": WARM},
+             {"--objective whittle --regressors temperature": ""}),
+}  # fmt: skip
+# Options that belong together, with their values.
+OPTION = re.compile(r"(?:(?: |^)(?:and )?--[a-z-]+(?: (?!and)[a-z/0-9^]+(?![\w ]*=))?)+")
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("what", REMEDIES)
+def test_every_remedy_that_a_check_names_leads_to_a_result(what):
+    x, faster, others, remedies = REMEDIES[what]
+    units = 3 * ["rad/s"] + 3 * ["m/s^2"]
+    columns = {f"{name} [{unit}]": y for name, unit, y in zip(NAMES, units, x.T, strict=True)}
+    pd.DataFrame({"time [s]": TIME[:4096] / faster, **columns, **others}).to_csv("log.csv", index=False)
+    (check,) = json.loads(run("check", "log.csv", "--json").stdout)["checks"]
+    told = " ".join(line["reason"] for line in check["lines"])
+    assert {" ".join(found.split()) for found in OPTION.findall(told)} == {*remedies}
+    for remedy, words in remedies.items():
+        if words is not None:
+            words = words or remedy
+            done = run("characterize", "log.csv", *words.split(), "--terms", "N", "--json")
+            assert (done.exit_code, done.stderr) == (0, ""), words

@@ -24,6 +24,7 @@ def coefficient(label: str, value: float, error: float, limit: float | None = No
 
 def axis(name: str, coefficients: Sequence[dict], **more: Any) -> dict:
     of_all = {"name": name, "sensor": name.split("_")[0], "converged": True, "reason": "", "p_value": 0.5}
+    of_all |= {"measured": all(c["measured"] for c in coefficients), "not_measured": [], "discrepancy": 0.0}
     return of_all | {"coefficients": list(coefficients), "selection": None, "extension": None} | more
 
 
@@ -50,7 +51,7 @@ class Fleet:
         path = (path or self.file(name)).resolve()
         size, modified = path.stat().st_size, path.stat().st_mtime_ns
         key = self.key | {"path": str(path), "size": size, "modified_ns": modified}
-        fit = {"axes": list(axes), "name": name, "warnings": [], "stretch_s": None} | more
+        fit = {"axes": list(axes), "name": name, "warnings": [], "facts": [], "stretch_s": None} | more
         folder = self.out / "recordings"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / f"{name}.json").write_text(json.dumps({"key": key, "fit": fit}), encoding="utf-8")

@@ -10,7 +10,7 @@ from allanjax.critic.cause import Cause
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.inspection.levels import lattice
+from allanjax.inspection.plausible import lattice
 
 _LEAST, _DOUBTLESS, _PREDICTED = (
     judged("repeated_samples", name) for name in ("count", "deviations", "share")

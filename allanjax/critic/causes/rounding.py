@@ -8,7 +8,7 @@ from allanjax.critic.cause import Cause
 from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.inspection.levels import TOLERANCE, lattice
+from allanjax.inspection.plausible import TOLERANCE, lattice
 
 #: Resolution over the deviation of the noise below which rounding does no harm.
 HARMLESS = judged("rounding", "harmless")

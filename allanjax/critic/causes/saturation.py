@@ -8,7 +8,7 @@ from allanjax.critic.cause import Cause
 from allanjax.critic.causes.imputation import draw_between
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.inspection.levels import is_piled_up, lattice
+from allanjax.inspection.plausible import Ends, lattice
 from allanjax.noise.estimate import Estimate
 
 
@@ -21,7 +21,8 @@ class Saturation(Cause):
     def detect(self, view: View) -> Candidate | None:
         raw, recorded = view.raw, view.recorded(view.raw)
         q = lattice(recorded)
-        sides = [side for side in (1.0, -1.0) if is_piled_up(side * recorded, q)]
+        piled_up = Ends.of(recorded[:, None]).piled_up(np.array([q or 0.0]))[:, 0]
+        sides = [side for side, is_there in zip((1.0, -1.0), piled_up, strict=True) if is_there]
         if not sides:
             return None
         lower, upper = view.samples.copy(), view.samples.copy()
