@@ -173,14 +173,11 @@ def cluster_sizes(most: int) -> np.ndarray:
     return np.unique(sizes[sizes <= max(most, 1)])
 
 
-def deviation(model: Any, times: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.asarray(model.allan_variance(times)))
-
-
 def off_by(model: Any, x: np.ndarray, rate: float) -> float:
     """Largest relative error of the model's Allan deviation where 1,000 clusters or more were averaged."""
     sizes = cluster_sizes(len(x) // CLUSTERS)
-    return float(np.max(np.abs(deviation(model, sizes / rate) / overlapping(x, sizes) - 1.0)))
+    expected = np.sqrt(np.asarray(model.allan_variance(sizes / rate)))
+    return float(np.max(np.abs(expected / overlapping(x, sizes) - 1.0)))
 
 
 def coverage(coefficients: dict[str, Any], truth: AxisTruth) -> list[tuple[str, bool]]:
