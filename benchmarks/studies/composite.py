@@ -77,7 +77,7 @@ def kinds_table(found: list[Outcome]) -> str:
     return table(["kind", "named on all axes", "effects", "axes", "right names"], rows)
 
 
-def alone_table(found: list[tuple[str, float, list[tuple[str, bool]]]]) -> str:
+def alone_table(found: list[Alone]) -> str:
     """What the fit says of axes with nothing but what it corrects for."""
     rows = []
     for way in dict.fromkeys(way for way, _, _ in found):
@@ -112,6 +112,8 @@ NAMED: dict[str, set[str]] = {
 SHARED, SHARING = {"knock", "event", "resonance"}, "common_mode"
 #: What `fit` corrects for.
 CORRECTED = {"filter", "resonance", "line"}
+#: By which fit, the error of an axis's Allan deviation, and what its intervals hold.
+Alone = tuple[str, float, list[tuple[str, bool]]]
 #: Labels of the coefficients that the truth has.
 LABELS = {"N": "angle_random_walk", "K": "rate_random_walk", "T_c": "markov_correlation_time"}
 
@@ -125,8 +127,7 @@ class Outcome:
         covered: symbol and whether its interval holds the truth.
         named: kind, axes asked for, those of them on which it was named.
         cut: effects in parts of the record that the fit left out.
-        alone: of an axis with nothing but what `fit` corrects for: by which fit, error of the Allan deviation
-            and what is covered before the critique.
+        alone: of axes with nothing but what `fit` corrects for.
     """
 
     seed: int
@@ -138,7 +139,7 @@ class Outcome:
     covered: list[tuple[str, bool]] = field(default_factory=list)
     named: list[tuple[str, int, int]] = field(default_factory=list)
     cut: int = 0
-    alone: list[tuple[str, float, list[tuple[str, bool]]]] = field(default_factory=list)
+    alone: list[Alone] = field(default_factory=list)
 
 
 # --- What the critic's API gives ---------------------------------------------------------------------------
@@ -243,6 +244,8 @@ def judged(seed: int, clean: bool, samples: int) -> Outcome:
         critique = aj.critique(recording)
         outcome.seconds = time.perf_counter() - begun
         judge(outcome, critique, recording, made)
+        if {effect.kind for effect in made.effects} <= CORRECTED:
+            outcome.alone = fits_alone(recording, made)
     except Exception as error:
         outcome.seconds = outcome.seconds or time.perf_counter() - begun
         where = traceback.extract_tb(error.__traceback__)[-1]
@@ -254,20 +257,24 @@ def judged(seed: int, clean: bool, samples: int) -> Outcome:
     return outcome
 
 
+def fits_alone(recording: aj.Recording, made: Composite) -> list[Alone]:
+    """What `fit`, and its plain terms, make of each axis."""
+    found = []
+    for x, own in zip(recording.values.T, aj.fit(recording, as_is=True).results, strict=True):
+        for way, of in (("`fit` alone", own), ("its plain terms", own.plain or own)):
+            if of.converged:
+                off = off_by(of.model.sampled(recording.rate), x, recording.rate)
+                found.append((way, off, coverage(of.coefficients, made.axes[of.axis.name])))
+    return found
+
+
 def judge(outcome: Outcome, critique: Any, recording: aj.Recording, made: Composite) -> None:
     findings, fit = list(critique.findings), critique.refit()
     for k, axis in enumerate(recording.names):
-        record, rate, truth = recording.values[:, k], critique.rate, made.axes[axis]
-        rest, model = explained(critique, axis, record)
-        outcome.off[axis] = off_by(model, rest, rate)
+        rest, model = explained(critique, axis, recording.values[:, k])
+        outcome.off[axis] = off_by(model, rest, critique.rate)
         if axis in fit.axes and fit[axis].converged:
-            outcome.covered += coverage(fit[axis].coefficients, truth)
-        if {effect.kind for effect in made.effects} <= CORRECTED and axis in critique.fit.axes:
-            own = critique.fit[axis]
-            for way, of in (("`fit` alone", own), ("its plain terms", own.plain or own)):
-                if of.converged:
-                    off = off_by(of.model.sampled(rate), record, rate)
-                    outcome.alone.append((way, off, coverage(of.coefficients, truth)))
+            outcome.covered += coverage(fit[axis].coefficients, made.axes[axis])
     for effect in made.effects:
         if left_out(critique, effect):
             outcome.cut += 1
