@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,6 @@ sys.path.append(str(ROOT))
 #: Most programs that a run of the default tests may compile: each costs its process about a second. It is as
 #: many as the package needs while every length and every kind of fit has programs of its own; 80 is the aim.
 PROGRAMS = 420
-#: Processor seconds from which on a test is named at the end of a run.
-LONG = 10.0
 
 
 def _faster() -> str:
@@ -74,18 +71,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT))))
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Any:
-    """Note tests that take long, by the processor's seconds: the clock's are other processes', too."""
-    begun = time.process_time()
-    done = yield
-    if (taken := time.process_time() - begun) > LONG:
-        worker = os.environ.get("PYTEST_XDIST_WORKER", "main")
-        with (Path(os.environ[_RUN]) / f"long-{worker}.txt").open("a", encoding="utf-8") as file:
-            file.write(f"{taken:.0f} s {item.nodeid}\n")
-    return done
-
-
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """Each process that ran tests leaves its numbers; the first one judges them."""
     # `sys.modules`: what merely collects tests has not imported JAX.
@@ -107,15 +92,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         f"compiled {total['new']:.0f} programs{over}; loaded {total['requests'] - total['new']:.0f} more; "
         f"{total['seconds']:.0f} s for both in all processes"
     )
-    long = [
-        line for path in Path(os.environ[_RUN]).glob("long-*.txt") for line in path.read_text().splitlines()
-    ]
-    if long:
-        terminalreporter.write_line(
-            f"took more than {LONG:.0f} s of processor time, fixtures and compilation included:"
-        )
-    for line in sorted(long, key=lambda line: -int(line.split()[0])):
-        terminalreporter.write_line(f"  {line}")
 
 
 def _programs() -> dict[str, float]:

@@ -25,7 +25,7 @@ from scipy.fft import dct, idct
 from scipy.optimize import brentq
 from scipy.signal import bessel, butter, lfilter, sosfilt, sosfreqz, tf2sos
 
-from benchmarks.common.hidden_sensors import log_uniform
+from benchmarks.common.hidden_sensors import log_uniform, term_noise
 from benchmarks.common.truth import Case, simulate
 
 OVERSAMPLING = 8
@@ -186,11 +186,6 @@ def exponential(rng: np.random.Generator, n: int, interval: float) -> np.ndarray
 def exponential_spectrum(frequency: np.ndarray, rate: float, interval: float) -> np.ndarray:
     s = 4.0 * np.exp(-interval) * np.sin(np.pi * frequency / rate) ** 2
     return -np.expm1(-2.0 * interval) / (np.expm1(-interval) ** 2 + s)
-
-
-def walk(rng: np.random.Generator, n: int, rate: float) -> np.ndarray:
-    """Random walk of coefficient 1."""
-    return np.cumsum(rng.standard_normal(n)) / np.sqrt(rate)
 
 
 def walk_spectrum(frequency: np.ndarray, rate: float) -> np.ndarray:
@@ -401,7 +396,7 @@ def noise(scene: Scene, k: int, envelope: np.ndarray | None) -> np.ndarray:
     white = a.N * (f_of.white(rng, n) if f_of else np.sqrt(rate) * rng.standard_normal(n))
     slow = np.zeros(n)
     if a.K:
-        slow += a.K * walk(rng, n, rate)
+        slow += a.K * term_noise("K", n, rate, rng)
     if a.flicker_corner:
         slow += a.N * np.sqrt(a.flicker_corner) * flicker(rng, n, rate)
     if a.T_c:

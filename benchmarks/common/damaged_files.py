@@ -41,111 +41,86 @@ def _values() -> np.ndarray:
     return np.random.default_rng(0).normal([0, 0, 0, 0.1, 0.2, 9.81], 0.01, (N, 6)).astype("f4").astype(float)
 
 
-def _text(label: str, header: str, mark: str) -> Callable[[Path], Sample]:
-    def write(folder: Path) -> Sample:
-        rows = np.column_stack([np.arange(N) / RATE, _values()]).tolist()
-        content = "\n".join([header, *(mark.join(map(repr, row)) for row in rows), ""]).encode()
-        path = folder / label
-        path.write_bytes(gzip.compress(content, mtime=0) if label.endswith(".gz") else content)
-        return Sample(path, path)
+def _file(write: Callable[[Path], object], name: str, **options: Any) -> Callable[[Path], Sample]:
+    """What writes a file of this name into a folder; reading it takes these options."""
 
-    return write
+    def written(folder: Path) -> Sample:
+        write(folder / name)
+        return Sample(folder / name, folder / name, options)
 
-
-def _euroc(folder: Path) -> Sample:
-    names = [
-        f"{sensor}_RS_S_{axis} [{unit}]"
-        for sensor, unit in (("w", "rad s^-1"), ("a", "m s^-2"))
-        for axis in "xyz"
-    ]
-    times = 1_403_715_273_262_142_976 + 10_000_000 * np.arange(N)
-    lines = [",".join(["#timestamp [ns]", *names])]
-    lines += [
-        ",".join(map(str, [t, *row])) for t, row in zip(times.tolist(), _values().tolist(), strict=True)
-    ]
-    path = folder / "euroc.csv"
-    path.write_text("\n".join(lines) + "\n")
-    return Sample(path, path)
+    return written
 
 
-def _vectornav(folder: Path) -> Sample:
+def _text(path: Path) -> None:
+    """Values with a mark between them that the name tells."""
+    mark = "\t" if ".tsv" in path.name else ","
+    rows = np.column_stack([np.arange(N) / RATE, _values()]).tolist()
+    content = "\n".join([mark.join(LABELS), *(mark.join(map(repr, row)) for row in rows), ""]).encode()
+    path.write_bytes(gzip.compress(content, mtime=0) if path.name.endswith(".gz") else content)
+
+
+def _euroc(path: Path) -> None:
+    sensors = ("w", "rad s^-1"), ("a", "m s^-2")
+    names = [f"{sensor}_RS_S_{axis} [{unit}]" for sensor, unit in sensors for axis in "xyz"]
+    times = (1_403_715_273_262_142_976 + 10_000_000 * np.arange(N)).tolist()
+    rows = [map(str, [t, *row]) for t, row in zip(times, _values().tolist(), strict=True)]
+    path.write_text("\n".join(map(",".join, [["#timestamp [ns]", *names], *rows])) + "\n")
+
+
+def _vectornav(path: Path) -> None:
     lines = []
     for row in _values().tolist():
         body = ",".join(["VNMAR", *(f"{x:+.5f}" for x in [0.1, 0.2, 0.3, *row[3:], *row[:3]])])
         lines.append(f"${body}*{reduce(lambda a, b: a ^ b, body.encode()):02X}")
-    path = folder / "vectornav.txt"
     path.write_text("\r\n".join(lines) + "\r\n")
-    return Sample(path, path, {"rate": RATE})
 
 
-def _npy(folder: Path) -> Sample:
-    path = folder / "imu.npy"
-    np.save(path, _values())
-    return Sample(path, path, {"rate": RATE, **UNITS})
-
-
-def _structured_npy(folder: Path) -> Sample:
-    path = folder / "structured.npy"
+def _structured_npy(path: Path) -> None:
     np.save(path, structured(**dict(zip(SIX, _values().T, strict=True))))
-    return Sample(path, path, {"rate": RATE, **UNITS})
 
 
-def _npz(save: Callable[..., None]) -> Callable[[Path], Sample]:
-    def write(folder: Path) -> Sample:
-        path = folder / f"{save.__name__}.npz"
-        save(path, gyro=_values()[:, :3], accel=_values()[:, 3:], rate=RATE)
-        return Sample(path, path, UNITS)
-
-    return write
+def _npz(path: Path) -> None:
+    save = np.savez if path.stem == "savez" else np.savez_compressed
+    save(path, gyro=_values()[:, :3], accel=_values()[:, 3:], rate=RATE)
 
 
-def _mat(**how: Any) -> Callable[[Path], Sample]:
-    def write(folder: Path) -> Sample:
-        from scipy.io import savemat
+def _mat(**how: Any) -> Callable[[Path], None]:
+    from scipy.io import savemat
 
-        path = folder / f"imu{''.join(map(str, how.values()))}.mat"
-        savemat(path, {"gyro": _values()[:, :3], "accel": _values()[:, 3:], "fs": RATE}, **how)
-        return Sample(path, path, UNITS)
-
-    return write
+    halves = {"gyro": _values()[:, :3], "accel": _values()[:, 3:]}
+    return lambda path: savemat(path, {**halves, "fs": RATE}, **how)
 
 
-def _hdf5(**how: Any) -> Callable[[Path], Sample]:
-    def write(folder: Path) -> Sample:
+def _hdf5(**how: Any) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
         import h5py
 
-        path = folder / f"imu{len(how)}.h5"
         with h5py.File(path, "w") as file:
             file["fs"] = RATE
             file.create_dataset("imu/gyro", data=_values()[:, :3], **how)
             file.create_dataset("imu/accel", data=_values()[:, 3:], **how)
-        return Sample(path, path, UNITS)
 
     return write
 
 
-def _parquet(folder: Path) -> Sample:
+def _parquet(path: Path) -> None:
     import pyarrow
     import pyarrow.parquet
 
     columns = np.column_stack([np.arange(N) / RATE, _values()]).T
-    path = folder / "imu.parquet"
     pyarrow.parquet.write_table(pyarrow.table(dict(zip(LABELS, columns, strict=True))), path)
-    return Sample(path, path)
 
 
-def _tdms(folder: Path) -> Sample:
+def _tdms(path: Path) -> None:
     from nptdms import ChannelObject, TdmsWriter
 
-    more = {"wf_increment": 1 / RATE}
-    units = dict(zip(SIX, 3 * ["rad/s"] + 3 * ["m/s^2"], strict=True))
-    path = folder / "imu.tdms"
+    units = 3 * ["rad/s"] + 3 * ["m/s^2"]
+    channels = [
+        ChannelObject("imu", name, x, {"wf_increment": 1 / RATE, "unit_string": unit})
+        for name, x, unit in zip(SIX, _values().T, units, strict=True)
+    ]
     with TdmsWriter(path) as writer:
-        columns = zip(SIX, _values().T, strict=True)
-        writer.write_segment(
-            [ChannelObject("imu", name, x, {**more, "unit_string": units[name]}) for name, x in columns]
-        )
-    return Sample(path, path)
+        writer.write_segment(channels)
 
 
 def _bag(kind: str, name: str, part: str = "", small: bool = False) -> Callable[[Path], Sample]:
@@ -181,20 +156,9 @@ def stamps(n: int, rate: float) -> np.ndarray:
     return (5_000_000 + np.arange(n) * round(1e6 / rate)).astype("u8")
 
 
-def _ulog(folder: Path) -> Sample:
-    path = ulog(folder / "imu.ulg", _values(), RATE, [20])
-    return Sample(path, path)
-
-
-def _fifo(folder: Path) -> Sample:
+def _fifo(path: Path) -> None:
     """Messages of eight samples each; every half has messages of its own."""
-    fields = [
-        ("timestamp", "u8"),
-        ("timestamp_sample", "u8"),
-        ("dt", "f4"),
-        ("scale", "f4"),
-        ("samples", "u1"),
-    ]
+    fields = ("timestamp", "u8"), ("timestamp_sample", "u8"), ("dt", "f4"), ("scale", "f4"), ("samples", "u1")
     dtype = np.dtype([*fields, *((axis, "i2", 32) for axis in "xyz")])
     messages = {}
     for name, first in (("sensor_gyro_fifo", 0), ("sensor_accel_fifo", 3)):
@@ -204,42 +168,36 @@ def _fifo(folder: Path) -> Sample:
         for k, axis in enumerate("xyz"):
             rows[axis][:, :8] = np.round(_values()[:, first + k] * 1e3).reshape(-1, 8)
         messages[name, 0] = rows
-    path = write_ulog(folder / "fifo.ulg", messages)
-    return Sample(path, path)
-
-
-def _dataflash(folder: Path) -> Sample:
-    path = dataflash(folder / "imu.bin", _values(), RATE)
-    return Sample(path, path)
+    write_ulog(path, messages)
 
 
 #: What writes a file of each format into a folder.
 WRITERS: dict[str, Callable[[Path], Sample]] = {
-    "CSV": _text("imu.csv", ",".join(LABELS), ","),
-    "TSV": _text("imu.tsv", "\t".join(LABELS), "\t"),
-    "CSV, gzip": _text("imu.csv.gz", ",".join(LABELS), ","),
-    "EuRoC": _euroc,
-    "VectorNav": _vectornav,
-    ".npy": _npy,
-    ".npy, structured": _structured_npy,
-    ".npz": _npz(np.savez),
-    ".npz, compressed": _npz(np.savez_compressed),
-    "MATLAB -v4": _mat(format="4"),
-    "MATLAB -v6": _mat(format="5"),
-    "MATLAB -v7": _mat(do_compression=True),
-    "HDF5": _hdf5(),
-    "HDF5, compressed": _hdf5(compression="gzip", chunks=(64, 3)),
-    "Parquet": _parquet,
-    "TDMS": _tdms,
+    "CSV": _file(_text, "imu.csv"),
+    "TSV": _file(_text, "imu.tsv"),
+    "CSV, gzip": _file(_text, "imu.csv.gz"),
+    "EuRoC": _file(_euroc, "euroc.csv"),
+    "VectorNav": _file(_vectornav, "vectornav.txt", rate=RATE),
+    ".npy": _file(lambda path: np.save(path, _values()), "imu.npy", rate=RATE, **UNITS),
+    ".npy, structured": _file(_structured_npy, "structured.npy", rate=RATE, **UNITS),
+    ".npz": _file(_npz, "savez.npz", **UNITS),
+    ".npz, compressed": _file(_npz, "savez_compressed.npz", **UNITS),
+    "MATLAB -v4": _file(_mat(format="4"), "imu4.mat", **UNITS),
+    "MATLAB -v6": _file(_mat(format="5"), "imu5.mat", **UNITS),
+    "MATLAB -v7": _file(_mat(do_compression=True), "imuTrue.mat", **UNITS),
+    "HDF5": _file(_hdf5(), "imu0.h5", **UNITS),
+    "HDF5, compressed": _file(_hdf5(compression="gzip", chunks=(64, 3)), "imu2.h5", **UNITS),
+    "Parquet": _file(_parquet, "imu.parquet"),
+    "TDMS": _file(_tdms, "imu.tdms"),
     "ROS 1 bag": _bag("ros1", "imu.bag"),
     "ROS 1 bag, LZ4": _bag("ros1", "lz4.bag", small=True),
     "ROS 2 .db3": _bag("sqlite3", "sqlite", ".db3"),
     "ROS 2 .mcap": _bag("mcap", "mcap", ".mcap"),
     "ROS 2 .mcap, Zstandard": _bag("mcap", "small", ".mcap", small=True),
     "ROS 2 metadata.yaml": _bag("sqlite3", "folder", "metadata.yaml"),
-    "ULog": _ulog,
-    "ULog, FIFO": _fifo,
-    "DataFlash": _dataflash,
+    "ULog": _file(lambda path: ulog(path, _values(), RATE, [20]), "imu.ulg"),
+    "ULog, FIFO": _file(_fifo, "fifo.ulg"),
+    "DataFlash": _file(lambda path: dataflash(path, _values(), RATE), "imu.bin"),
 }
 
 

@@ -51,19 +51,11 @@ def fit_all(
     except Exception:
         # One axis may have spoilt it for all.
         singles = [recording_of(x[:, None]) for x in recording.values.T]
-        axes = [_fit_one(single, model, objective, **options) for single in singles]
-        return axes, None if model else aj.select_terms(recording)
+        found = (
+            [fit_all(x, model, objective, **options)[0] for x in singles] if len(singles) > 1 else [[None]]
+        )
+        return [axis for (axis,) in found], None if model else aj.select_terms(recording)
     return [axis if axis.converged else None for axis in fit.results], fit.selection
-
-
-def _fit_one(
-    recording: aj.Recording, model: aj.Model | None, objective: str, **options: str
-) -> aj.AxisFit | None:
-    try:
-        (axis,) = aj.fit(recording, model, objective, as_is=True, vibrating=True, **options).results
-    except Exception:
-        return None
-    return axis if axis.converged else None
 
 
 def columns_of(axes: Iterable[aj.AxisFit | None], case: Case) -> dict[str, np.ndarray]:

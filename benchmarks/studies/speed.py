@@ -1,9 +1,9 @@
-"""How fast are Allan deviations, fits and posteriors, beside other packages, and what costs another length?
+"""How fast are Allan deviations, fits and posteriors, beside other packages?
 
 White noise at octaves of the cluster time, all in one process in turn, round after round: medians over the
 rounds, and ratios as medians of each round's ratio, so that a busy machine slows both sides. Exact estimates
-are overlapping Allan variances. Programs are compiled before, but for the recordings of growing length, each
-of another rate, six axes, fitted one after the other by a process without a cache.
+are overlapping Allan variances. Programs are compiled before; what that and another length cost is the
+question of `from_file`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import allanjax as aj
-from benchmarks.common.study import process, seconds_of, table
+from benchmarks.common.study import seconds_of, table
 
 PACKAGES = ("allantools", "allan-variance", "avar")
-QUICK: dict[str, Any] = {"lengths": (10_000,), "repeats": 1, "likelihood": (2048,), "recordings": 0}
+QUICK: dict[str, Any] = {"lengths": (10_000,), "repeats": 1, "likelihood": (2048,)}
 QUICK |= {"units": 20, "unit_samples": 2048}
 REFERENCE, ONE_PASS = "allantools oadev", "np.sum"
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
@@ -36,7 +36,6 @@ def run(
     likelihood: tuple[int, ...] = (16384, 1_000_000, 10_000_000),
     units: int = 1000,
     unit_samples: int = 16384,
-    recordings: int = 20,
 ) -> Iterator[str]:
     yield "## Allan deviations [ms], one axis"
     yield allan_table(lengths, repeats)
@@ -57,9 +56,6 @@ def run(
         "is SciPy's, unweighted and without any uncertainty."
     )
     yield table(["", "fits a second", "fit_many is faster by"], bulk_rows(unit_samples, units, repeats))
-    if recordings:
-        yield f"## {recordings} recordings of 10⁴ to 10⁶ samples in one process, `fit` of N + B + K"
-        yield growth(recordings)
 
 
 def ways() -> dict[str, Callable[[np.ndarray], Any]]:
@@ -156,29 +152,3 @@ def bulk_rows(n: int, units: int, repeats: int) -> list[list[str]]:
     rates = {name: runs[name][1] / taken for name, taken in times.items()}
     own = rates["fit_many"]
     return [[name, f"{np.median(r):,.0f}", f"{np.median(own / r):.3g}"] for name, r in rates.items()]
-
-
-GROWING = """
-import sys, time, numpy as np, jax, allanjax as aj
-compiled = [0]
-def count(event, seconds, **_):
-    compiled[0] += event == "/jax/core/compile/backend_compile_duration"
-jax.monitoring.register_event_duration_secs_listener(count)
-names = [f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"]
-for k, n in enumerate(np.rint(np.geomspace(1e4, 1e6, 20)).astype(int)[:int(sys.argv[1])]):
-    white, drift = np.random.default_rng(k).standard_normal((2, n, 6))
-    x = 1e-3 * white + np.cumsum(1e-6 * drift, axis=0)
-    recording = aj.Recording.from_array(x, 50.0 + 10.0 * k, gyro_unit="rad/s", accel_unit="m/s²", names=names)
-    compiled[0], begun, used = 0, time.perf_counter(), time.process_time()
-    aj.fit(recording, "N + B + K")
-    print(n, time.perf_counter() - begun, time.process_time() - used, compiled[0])
-"""
-
-
-def growth(count: int) -> str:
-    printed, *_ = process(GROWING, count, ALLANJAX_CACHE="off", JAX_ENABLE_COMPILATION_CACHE="false")
-    found = [[float(x) for x in line.split()] for line in printed.splitlines()]
-    rows = [[f"{n:,.0f}", f"{s:.2f}", f"{cpu:.2f}", f"{c:.0f}"] for n, s, cpu, c in found]
-    _, seconds, processors, compiled = np.sum(found[1:], axis=0)
-    rows.append(["all but the first", f"{seconds:.1f}", f"{processors:.1f}", f"{compiled:.0f}"])
-    return table(["samples", "seconds", "processor seconds", "programs compiled"], rows)

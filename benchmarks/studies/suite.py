@@ -1,9 +1,8 @@
-"""How long do the tests take, how many are there, and do they pass?
+"""How long do the tests take, and do they pass?
 
 The commit is cloned into an empty folder. `pytest` runs there without compiled programs, then with them,
 then room by room, then `pytest -m study`, whose tests draw many records, damage files, end workers
 and check the shapes of arrays. Seconds are those of the clock and of the processor, all processes together.
-Inner names are those that `tests/project/test_public_doors.py` counts.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ def run(*, rooms: tuple[str, ...] = (), whole: bool = True, study: bool = True) 
     with tempfile.TemporaryDirectory() as folder:
         clone = Path(folder) / "main"
         subprocess.run(["git", "clone", "--quiet", ROOT, clone], check=True)
-        yield counted(clone)
         runs = [("all, nothing compiled before", ()), ("all, again", ())] if whole else []
         folders = sorted(p.name for p in (clone / "tests").iterdir() if list(p.glob("test_*.py")))
         alone = rooms or tuple(name for name in folders if name not in ("notebooks", "studies"))
@@ -63,16 +61,3 @@ def timed(clone: Path, words: tuple[str, ...]) -> tuple[float, float, str]:
     after = os.times()
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
     return time.perf_counter() - begun, cpu, done.stdout + done.stderr
-
-
-def counted(clone: Path) -> str:
-    """Lines of the tests, and inner names in them."""
-    files = subprocess.run(
-        ["git", "ls-files", "tests/*.py"], cwd=clone, capture_output=True, text=True
-    ).stdout
-    lines = sum(len((clone / name).read_text(encoding="utf-8").splitlines()) for name in files.split())
-    paths = [str(clone / "tests" / part) for part in ("project", "support", "golden")]
-    code = f"import sys; sys.path[:0] = {paths}; from test_public_doors import behind_doors as found"
-    code += "; print(len(found()))"
-    inner = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
-    return table(("lines of tests", "inner names in them"), [(lines, inner)])

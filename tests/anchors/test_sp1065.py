@@ -123,36 +123,13 @@ def test_counts_deviations_and_intervals_are_those_of_stable32(name):
         assert_array_less(abs(half / their_half - 1.0), away)
 
 
-def test_degrees_of_freedom_are_those_of_table_5():
-    """Of overlapping Allan variances of N phases, by the type of noise; at m = 10 it is 146.177 under white.
-
-    The formulas are empirical, that of white noise 2 % off at m = 100. Those of flicker and of the walk are
-    of another bandwidth, up to 13 % off the exact ones; ours are of Haar's wavelet: Allan variances, too.
-    """
-    N, m = 1001, np.array([1, 10, 100])
-    white = (3 * (N - 1) / (2 * m) - 2 * (N - 2) / N) * 4 * m**2 / (4 * m**2 + 5)
-    assert white[1] == pytest.approx(146.177, abs=5e-4)
-    found = curve("oadev", thousand(), [1, 10, 100], "rate").edf[:, 0]
-    assert_array_less(abs(found / white - 1.0), [1e-3, 1e-3, 0.02])
-    m = 2 ** np.arange(8)
-    flicker = np.where(m == 1, 2 * (N - 2) ** 2 / (2.3 * N - 4.9), 5 * N**2 / (4 * m * (N + 3 * m)))
-    walk = (N - 2) / m * ((N - 1) ** 2 - 3 * m * (N - 1) + 4 * m**2) / (N - 3) ** 2
-    for B, K, expected in ((1.0, 1e-9, flicker), (1e-9, 1.0, walk)):
-        model = aj.BiasInstability(B) + aj.RateRandomWalk(K)
-        found = aj.wavelet_variance(thousand(), 1.0, model=model)
-        assert_allclose(found.edf[:8, 0], expected, rtol=0.13)
-
-
 @each_kind
 def test_allantools_finds_the_same(name):
     """At all cluster times; allantools leaves out those with a single difference."""
     allantools = pytest.importorskip("allantools", reason="allantools is not installed")
     x = np.cumsum(thousand() - 0.5)
     found = curve(name, x, [1, 2, 3, 7, 50, 99, 140, 331], "rate")
-    for axis, data in enumerate((x, 3.0 * x[::-1] + 1.0)):
-        theirs = getattr(allantools, name)(data, 8.0, data_type="freq", taus=found.cluster_time)
-        times, deviation, _, count = theirs
-        several = found.count > 1
-        assert_allclose(times, found.cluster_time[several])
-        assert_array_equal(count, found.count[several])
-        assert_allclose(found.deviation[several, axis], deviation, rtol=1e-9)
+    several = found.count > 1
+    _, deviation, _, count = getattr(allantools, name)(x, 8.0, data_type="freq", taus=found.cluster_time)
+    assert_array_equal(count, found.count[several])
+    assert_allclose(found.deviation[several, 0], deviation, rtol=1e-9)

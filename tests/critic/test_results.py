@@ -119,11 +119,16 @@ def test_plain_data_have_every_number(name):
     data = found.to_dict()
     assert data["gain_nats"] == pytest.approx(found.gain)
     assert list(data["recording"].values()) == [name, N, 100.0, pytest.approx(N / 100.0)]
-    assert [f["cause"] for f in data["findings"]] == [f.cause for f in found.findings]
+    for told, finding in zip(data["findings"], found.findings, strict=True):
+        assert (told["cause"], told["gain_nats"]) == (finding.cause, finding.gain)
+        sizes = {axis: [e["value"], e["unit"]] for axis, e in told["amplitudes"].items()}
+        assert sizes == {axis: [e.value, e.unit] for axis, e in finding.amplitudes.items()}
     for axis, told in zip(found.results, data["axes"], strict=True):
         assert [told[key] for key in ("axis", "sensor", "unit")] == [*dataclasses.astuple(axis.axis)]
         assert told["tests"] == dict(axis.tests)
         assert told["extended"]["terms"] == list(axis.model.term_labels)
+        white = told["extended"]["parameters"]["angle_random_walk"]
+        assert white["value"] * SI[white["unit"]] == pytest.approx(axis.model.values["angle_random_walk"])
         assert told["baseline"]["terms"] == list(axis.baseline.term_labels)
         after = {d.statistic: d for d in axis.after}
         for d, own in zip(axis.before, told["discrepancies"], strict=True):
@@ -134,6 +139,7 @@ def test_plain_data_have_every_number(name):
             for label, e in finding.parameters.items():
                 numbers = [own["parameters"][label][key] for key in ("value", "unit", "std")]
                 assert numbers == [e.value, e.unit, e.std if np.isfinite(e.std) else None]
+            assert own["rivals"] == [{"cause": r.cause, "odds": r.odds} for r in finding.rivals]
             keys = ("axes", "p_value", "evidence_nats", "gain_nats", "span")
             numbers = [[*finding.axes], finding.p_value, finding.evidence, finding.gain, [*finding.span]]
             assert [own[key] for key in keys] == numbers

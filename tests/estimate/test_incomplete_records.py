@@ -106,7 +106,8 @@ def test_a_stretch_in_which_the_sensor_was_touched_is_left_out():
     assert aj.fit(made(x), "N", as_is=True)["gyro_x"]["N"].value > 2.0 * N
 
 
-def test_missing_samples_widen_what_is_said_of_a_complete_record():
+@pytest.mark.parametrize("objective", ["allan", "whittle"])
+def test_missing_samples_widen_what_is_said_of_a_complete_record(objective):
     """With a share f missing, by √(1/(1 − f) + f): intervals in proportion to the value.
 
     Of white noise that is exact: n(1 − f) samples determine its level, and the draws, which are made at that
@@ -115,8 +116,8 @@ def test_missing_samples_widen_what_is_said_of_a_complete_record():
     x = record(43)[: LENGTHS[0]]
     x[np.random.default_rng(7).random(len(x)) < 0.2, 0] = NAN
     holey = made(x, "fill")
-    fit = aj.fit(holey, "N + K", "whittle", as_is=True)
-    complete = aj.fit(dataclasses.replace(holey, missing=None), "N + K", "whittle", as_is=True)
+    fit = aj.fit(holey, "N + K", objective, as_is=True)
+    complete = aj.fit(dataclasses.replace(holey, missing=None), "N + K", objective, as_is=True)
     share = np.isnan(x).mean(axis=0)
     factors = np.sqrt(1.0 / (1.0 - share) + share)
     assert factors[0] > 1.15

@@ -86,12 +86,6 @@ def test_what_is_hidden_is_found_on_its_axes_and_nothing_else(name):
     assert found == hidden
 
 
-def test_a_dead_axis_costs_no_other():
-    fit = bench.fit("dead")
-    assert [axis.axis.name for axis in fit.dead] == ["gyro_y"]
-    assert [result.axis.name for result in fit.results if result.measured] == ["gyro_x", "gyro_z"]
-
-
 def test_what_was_handled_is_left_out():
     """Six seconds at the begin, four at the end, to a second or two."""
     start, stop = bench.fit("handled").stretch

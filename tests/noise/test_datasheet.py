@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from commands import run
 from noise_terms import finite
+from refusals import refuses
 
 import allanjax as aj
 
@@ -108,8 +109,7 @@ def test_files_and_names(tmp_path, monkeypatch):
     refused = {"bad.toml": "TOML", "none.toml": "none.toml", "bmi088.toml": "TOML", "BMI88": "BMI088"}
     refused |= {"xyz": "xyz", Path("BMI088"): "TOML"}
     for name, word in [*refused.items(), ({"gyros": {}}, "gyros"), ({}, "no sensor")]:
-        with pytest.raises(aj.AllanjaxError, match=word):
-            aj.datasheet(name)
+        refuses(word, aj.datasheet, name)
     with pytest.raises(aj.AllanjaxError, match="mag"):
         found["mag"]
 
@@ -201,8 +201,7 @@ def test_a_sheet_goes_where_a_fit_goes(elsewhere):
     commands += ["navigate own.toml --latitude 51", "simulate --sheet BMI088 --duration 1 --out a.csv"]
     assert [run(*words.split()).exit_code for words in commands] == [0, 0, 0, 0]
     for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1? ")):
-        with pytest.raises(aj.AllanjaxError, match=re.escape(f"did you mean {near}")):
-            aj.datasheet(name)
+        refuses(re.escape(f"did you mean {near}"), aj.datasheet, name)
 
 
 UNITS = {"arcsec": ARCSEC, "deg/√h": DEG / 60, "deg/h": DEG / HOUR, "m/s/√h": 1 / 60}

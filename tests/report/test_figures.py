@@ -9,6 +9,7 @@ import pytest
 from altered_fits import with_terms, without_result
 from figures import check_texts_apart, lines_of, panels, points_of, strip_of, texts
 from matplotlib import pyplot as plt
+from refusals import refuses
 
 import allanjax as aj
 
@@ -79,11 +80,9 @@ def test_panels_have_the_numbers_of_their_axes_in_their_units(plot, tmp_path):
     assert (own.axes, ax.get_xlabel(), ax.get_ylabel()) == ([ax], xlabel, accel)
     check_points(ax, plot, 3)
     assert list(panels(draw(["gyro_z"]))) == ["gyro_z"]
-    with pytest.raises(aj.AllanjaxError, match="ax="):
-        draw(ax=ax)
+    refuses("ax=", draw, ax=ax)
     for axes in (["gyro_q"], []):
-        with pytest.raises(aj.AllanjaxError, match="accel_z"):
-            draw(axes)
+        refuses("accel_z", draw, axes)
 
 
 def model_lines(plot, fit, axis):
@@ -237,8 +236,7 @@ SAMPLES = np.random.default_rng(0).normal(size=(512, 2))
     ],
 )
 def test_what_cannot_be_drawn_together_is_refused(call, word):
-    with pytest.raises(aj.AllanjaxError, match=word):
-        call(bench.fit("small"))
+    refuses(word, call, bench.fit("small"))
 
 
 def test_arrays_without_a_unit_have_panels_by_number():
@@ -328,8 +326,7 @@ def test_measured_points_are_drawn_where_they_are_given(posterior):
     (points,) = [c for c in deviation.containers if c.get_label() == "measured"]
     np.testing.assert_allclose(points[0].get_ydata(), fit.curve.deviation[:, 3] / MICRO_G)
     for axes in (["gyro_q"], []):
-        with pytest.raises(aj.AllanjaxError, match="axis"):
-            posterior.plot(axes=axes)
+        refuses("axis", posterior.plot, axes=axes)
 
 
 def test_a_filters_bias_has_its_interval_and_innovations_their_scale():
@@ -344,8 +341,7 @@ def test_a_filters_bias_has_its_interval_and_innovations_their_scale():
     wide = 2.0 * 1.959964 * axis.bias_std[some] / 9.80665
     np.testing.assert_allclose((high - low)[10:], wide[10:], rtol=1e-6)
     np.testing.assert_allclose(lower.get_lines()[0].get_ydata(), axis.standardized[: len(axis.samples)])
-    with pytest.raises(aj.AllanjaxError, match="accel_z"):
-        found.plot("gyro_q")
+    refuses("accel_z", found.plot, "gyro_q")
 
 
 def test_an_autocorrelation_is_drawn_with_the_band_of_the_model():
@@ -367,8 +363,7 @@ def test_a_decomposition_is_drawn_part_by_part():
         ends = panel.collections[0].get_paths()[0].vertices[:, 1]
         values = part.values[:, 2] / HOUR
         assert [ends.min(), ends.max()] == pytest.approx([values.min(), values.max()])
-    with pytest.raises(aj.AllanjaxError, match="gyro_w"):
-        found.plot("gyro_w")
+    refuses("gyro_w", found.plot, "gyro_w")
 
 
 def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):

@@ -6,6 +6,7 @@ import dense
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refuses
 from scipy import stats
 
 import allanjax as aj
@@ -97,19 +98,7 @@ def test_nothing_is_read_where_the_curve_does_not_fall_or_does_so_at_once():
         assert word in read[axis].reasons["markov correlation time"]
 
 
-def test_tables_have_units():
-    found = aj.autocorrelation(aj.Recording(record(), RATE, AXES), model=MODELS["gyro_x"])
-    table = found.to_dataframe()
-    units = {"gyro_x": ("(deg/h)²", np.pi / 180.0 / 3600.0), "accel_z": ("µg²", 9.80665e-6)}
-    for k, (name, (unit, scale)) in enumerate(units.items()):
-        assert_allclose(table[f"{name} [{unit}]"], found.value[:, k] / scale**2)
-        assert_allclose(table[f"{name} standard error [{unit}]"], found.standard_error[:, k] / scale**2)
-    assert_array_equal(table["lag [s]"], found.lag)
-
-
 def test_refused():
-    with pytest.raises(aj.AllanjaxError, match="longest_lag"):
-        aj.autocorrelation(record(50), 1.0, longest_lag=49.0)
+    refuses("longest_lag", aj.autocorrelation, record(50), 1.0, longest_lag=49.0)
     assert len(aj.autocorrelation(record(50), 1.0, longest_lag=48.0).lag) == 49
-    with pytest.raises(aj.AllanjaxError, match="gyro_unit"):
-        aj.autocorrelation(record(50), 1.0).markov()
+    refuses("gyro_unit", aj.autocorrelation(record(50), 1.0).markov)

@@ -2,8 +2,7 @@
 
 import os
 import signal
-import subprocess
-import sys
+import tracemalloc
 
 import numpy as np
 import pandas as pd
@@ -49,22 +48,17 @@ def test_a_worker_killed_half_way_loses_nothing(logs, tmp_path):
 
 
 def test_memory_does_not_grow_with_the_stream():
-    """Peak memory of processes that accumulate 2 and 20 million samples: the difference is no multiple."""
-    program = """
-import resource, sys
-import numpy as np
-from allanjax import AllanAccumulator
-accumulator = AllanAccumulator(200.0, ["gyro_x"])
-rng = np.random.default_rng(0)
-for _ in range(int(sys.argv[1])):
-    accumulator.update(rng.standard_normal(1_000_000))
-accumulator.result()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""
-    short, long = (
-        int(subprocess.run([sys.executable, "-c", program, k], check=True, capture_output=True).stdout)
-        for k in ("2", "20")
-    )
-    # 18 million more samples are 144 MB; a tenth of that is the allocator's to waste (units of 1 kB).
-    if sys.platform.startswith("linux"):
-        assert long - short < 14_400
+    """18 million more samples are 144 MB; a hundredth of that is to spare."""
+
+    def peak(millions):
+        accumulator, rng = aj.AllanAccumulator(200.0, ["gyro_x"]), np.random.default_rng(0)
+        tracemalloc.start()
+        for _ in range(millions):
+            accumulator.update(rng.standard_normal(1_000_000))
+        accumulator.result()
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    peak(1)
+    assert peak(20) - peak(2) < 1_440_000
