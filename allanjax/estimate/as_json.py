@@ -183,6 +183,7 @@ def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
             "probability": s.probability,
             "log_evidence": finite_or_none(s.log_evidence),
             "chosen": s == selection.chosen,
+            "intervals_95_si": {label: list(ends) for label, ends in s.intervals.items()},
         }
         for s in selection.ranking
     ]
@@ -418,7 +419,13 @@ def _selection(
     def ranking(sets: Sequence[Mapping[str, Any]]) -> tuple[TermSet, ...]:
         evidence = [-math.inf if s["log_evidence"] is None else s["log_evidence"] for s in sets]
         return tuple(
-            TermSet(tuple(s["terms"]), s["parameters"], e, s["probability"])
+            TermSet(
+                tuple(s["terms"]),
+                s["parameters"],
+                e,
+                s["probability"],
+                {label: tuple(ends) for label, ends in s.get("intervals_95_si", {}).items()},
+            )
             for s, e in zip(sets, evidence, strict=True)
         )
 

@@ -394,16 +394,17 @@ def _regressors(
 def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
     """Result that allows for the choice of terms.
 
-    Where other sets are nearly as probable, intervals of amplitudes cover those averaged over all sets. Terms
+    Intervals of amplitudes cover those of all sets that the data do not distinguish from the best one. Terms
     are detected only where the sets with them have nearly all the probability.
     """
     if not result.converged:
         return result
     doubtful, found = ranking.doubtful(), dict(result.coefficients)
-    averaged = ranking.averaged.coefficients if ranking.averaged and result.own_template is None else {}
+    # Of an extended axis the ranking is of a spectrum that was corrected.
+    intervals = ranking.intervals if result.own_template is None else {}
     for label, c in found.items():
-        if label in averaged and c.detected and c.std > 0.0:
-            found[label] = c = c.covering(averaged[label])
+        if label in intervals and c.detected and c.std > 0.0:
+            found[label] = c = c.covering(*intervals[label])
         if c.term in doubtful and c.detected:
             rivals = doubtful[c.term] if c.is_amplitude else ()
             found[label] = dataclasses.replace(c, detected=False, rivals=rivals)

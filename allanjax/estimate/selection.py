@@ -13,11 +13,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration, plain
 from allanjax.estimate.design import model_to_fit
@@ -163,15 +164,35 @@ def _powers(
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "draws some"]:
     """Draws of a subset's powers, given what unit powers contribute to the mean, relative to it."""
-    there = power > 0.0
-    found = np.zeros((draws, len(power)))
-    # Of ln p: a power that few coefficients know is as likely half as large as twice as large.
-    scaled = relative[there] * power[there, None]
-    information = (scaled * (0.5 * weight)) @ scaled.T
-    information += np.diag(np.full(len(information), 1.0 / _WIDEST**2))
-    root = np.linalg.cholesky(np.linalg.inv(information))
+    there, covariance = _covariance(relative, power, weight)
+    found, root = np.zeros((draws, len(power))), np.linalg.cholesky(covariance)
     found[:, there] = power[there] * np.exp(rng.standard_normal((draws, len(root))) @ root.T)
     return found
+
+
+def _covariance(
+    relative: Float[np.ndarray, "some m"], power: Float[np.ndarray, " some"], weight: Float[np.ndarray, " m"]
+) -> tuple[Bool[np.ndarray, " some"], Float[np.ndarray, "there there"]]:
+    """Which powers of a subset are above zero, and the covariance of their logarithms."""
+    there = power > 0.0
+    # A power that few coefficients know is as likely half as large as twice as large.
+    scaled = relative[there] * power[there, None]
+    information = (scaled * (0.5 * weight)) @ scaled.T
+    return there, np.linalg.inv(information + np.diag(np.full(len(information), 1.0 / _WIDEST**2)))
+
+
+def _intervals(
+    candidates: Candidates, row: Row, weight: Float[np.ndarray, " m"]
+) -> dict[str, tuple[float, float]]:
+    """95 % interval of each amplitude of a subset but the ramp's, by its label."""
+    columns = candidates.columns[row.members]
+    there, covariance = _covariance(columns / np.maximum(row.power @ columns, 1e-300), row.power, weight)
+    labels = {p.term: p.label for p in candidates.model.parameters if p.parameter.is_amplitude}
+    factor = np.exp(TWO_SIDED_95 * np.sqrt(np.diag(covariance)) / 2.0)
+    values = zip(
+        candidates.owner[row.members[there]].tolist(), np.sqrt(row.power[there]), factor, strict=True
+    )
+    return {labels[k]: (float(value / by), float(value * by)) for k, value, by in values}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,12 +204,15 @@ class TermSet:
         parameters: number of their free parameters.
         log_evidence: logarithm of the marginal likelihood of the set over that of the best one [nats].
         probability: posterior probability of the set, with equal prior probabilities of all sets.
+        intervals: 95 % interval [SI] of each amplitude by its label, for sets that the data do not
+            distinguish from the best one; but for a ramp's.
     """
 
     terms: tuple[str, ...]
     parameters: int
     log_evidence: float
     probability: float
+    intervals: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
     def __str__(self) -> str:
         return " + ".join(self.terms)
@@ -233,6 +257,17 @@ class AxisSelection(ByValue):
         """
         close = [s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_PARSIMONY)]
         return min(close, key=lambda s: (s.parameters, -s.log_evidence))
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets."""
+        found: dict[str, tuple[float, float]] = {}
+        for low, high, label in (
+            (*i, label) for s in self.indistinguishable for label, i in s.intervals.items()
+        ):
+            one, other = found.get(label, (low, high))
+            found[label] = min(low, one), max(high, other)
+        return found
 
     @property
     def inclusion(self) -> dict[str, float]:
@@ -428,7 +463,7 @@ def rank_terms(
     rows, share, error = _with_error(candidates, statistics, rows)
     results = []
     for k, axis in enumerate(axes):
-        ranking, weight = _ranked(candidates, rows[k])
+        ranking, weight = _ranked(candidates, rows[k], candidates.size * share[k])
         own = SpectralStatistics(*(x[k] for x in statistics))
         also = averaged(axis, candidates, rows[k], weight, own, share[k])
         results.append(AxisSelection(axis, ranking, float(error[k]) / 2.0, also))
@@ -494,7 +529,7 @@ def _pairs(candidates: Candidates, rows: Sequence[Sequence[Row]]) -> TermSubset:
 
 
 def _ranked(
-    candidates: Candidates, rows: Sequence[Row]
+    candidates: Candidates, rows: Sequence[Row], weight: Float[np.ndarray, " m"]
 ) -> tuple[tuple[TermSet, ...], Float[np.ndarray, " rows"]]:
     """Ranking of the sets of terms of one axis, and the probability of each row."""
     model, labels = candidates.model, candidates.model.term_labels
@@ -502,17 +537,21 @@ def _ranked(
     for row in rows:
         chosen = {int(candidates.owner[m]) for m in row.members} | set(candidates.ramps if row.ramp else ())
         names.append(tuple(labels[k] for k in sorted(chosen)))
-    by_set: dict[tuple[str, ...], list[float]] = {}
+    by_set: dict[tuple[str, ...], list[Row]] = {}
     for name, row in zip(names, rows, strict=True):
-        by_set.setdefault(name, []).append(row.log_evidence)
+        by_set.setdefault(name, []).append(row)
     # The evidence of a set with free times is the mean over the grid of times.
-    total = {s: float(np.logaddexp.reduce(v) - np.log(len(v))) for s, v in by_set.items()}
+    total = {
+        s: float(np.logaddexp.reduce([row.log_evidence for row in own]) - np.log(len(own)))
+        for s, own in by_set.items()
+    }
     norm = float(np.logaddexp.reduce(list(total.values())))
     ranking = sorted(total.items(), key=lambda item: -item[1])
     free = {label: sum(p.free for p in model.parameters if p.term_label == label) for label in labels}
-    sets = tuple(
-        TermSet(s, sum(free[label] for label in s), value - ranking[0][1], float(np.exp(value - norm)))
-        for s, value in ranking
-    )
+    sets = []
+    for s, value in ranking:
+        behind, best = value - ranking[0][1], max(by_set[s], key=lambda row: row.log_evidence)
+        known = _intervals(candidates, best, weight) if behind > -np.log(_ODDS) else {}
+        sets.append(TermSet(s, sum(free[k] for k in s), behind, float(np.exp(value - norm)), known))
     each = [row.log_evidence - np.log(len(by_set[name])) for name, row in zip(names, rows, strict=True)]
-    return sets, np.exp(np.array(each) - norm)
+    return tuple(sets), np.exp(np.array(each) - norm)

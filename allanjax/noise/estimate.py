@@ -12,7 +12,7 @@ import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
-from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.tables import printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
@@ -160,23 +160,18 @@ class Estimate(ByValue):
             lower_limit=None if below is None else below / factor,
         )
 
-    def covering(self, other: Estimate) -> Estimate:
-        """A copy whose intervals cover another estimate's, if that makes the 95 % interval notably wider.
-
-        An end at zero is not taken over: whether there is anything at all is another question.
-        """
-
-        def hull(own: tuple[float, float], another: tuple[float, float]) -> tuple[float, float]:
-            return min(own[0], another[0] or own[0]), max(own[1], another[1])
-
-        low, high = hull(self.interval, other.interval)
+    def covering(self, low: float, high: float) -> Estimate:
+        """A copy whose 95 % interval covers another one, if that makes it notably wider."""
+        low, high = min(low, self.interval[0]), max(high, self.interval[1])
         if high - low < _NOTABLY * (self.interval[1] - self.interval[0]):
             return self
+        share, own = TWO_SIDED_68 / TWO_SIDED_95, self.interval_68
+        ends = [self.value + share * (end - self.value) for end in (low, high)]
         return dataclasses.replace(
             self,
             std=max(self.std, (high - low) / 2.0 / TWO_SIDED_95),
             interval=(low, high),
-            interval_68=hull(self.interval_68, other.interval_68),
+            interval_68=(min(ends[0], own[0]), max(ends[1], own[1])),
         )
 
     def unmeasured(self) -> Estimate:
@@ -279,9 +274,9 @@ class Estimate(ByValue):
 #: A fit's estimates are its coefficients.
 Coefficient = Estimate
 
-#: The fields of an estimate that are in its `unit`.
 # Factor from which on an interval counts as wider than another.
 _NOTABLY = 1.1
+#: The fields of an estimate that are in its `unit`.
 _NUMBERS = ("value", "std", "interval", "interval_68", "upper_limit", "lower_limit", "excess")
 
 
