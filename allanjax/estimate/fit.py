@@ -43,10 +43,11 @@ from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_othe
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
 from allanjax.inspection import Inspection, inspect
+from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
-from allanjax.noise.terms import Markov, Telegraph, basic_terms
+from allanjax.noise.terms import Markov, Sinusoid, Telegraph, basic_terms
 from allanjax.noise.terms.transient import Transient
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -297,16 +298,30 @@ def without_coefficients(
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
     """A fit completed by its inspection: facts, parts, levels, and what these facts mean for each axis."""
     rate, results = found.curve.rate, []
+    facts = ordered(_left(fact, found) for fact in seen.facts)
     for r in found.results:
         k = [axis.name for axis in seen.axes].index(r.axis.name)
         r = dataclasses.replace(r, mean=float(seen.mean[k]), rms=float(seen.rms[k]))
         # Rounding adds a twelfth of the square of a step to each sample's variance.
-        r = r.allowing(float(seen.allowance[k]), float(seen.steps[k]) / np.sqrt(12.0 * rate))
+        # What lines add to the power is half of it in an amplitude.
+        widened = (f for f in facts if f.consequence == "widened" and r.axis.name in f.axes)
+        share = float(np.hypot(seen.allowance[k], sum(f.share or 0.0 for f in widened) / 2.0))
+        r = r.allowing(share, float(seen.steps[k]) / np.sqrt(12.0 * rate))
         kinds = seen.why_not(r.axis.name)
         results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
     return dataclasses.replace(
-        found, results=tuple(results), facts=seen.facts, parts=seen.parts, notes=found.notes + seen.notes
+        found, results=tuple(results), facts=facts, parts=seen.parts, notes=found.notes + seen.notes
     )
+
+
+def _left(fact: Fact, found: Fit) -> Fact:
+    """A fact about lines, as one that widens where no term of its axis's model is for lines; others as is."""
+    if fact.kind != "lines" or not found[fact.axes[0]].converged:
+        return fact
+    if any(term.narrow_band or isinstance(term, Sinusoid) for term in found[fact.axes[0]].model.terms):
+        return fact
+    text = f"{fact.text}: no term of the model is for that, and the intervals allow for it"
+    return dataclasses.replace(fact, consequence="widened", text=text)
 
 
 def terms_to_fit(

@@ -32,7 +32,7 @@ _WHY = {
 }
 # So many words are listed; further ones are counted.
 _NAMED = 3
-# Kinds that a fit does not warn of: it corrects for them, or says so elsewhere.
+# Kinds that a fit does not warn of where they change nothing: it corrects for them, or says so elsewhere.
 _QUIET = ("lines", "jitter", "gaps", "dead axes")
 
 
@@ -48,6 +48,7 @@ class Fact(ByValue):
             "not a measurement" of the sensor, for coefficients without standard deviation and interval.
         size, unit: how large it is; None and "" where no single number says it.
         spans: where it is, as times in s from the first sample; empty for all of the record.
+        share: of lines, their share in the axis's power but for drift.
     """
 
     kind: str
@@ -57,6 +58,7 @@ class Fact(ByValue):
     size: float | None = None
     unit: str = ""
     spans: tuple[tuple[float, float], ...] = ()
+    share: float | None = None
 
     @property
     def grave(self) -> bool:
@@ -81,7 +83,9 @@ def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:
     """The facts that a user of the coefficients should know, in words, each once."""
-    return tuple(dict.fromkeys(fact.text for fact in facts if fact.kind not in _QUIET))
+    return tuple(
+        dict.fromkeys(fact.text for fact in facts if fact.kind not in _QUIET or fact.consequence != "none")
+    )
 
 
 def why_no_measurement(kinds: Iterable[str]) -> str:

@@ -104,7 +104,14 @@ def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
             lines.sort(key=lambda line: -line[0])
             said = [f"{plain(at, 4)} Hz ({plain(100.0 * share, 2)} % of its power)" for share, at in lines]
             text = f"{axis.name} vibrates at {listed(said)}"
-            yield Fact("lines", text, (axis.name,), size=lines[0][1], unit="Hz")
+            yield Fact(
+                "lines",
+                text,
+                (axis.name,),
+                size=lines[0][1],
+                unit="Hz",
+                share=sum(share for share, _ in lines),
+            )
 
 
 def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
