@@ -203,7 +203,12 @@ class AllanAccumulator:
 
         Its `stretch` is the one that an accumulator without the disturbed samples would have. Spikes, lines
         and interpolated samples need the samples themselves: a fact says that these are not looked for.
+
+        Raises:
+            AllanjaxError: there are no samples yet.
         """
+        if not self.n:
+            raise AllanjaxError(f"{self.name or 'the stream'} has no samples yet: give it some by update()")
         living = self._living()
         return look(
             living._windows,

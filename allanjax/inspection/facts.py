@@ -32,8 +32,8 @@ _WHY = {
 }
 # So many words are listed; further ones are counted.
 _NAMED = 3
-# Kinds that a fit does not warn of where they change nothing: it corrects for them, or says so elsewhere.
-_QUIET = ("lines", "jitter", "gaps", "dead axes")
+# Kinds that a fit says elsewhere, and one that it corrects for, unless it widens.
+_QUIET, _CORRECTED = ("jitter", "gaps", "dead axes"), "lines"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,9 +83,8 @@ def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:
     """The facts that a user of the coefficients should know, in words, each once."""
-    return tuple(
-        dict.fromkeys(fact.text for fact in facts if fact.kind not in _QUIET or fact.consequence != "none")
-    )
+    told = (f for f in facts if f.kind not in _QUIET and (f.kind != _CORRECTED or f.consequence != "none"))
+    return tuple(dict.fromkeys(fact.text for fact in told))
 
 
 def why_no_measurement(kinds: Iterable[str]) -> str:

@@ -106,10 +106,7 @@ class Inspection(ByValue):
 
         These are behind the `others` of the recording. Samples that are `lost` have been drawn.
         """
-        lost = np.zeros_like(recording.values, bool)
-        for name, places in self.lost.items():
-            for first, last in places:
-                lost[first:last, recording.names.index(name)] = True
+        lost = _at(self.lost, recording)
         if self.stretch is None:
             return _completed(recording, lost)
         rows = {part: slice(*(round(time * self.rate) for time in part)) for part in self.parts}
@@ -238,7 +235,7 @@ def look(
         found += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
         found += [] if ends is None else saturated(axes, ends, steps)
     else:
-        found, steps = _of_samples(recording, part, stretch, spikes)
+        found, steps = _of_samples(recording, part, stretch, spikes, treatment.lost)
     lost = dict(treatment.lost)
     for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
@@ -268,19 +265,31 @@ def _of_samples(
     part: Windows,
     stretch: tuple[float, float] | None,
     spikes: Sequence[Bool[np.ndarray, " n"]],
+    lost: Places,
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
     """Facts that the samples themselves show, and the step of each axis."""
     rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
     drawn = _drawn(recording)
-    own = [x[rows][~lost[rows]] for x, lost in zip(recording.values.T, drawn.T, strict=True)]
+    own = [x[rows][~missing[rows]] for x, missing in zip(recording.values.T, drawn.T, strict=True)]
     facts, steps = resolved(part, recording.axes, own)
     held = {name for fact in facts if fact.kind == "repeated samples" or fact.grave for name in fact.axes}
     for k, (axis, x) in enumerate(zip(recording.axes, own, strict=True)):
         facts += saturated([axis], Ends.of(x[:, None]), steps[k : k + 1])
     whole = np.column_stack([bridged(x, at) for x, at in zip(recording.values.T, spikes, strict=True)])
-    facts += spectral_facts(whole[rows], recording.rate, recording.axes, held)
+    # A burst has power at all frequencies, some of which would look like lines.
+    calm = np.column_stack([bridged(x, at) for x, at in zip(whole.T, _at(lost, recording).T, strict=True)])
+    facts += spectral_facts(calm[rows], recording.rate, recording.axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording)]
     return facts + list(_spike_facts(recording, whole, spikes)), steps
+
+
+def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
+    """Which samples are at these places."""
+    found = np.zeros_like(recording.values, bool)
+    for name, stretches in places.items():
+        for first, last in stretches:
+            found[first:last, recording.names.index(name)] = True
+    return found
 
 
 def _drawn(recording: Recording) -> Bool[np.ndarray, "n axes"]:

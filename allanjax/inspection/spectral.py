@@ -110,7 +110,7 @@ def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
                 (axis.name,),
                 size=lines[0][1],
                 unit="Hz",
-                share=sum(share for share, _ in lines),
+                share=float(sum(share for share, _ in lines)),
             )
 
 
