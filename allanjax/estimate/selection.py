@@ -212,7 +212,7 @@ class TermSet:
     parameters: int
     log_evidence: float
     probability: float
-    intervals: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    intervals: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict, hash=False)
 
     def __str__(self) -> str:
         return " + ".join(self.terms)

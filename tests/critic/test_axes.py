@@ -252,8 +252,8 @@ def test_coefficients_with_intervals_are_those_of_what_is_left():
         coefficients, own = again[axis].coefficients, hidden.truth[axis]
         white, walk = coefficients["angle_random_walk"], coefficients["rate_random_walk"]
         assert abs(white.value - own["angle_random_walk"]) < 4.0 * white.std
-        # By Allan variances a little worse than by all data.
-        assert 1.0 < white.std / (own["angle_random_walk"] / np.sqrt(2.0 * N)) < 1.3
+        # By Allan variances a little worse than by all data; other sets of terms are nearly as probable.
+        assert 1.0 < white.std / (own["angle_random_walk"] / np.sqrt(2.0 * N)) < 1.5
         # A random walk at the edge of detection is below its limit.
         assert walk.value < own["rate_random_walk"] + 4.0 * walk.std + 1e-12
         assert own["rate_random_walk"] < walk.upper_limit

@@ -202,7 +202,7 @@ def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     found = told.table.groupby(["recording", "axis"])["remarks"].unique().map(", ".join).to_dict()
     used = sum(stop - start for start, stop in aj.inspect(aj.read(tmp_path / "knock.parquet")).parts)
     expected = dict.fromkeys(found, "length 20 s")
-    expected["line", "gyro_y"] = "incomplete, length 20 s, line 7.3 Hz"
+    expected["line", "gyro_y"] = "incomplete, line 7.3 Hz, length 20 s"
     # 5e-4 is half a standard deviation, above which 31 % are.
     expected["clips", "gyro_x"] = "not a measurement, saturation 31 %, length 20 s"
     expected |= {("knock", f"gyro_{k}"): f"cut {20.48 - used:.2g} s, length {used:.2g} s" for k in "xy"}
