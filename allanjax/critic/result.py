@@ -20,7 +20,7 @@ from allanjax.critic.merging import merged
 from allanjax.critic.parameters import side_of_limit, values_of
 from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect
-from allanjax.inspection.facts import warnings_of
+from allanjax.inspection.facts import ordered, warnings_of
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.simulate import simulate_recording
@@ -205,8 +205,11 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         values, drawn = (np.column_stack(of) for of in zip(*((s.x, s.drawn) for s in last), strict=True))
         missing = drawn if drawn.any() else None
         recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
-        # The facts are those of the recording as it came.
-        seen = dataclasses.replace(inspect(recording, as_is=True, may_move=True), facts=self.fit.facts)
+        # The facts are those of the recording as it came, but for lines, which may have been taken out.
+        seen = inspect(recording, as_is=True, may_move=True)
+        lines = [fact for fact in seen.facts if fact.kind == "lines"]
+        facts = ordered([*(fact for fact in self.fit.facts if fact.kind != "lines"), *lines])
+        seen = dataclasses.replace(seen, facts=facts)
         model, objective = (None, "allan") if self.fit.chosen else (self.fit.template, self.fit.objective)
         return fit_inspected(recording, seen, model, cast(Any, objective), as_is=True)
 

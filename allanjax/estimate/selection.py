@@ -259,12 +259,20 @@ class AxisSelection(ByValue):
         return min(close, key=lambda s: (s.parameters, -s.log_evidence))
 
     @property
+    def _compared(self) -> list[TermSet]:
+        """The sets that compete with the chosen one; those with a free time if it has one."""
+        free = self.chosen.parameters > len(self.chosen.terms)
+        return [s for s in self.ranking if free or s.parameters == len(s.terms)]
+
+    @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets."""
+        """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets.
+
+        Sets with a free time count only if the chosen one has one, too: with a short time they say the same
+        as white noise.
+        """
         found: dict[str, tuple[float, float]] = {}
-        for low, high, label in (
-            (*i, label) for s in self.indistinguishable for label, i in s.intervals.items()
-        ):
+        for label, (low, high) in (item for s in self._compared for item in s.intervals.items()):
             one, other = found.get(label, (low, high))
             found[label] = min(low, one), max(high, other)
         return found
@@ -282,8 +290,7 @@ class AxisSelection(ByValue):
         as a random walk. The rivals are of the sets that are not told from the best, the most probable
         first, if these sets need them; none if the term may as well be missing altogether.
         """
-        free = self.chosen.parameters > len(self.chosen.terms)
-        compared = [s for s in self.ranking if free or s.parameters == len(s.terms)]
+        compared = self._compared
         total, found = sum(s.probability for s in compared), {}
         close = {frozenset(s.terms) for s in self.indistinguishable}
         for term in self.chosen.terms:
