@@ -134,7 +134,8 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user of the critique should know of the recording as a whole, the gravest first."""
-        return warnings_of(self.fit.facts)
+        # Lines are among the findings.
+        return warnings_of(fact for fact in self.fit.facts if fact.kind != "lines")
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
