@@ -40,7 +40,8 @@ Out = Annotated[
     typer.Option(help=f"Folder for the results, by default {RESULTS}; with --json there is none by default."),
 ]
 Vibrating = Annotated[
-    bool, typer.Option("--vibrating", help="The platform moves or vibrates, and is to: no test for rest.")
+    bool,
+    typer.Option("--vibrating", help="The platform is meant to move or vibrate: it is not tested for rest."),
 ]
 
 

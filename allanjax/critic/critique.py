@@ -43,7 +43,7 @@ def critique(
         causes: what to look for; by default `allanjax.critic.causes.CAUSES`.
         false_alarms: probability that a recording without any effect has a finding; it is shared by its
             axes. Basic terms that a given model lacks come on top, as often again (`critic.policy`).
-        vibrating: whether the platform moves or vibrates, and is to: it is not tested for rest.
+        vibrating: whether the platform is meant to move or vibrate: it is not tested for rest.
         progress: called with a text that says what is being done.
         rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.
         gaps: what to do about missing samples, as in `read`; of an array those that are nan.

@@ -406,7 +406,7 @@ def check(
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
-        vibrating: whether the platform moves or vibrates, and is to: motion is no reason to stop then.
+        vibrating: whether the platform is meant to move or vibrate: motion is no reason to stop then.
         rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
             and a file may state their own.
         gaps: what to do about missing samples, as in `read`; of an array those that are nan.

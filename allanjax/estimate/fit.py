@@ -121,7 +121,7 @@ def fit(
         regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
             with "whittle" only.
         as_is: whether to use all of the recording whatever it looks like; the warnings stay.
-        vibrating: whether the platform moves or vibrates, and is to: motion is no reason for a warning then.
+        vibrating: whether the platform is meant to move or vibrate: motion is no reason for a warning then.
         plain: whether to leave it at the terms where they do not suffice.
         rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
             and a file may state their own.

@@ -171,7 +171,7 @@ def inspect(
     # What is drawn in the place of lost samples is no spike of the sensor's.
     spikes = [_spikes(x, lost) for x, lost in zip(values, _drawn(recording).T, strict=True)]
     return look(
-        Windows.of(np.column_stack([bridged(x, at) for x, at in zip(values, spikes, strict=True)])),
+        Windows.of(_bridged(values, spikes)),
         recording.axes,
         recording.rate,
         name=recording.name,
@@ -275,12 +275,19 @@ def _of_samples(
     held = {name for fact in facts if fact.kind == "repeated samples" or fact.grave for name in fact.axes}
     for k, (axis, x) in enumerate(zip(recording.axes, own, strict=True)):
         facts += saturated([axis], Ends.of(x[:, None]), steps[k : k + 1])
-    whole = np.column_stack([bridged(x, at) for x, at in zip(recording.values.T, spikes, strict=True)])
+    whole = _bridged(recording.values.T, spikes)
     # A burst has power at all frequencies, some of which would look like lines.
-    calm = np.column_stack([bridged(x, at) for x, at in zip(whole.T, _at(lost, recording).T, strict=True)])
+    calm = _bridged(whole.T, _at(lost, recording).T)
     facts += spectral_facts(calm[rows], recording.rate, recording.axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording)]
     return facts + list(_spike_facts(recording, whole, spikes)), steps
+
+
+def _bridged(
+    columns: Iterable[Float[np.ndarray, " n"]], where: Iterable[Bool[np.ndarray, " n"]]
+) -> Float[np.ndarray, "n axes"]:
+    """Samples of all axes with those at `where` interpolated."""
+    return np.column_stack([bridged(x, at) for x, at in zip(columns, where, strict=True)])
 
 
 def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
