@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import fit_spectrum, result_of
@@ -111,21 +111,22 @@ def _check_axes(spectra: SegmentSpectra, axes: Sequence[Axis]) -> None:
 
 
 def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Recording:
-    """The quiet parts of a recording's longest stretch, with other stretches in which nothing happened."""
-    if not recording.others:
+    """The quiet parts of a recording's longest stretch, with those of its other stretches."""
+    if not recording.others or as_is:
         return quiet
     others, parts = quiet.others[: len(recording.others)], quiet.others[len(recording.others) :]
-    calm = [x for x in others if as_is or _calm(Recording(x, quiet.rate, quiet.axes))]
+    calm = [_calm(Recording(x, quiet.rate, quiet.axes)) for x in others]
     notes = quiet.notes
-    if touched := len(others) - len(calm):
+    if touched := sum(not of for of in calm):
         notes += (f"{touched} of {len(others) + 1} stretches not used, in which the sensor was touched",)
-    return dataclasses.replace(quiet, others=(*calm, *parts), notes=notes)
+    return dataclasses.replace(quiet, others=(*(x for of in calm for x in of), *parts), notes=notes)
 
 
-def _calm(stretch: Recording) -> bool:
-    """Whether nothing happened to the sensor in a stretch that would change its coefficients."""
+def _calm(stretch: Recording) -> list[Float[np.ndarray, "n axes"]]:
+    """What the coefficients of a stretch should be estimated from; nothing where there are none."""
     seen = inspect(stretch, vibrating=True)
-    return seen.stretch is None and not seen.refusal
+    quiet = stretch if seen.refusal else seen.quiet(stretch)
+    return [] if seen.refusal or quiet.names != stretch.names else [quiet.values, *quiet.others]
 
 
 def joined(

@@ -458,25 +458,25 @@ class AxisFit(ByValue, AxisEstimates):
             widening=self.widening * factor,
         )
 
-    def allowing(self, share: float, rounding: float) -> AxisFit:
+    def allowing(self, share: float, foreign: float) -> AxisFit:
         """A copy whose intervals allow for errors of the record.
 
         Args:
             share: relative error of the Allan deviation, and so of every amplitude.
-            rounding: density of the noise by rounding [rad/√s or m/s/√s], which may be part of N.
+            foreign: density of the white noise [rad/√s or m/s/√s] that may be part of N but not the sensor's.
         """
 
         def factor(c: Estimate) -> float:
             if not c.is_amplitude or not c.detected or not c.std > 0.0:
                 return 1.0
             white = c.term == AngleRandomWalk.name()
-            rounded = c.value - np.sqrt(max(c.value**2 - rounding**2, 0.0)) if white else 0.0
-            return float(np.sqrt(1.0 + ((share * c.value) ** 2 + rounded**2) / c.std**2))
+            more = c.value - np.sqrt(max(c.value**2 - foreign**2, 0.0)) if white else 0.0
+            return float(np.sqrt(1.0 + ((share * c.value) ** 2 + more**2) / c.std**2))
 
-        if not self.converged or share == rounding == 0.0:
+        if not self.converged or share == foreign == 0.0:
             return self
         found = {label: c.widened(factor(c)) for label, c in self._coefficients.items()}
-        plain = None if self.plain is None else self.plain.allowing(share, rounding)
+        plain = None if self.plain is None else self.plain.allowing(share, foreign)
         return dataclasses.replace(self.with_estimates(found), plain=plain)
 
     def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.wording import plain
 from allanjax.inspection.events import Event
 from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
+from allanjax.inspection.scores import runs
 from allanjax.record.completion import MOST_MISSING
 from allanjax.record.recording import Axis
 
@@ -27,13 +28,17 @@ _REMEDY = (
 )
 # Kinds of events in the order in which they are told.
 _KINDS = ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
-# Standard deviations of what is left of a sample less the mean of its neighbours beyond which it is a spike:
-# Gaussian noise has one in 10¹⁵ samples.
-_FAR = 8.0
+# Standard deviations beyond which a sample is a spike: Gaussian noise has one in 10⁹ samples.
+_FAR = 6.0
+# Samples on either side of one, and most spikes among so many samples.
+_AROUND, _CLOSE = 3, 3
+# Standard deviations beyond which Gaussian noise has this share of its samples; that many times as many, and
+# so many more, are no chance.
+_OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
 # Median of the magnitude of a normal variate.
 _MEDIAN = 0.6745
 # Largest share of an axis's samples that are spikes: of more, the noise itself has heavy tails.
-_MOST = 0.01
+_MOST = 0.1
 
 #: Samples of axes by their names: from the first up to but not including the last, as often as needed.
 Places = Mapping[str, tuple[tuple[int, int], ...]]
@@ -210,23 +215,41 @@ class Treatment:
 
 
 def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which samples are spikes; none where there are too many for that.
+    """Which samples are spikes, alone or two or three close together; none where there are too many for that.
 
-    What is left of a sample less the mean of its neighbours is compared with the median of its magnitude.
-    Neighbours of a spike stand out by half as much with the other sign, and not once it is taken away; a
-    step, a knock or a burst is no spike.
+    A spike is far both from the mean of its two neighbours and from the median of the seven samples around
+    it, in standard deviations of Gaussian noise that has the same median magnitude of the former difference.
+    A step is not far from the median, and a knock or a burst has more such samples together.
+    """
+    distance, scale = _distances(x)
+    far, places = np.zeros(len(x), bool), np.flatnonzero(distance > _FAR)
+    if len(places) > 3.0 * _MOST * len(x):
+        return far
+    around = np.pad(x, _AROUND, mode="reflect")[places[:, None] + np.arange(2 * _AROUND + 1)]
+    far[places[abs(x[places] - np.median(around, axis=1)) > _FAR * scale]] = True
+    for first, last in runs(far, _AROUND):
+        far[first:last] &= far[first:last].sum() <= _CLOSE
+    return far if far.mean() <= _MOST else np.zeros_like(far)
+
+
+def outliers_of(x: Float[np.ndarray, " n"]) -> tuple[int, float]:
+    """Number of samples that are farther off than Gaussian noise would be, and the variance that they add.
+
+    Both are zero where no more are than chance may leave there.
+    """
+    distance, scale = _distances(x)
+    beyond = distance[distance > _OUTLYING]
+    if len(beyond) <= _ENOUGH * (1.0 + len(x) * _GAUSSIAN_BEYOND):
+        return 0, 0.0
+    return len(beyond), float(np.sum(beyond**2 - 1.0)) * scale**2 / len(x)
+
+
+def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
+    """Distances of samples from the mean of their two neighbours, in robust standard deviations; and these.
+
+    Zeros where most samples are equal to that: they are rounded, and their steps are no spikes.
     """
     left = np.zeros(len(x))
-    left[1:-1] = x[1:-1] - 0.5 * (x[:-2] + x[2:])
-    scale = float(np.median(abs(left))) / _MEDIAN
-    far, found = abs(left) > _FAR * scale, np.zeros(len(x), bool)
-    # Where the scale is zero the output is rounded, and its steps are no spikes.
-    if not scale > 0.0 or far.mean() > 3.0 * _MOST:
-        return found
-    places = np.flatnonzero(far)
-    around = np.pad(left, 2)[places[:, None] + np.arange(5)]
-    size = around[:, 2].copy()
-    largest = abs(size) >= abs(around).max(axis=1)
-    around[:, 1:4] += 0.5 * size[:, None] * [1.0, -2.0, 1.0]
-    found[places] = largest & (abs(around).max(axis=1) <= _FAR * scale)
-    return found if found.mean() <= _MOST else np.zeros(len(x), bool)
+    left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+    scale = float(np.median(left)) / _MEDIAN
+    return (left / scale if scale > 0.0 else np.zeros(len(x))), scale

@@ -26,6 +26,8 @@ from allanjax.inspection.windows import Windows
 # benchmarks/studies/first_look.py) the largest were 6.8 but for telegraphs, and for steps 10.2.
 _UNLIKE = 8.0
 _STEP = 11.0
+# The same beside a stretch that is unlike the rest, where few averages are compared.
+_BESIDE_UNLIKE = 5.0
 # Scores down to which a stretch that is unlike the rest is extended.
 _STILL = 3.0
 # Standard deviations of a step down to which a slow change is extended.
@@ -97,8 +99,9 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
     # Stretches found from few windows are left out of the averages over more.
     for length in LENGTHS:
-        scores = list(noise_scores(windows, sensors, length, touched_by(windows, found)))
-        louder, quieter = (_runs([sign * x for x in scores], length, len(windows)) for sign in (1.0, -1.0))
+        touched = touched_by(windows, found)
+        scores = list(noise_scores(windows, sensors, length, touched))
+        louder, quieter = (_runs([sign * x for x in scores], length, touched) for sign in (1.0, -1.0))
         found += [Stretch(a, b, "noisier") for a, b in louder]
         found += [Stretch(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, found)]
     steps = list(steps_of(windows, sensors, touched_by(windows, found)))
@@ -126,23 +129,31 @@ def _silent(windows: Windows) -> list[tuple[int, int]]:
     return [(a, b) for a, b in runs((constant & usual).any(axis=1), _GAP) if b - a >= _STUCK]
 
 
-def _runs(scores: Sequence[Scores], length: int, count: int) -> list[tuple[int, int]]:
-    """Runs of windows with a score beyond the threshold, extended by neighbours with a lower one."""
-    peak, still = np.zeros(count, bool), np.zeros(count, bool)
+def _runs(scores: Sequence[Scores], length: int, found: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
+    """Runs of windows with a score beyond the threshold, extended by neighbours with a lower one.
+
+    Beside windows that are unlike the rest already, `found`, the threshold is a lower one.
+    """
+    count = len(found)
+    peak, likely, still = np.zeros((3, count), bool)
     # Of the windows of an average, the middle one: the loud part is about there.
     inner = (length - 1) // 2
     for score in scores:
-        alarmed = score.max(axis=1) > _UNLIKE
-        if not alarmed.any():
-            continue
-        high, low = (score[alarmed] > _UNLIKE).any(axis=0), (score[alarmed] > _STILL).any(axis=0)
-        peak[inner : inner + len(high)] |= high
-        still[inner : inner + len(low)] |= low
-        if length > 1:
-            # At the record's ends no average has these windows in its middle.
-            peak[: inner + 1] |= high[0]
-            peak[inner + len(high) - 1 :] |= high[-1]
-    return [(a, b) for a, b in runs(peak | still, _GAP) if peak[a:b].any()]
+        for limit, windows in ((_UNLIKE, peak), (_BESIDE_UNLIKE, likely)):
+            alarmed = score.max(axis=1) > limit
+            if not alarmed.any():
+                continue
+            high, low = (score[alarmed] > limit).any(axis=0), (score[alarmed] > _STILL).any(axis=0)
+            windows[inner : inner + len(high)] |= high
+            if limit == _UNLIKE:
+                still[inner : inner + len(low)] |= low
+            if length > 1:
+                # At the record's ends no average has these windows in its middle.
+                windows[: inner + 1] |= high[0]
+                windows[inner + len(high) - 1 :] |= high[-1]
+    near = np.convolve(found, np.ones(2 * _GAP + 1), "same") > 0.5
+    beside = [(a, b) for a, b in runs(likely, _GAP) if near[a:b].any()]
+    return [(a, b) for a, b in runs(peak | still, _GAP) if peak[a:b].any()] + beside
 
 
 def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
@@ -344,13 +355,14 @@ def quiet_parts(
         first, last, rounds = pending.pop()
         part = windows.between(first, last)
         stretches = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
-        events = zip(stretches, _events(part, stretches), strict=True)
+        events = list(zip(stretches, _events(part, stretches), strict=True))
         cuts = [s for s, e in events if e.is_cut]
         split = bool(cuts) and rounds < _ROUNDS
-        # What is not cut out is found again in a part of this one.
+        # What is slight is found again in a part of this one.
         found += [
             dataclasses.replace(s, first=first + s.first, last=first + s.last)
-            for s in (cuts if split else stretches)
+            for s, e in events
+            if not split or e.is_cut or (e.matters and e.is_of_one_axis)
         ]
         if not split:
             parts.append((first, last))

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.disturbances import Places, Treatment, spikes_in
+from allanjax.inspection.disturbances import Places, Treatment, outliers_of, spikes_in
 from allanjax.inspection.events import Event, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
 from allanjax.inspection.plausible import (
@@ -55,6 +55,8 @@ class Inspection(ByValue):
         steps: of each axis, the step of its output [rad/s or m/s²]; 0 where none is seen.
         allowance: of each axis, the relative error of the Allan deviation by what was kept although it is
             unlike the rest.
+        foreign: of each axis, the rms of white noise [rad/s or m/s²] that is, or may be, not the sensor's:
+            of rounding and of outliers.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Inspection(ByValue):
     said: str
     steps: Float[np.ndarray, " axes"]
     allowance: Float[np.ndarray, " axes"]
+    foreign: Float[np.ndarray, " axes"]
 
     @property
     def stretch(self) -> tuple[float, float] | None:
@@ -232,10 +235,11 @@ def look(
     spikes = [_within(parts, at, rate) for at in spikes]
     if recording is None:
         found, steps = resolved(part, axes, None)
+        foreign = steps / np.sqrt(12.0)
         found += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
         found += [] if ends is None else saturated(axes, ends, steps)
     else:
-        found, steps = _of_samples(recording, part, stretch, spikes, treatment.lost)
+        found, steps, foreign = _of_samples(recording, part, stretch, spikes, treatment.lost)
     lost = dict(treatment.lost)
     for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
@@ -257,6 +261,7 @@ def look(
         treatment.said(treatment.cut),
         steps,
         treatment.allowance,
+        foreign,
     )
 
 
@@ -266,8 +271,8 @@ def _of_samples(
     stretch: tuple[float, float] | None,
     spikes: Sequence[Bool[np.ndarray, " n"]],
     lost: Places,
-) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
-    """Facts that the samples themselves show, and the step of each axis."""
+) -> tuple[list[Fact], Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
+    """Facts that the samples themselves show; the step, and the rms of foreign white noise, of each axis."""
     rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
     drawn = _drawn(recording)
     own = [x[rows][~missing[rows]] for x, missing in zip(recording.values.T, drawn.T, strict=True)]
@@ -280,7 +285,13 @@ def _of_samples(
     calm = _bridged(whole.T, _at(lost, recording).T)
     facts += spectral_facts(calm[rows], recording.rate, recording.axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording)]
-    return facts + list(_spike_facts(recording, whole, spikes)), steps
+    outliers = np.zeros(len(steps))
+    for k, axis in enumerate(recording.axes):
+        if axis.name not in held:
+            count, outliers[k] = outliers_of(calm[rows, k])
+            facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
+    foreign = np.sqrt(steps**2 / 12.0 + outliers)
+    return facts + list(_spike_facts(recording, whole, spikes)), steps, foreign
 
 
 def _bridged(
@@ -308,9 +319,8 @@ def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[n
     """Isolated spikes of an axis that change its Allan variance by more than the estimate's own error."""
     at = spikes_in(x) & ~drawn
     without = bridged(x, at)
-    off, noise = (x - without)[at], np.mean(np.diff(without) ** 2) / 2.0
-    few = off @ off <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * len(x) * noise
-    return np.zeros_like(at) if few else at
+    off = (x - without)[at]
+    return np.zeros_like(at) if _is_trifle(float(off @ off) / len(x), without) else at
 
 
 def _within(
@@ -322,6 +332,23 @@ def _within(
     return at & np.any(inside, axis=0) if parts else at
 
 
+def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray, " n"]) -> Iterator[Fact]:
+    """A fact about samples that are farther off than those of Gaussian noise, and stay."""
+    if _is_trifle(variance, x):
+        return
+    share = plain(100.0 * count / len(x), 2)
+    text = (
+        f"{count} single samples of {axis.name} ({share} %) are farther off than Gaussian noise: kept; the "
+        f"interval of N allows for the white noise of {amount(np.sqrt(variance), axis)} rms that they add"
+    )
+    yield Fact("spikes", text, (axis.name,), "widened", float(np.sqrt(variance)))
+
+
+def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
+    """Whether so much more variance changes the Allan variance by less than the estimate's own error."""
+    return variance <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
+
+
 def _spike_facts(
     recording: Recording, without: Float[np.ndarray, "n axes"], spikes: Sequence[Bool[np.ndarray, " n"]]
 ) -> Iterator[Fact]:
@@ -331,10 +358,11 @@ def _spike_facts(
             continue
         off = float(abs(x - calm).max())
         places = (np.flatnonzero(at) / recording.rate).tolist()
-        said = listed([f"{plain(time, 6)} s" for time in places])
-        single = f"{len(places)} single samples" if len(places) > 1 else "a single sample"
+        where = listed([f"{plain(time, 6)} s" for time in places])
+        share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= _TRIFLE else ""
+        single = f"{len(places)} single samples{share}" if len(places) > 1 else "a single sample"
         text = (
-            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {said}: left out, and drawn "
+            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {where}: left out, and drawn "
             "given the others"
         )
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)

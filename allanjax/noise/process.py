@@ -35,6 +35,12 @@ from allanjax.noise.response import Parts, Response
 _LEAST_CIRCLE = 1 << 16
 
 
+@jax.jit
+def _summed_density(process: Process, angle: Float[Array, " f"], rate: float) -> Float[Array, " f"]:
+    """Density of the samples [rate²/Hz] at angular frequencies per sample, summed numerically."""
+    return jax.vmap(lambda a: sampled_density(process.phase_covariance, a, rate))(angle)
+
+
 class Process(eqx.Module):
     """A random process with a phase covariance, and its Allan variance, spectrum and simulation."""
 
@@ -67,8 +73,7 @@ class Process(eqx.Module):
         if self.deterministic:
             return xp.zeros(f.shape)
         # With derivatives of G, which are JAX's.
-        density = jax.vmap(lambda a: sampled_density(self.phase_covariance, a, rate))
-        return density(2.0 * np.pi * f.ravel() / rate).reshape(f.shape)
+        return _summed_density(self, 2.0 * np.pi * f.ravel() / rate, rate).reshape(f.shape)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples of the rate (n means over sample intervals) at `rate` [Hz], exact in law.
