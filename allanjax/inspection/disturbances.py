@@ -35,8 +35,8 @@ _AROUND, _CLOSE = 3, 3
 # Standard deviations beyond which Gaussian noise has this share of its samples; that many times as many, and
 # so many more, are no chance.
 _OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
-# Median of the magnitude of a normal variate.
-_MEDIAN = 0.6745
+# Share of the distances, the smallest, by which their scale is known, and their rms in normal variates.
+_INNER, _INNER_RMS = 0.7, 0.5565
 # Largest share of an axis's samples that are spikes: of more, the noise itself has heavy tails.
 _MOST = 0.1
 
@@ -218,7 +218,7 @@ def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which samples are spikes, alone or two or three close together; none where there are too many for that.
 
     A spike is far both from the mean of its two neighbours and from the median of the seven samples around
-    it, in standard deviations of Gaussian noise that has the same median magnitude of the former difference.
+    it, in standard deviations of Gaussian noise.
     A step is not far from the median, and a knock or a burst has more such samples together.
     """
     distance, scale = _distances(x)
@@ -232,24 +232,26 @@ def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     return far if far.mean() <= _MOST else np.zeros_like(far)
 
 
-def outliers_of(x: Float[np.ndarray, " n"]) -> tuple[int, float]:
+def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
     """Number of samples that are farther off than Gaussian noise would be, and the variance that they add.
 
-    Both are zero where no more are than chance may leave there.
+    Both are zero where no more are than chance may leave there. By rounding to a step they may be off.
     """
     distance, scale = _distances(x)
-    beyond = distance[distance > _OUTLYING]
+    beyond = distance[distance * scale > _OUTLYING * scale + step]
     if len(beyond) <= _ENOUGH * (1.0 + len(x) * _GAUSSIAN_BEYOND):
         return 0, 0.0
     return len(beyond), float(np.sum(beyond**2 - 1.0)) * scale**2 / len(x)
 
 
 def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
-    """Distances of samples from the mean of their two neighbours, in robust standard deviations; and these.
+    """Distances of samples from the mean of their two neighbours in robust standard deviations, and that.
 
-    Zeros where most samples are equal to that: they are rounded, and their steps are no spikes.
+    They are zero where most samples are equal to that: they are rounded, and their steps are no spikes.
     """
     left = np.zeros(len(x))
     left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
-    scale = float(np.median(left)) / _MEDIAN
+    # The median itself would be coarse where the output is rounded.
+    inner = np.partition(left, most := int(_INNER * len(x)))[:most]
+    scale = float(np.sqrt(np.mean(inner**2))) / _INNER_RMS
     return (left / scale if scale > 0.0 else np.zeros(len(x))), scale

@@ -288,7 +288,7 @@ def _of_samples(
     outliers = np.zeros(len(steps))
     for k, axis in enumerate(recording.axes):
         if axis.name not in held:
-            count, outliers[k] = outliers_of(calm[rows, k])
+            count, outliers[k] = outliers_of(calm[rows, k], float(steps[k]))
             facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
     foreign = np.sqrt(steps**2 / 12.0 + outliers)
     return facts + list(_spike_facts(recording, whole, spikes)), steps, foreign
