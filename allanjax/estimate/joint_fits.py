@@ -14,7 +14,7 @@ from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.deterministic import AxisSpectrum, needs_record
 from allanjax.estimate.result import AxisFit
 from allanjax.estimate.selection import TermSelection, candidates_of, rank_terms
-from allanjax.inspection import inspect
+from allanjax.inspection import Inspection, inspect
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import NoiseTerm
@@ -115,18 +115,20 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     if not recording.others or as_is:
         return quiet
     others, parts = quiet.others[: len(recording.others)], quiet.others[len(recording.others) :]
-    calm = [_calm(Recording(x, quiet.rate, quiet.axes)) for x in others]
+    stretches = [Recording(x, quiet.rate, quiet.axes) for x in others]
+    looks = [inspect(stretch, vibrating=True) for stretch in stretches]
+    calm = [x for look, stretch in zip(looks, stretches, strict=True) for x in _calm(look, stretch)]
     notes = quiet.notes
-    if touched := sum(not of for of in calm):
-        notes += (f"{touched} of {len(others) + 1} stretches not used, in which the sensor was touched",)
-    return dataclasses.replace(quiet, others=(*(x for of in calm for x in of), *parts), notes=notes)
+    if touched := sum(bool(look.parts or look.refusal) for look in looks):
+        note = "without the parts in which the sensor was touched"
+        notes += (f"{touched} of {len(others) + 1} stretches used {note}",)
+    return dataclasses.replace(quiet, others=(*calm, *parts), notes=notes)
 
 
-def _calm(stretch: Recording) -> list[Float[np.ndarray, "n axes"]]:
-    """What the coefficients of a stretch should be estimated from; nothing where there are none."""
-    seen = inspect(stretch, vibrating=True)
-    quiet = stretch if seen.refusal else seen.quiet(stretch)
-    return [] if seen.refusal or quiet.names != stretch.names else [quiet.values, *quiet.others]
+def _calm(look: Inspection, stretch: Recording) -> list[Float[np.ndarray, "n axes"]]:
+    """What coefficients should be estimated from in a stretch, given what was seen there; perhaps nothing."""
+    quiet = stretch if look.refusal else look.quiet(stretch)
+    return [] if look.refusal or quiet.names != stretch.names else [quiet.values, *quiet.others]
 
 
 def joined(

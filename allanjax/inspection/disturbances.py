@@ -37,6 +37,8 @@ _AROUND, _CLOSE = 3, 3
 _OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
 # Share of the distances, the smallest, by which their scale is known, and their rms in normal variates.
 _INNER, _INNER_RMS = 0.7, 0.5565
+# Share of distances of zero beyond which the steps of rounding are too coarse for that.
+_EQUAL = 0.35
 # Largest share of an axis's samples that are spikes: of more, the noise itself has heavy tails.
 _MOST = 0.1
 
@@ -247,11 +249,12 @@ def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
 def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
     """Distances of samples from the mean of their two neighbours in robust standard deviations, and that.
 
-    They are zero where most samples are equal to that: they are rounded, and their steps are no spikes.
+    They are zero where many samples are equal to that: they are rounded, and their steps are no spikes.
     """
     left = np.zeros(len(x))
     left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
     # The median itself would be coarse where the output is rounded.
     inner = np.partition(left, most := int(_INNER * len(x)))[:most]
     scale = float(np.sqrt(np.mean(inner**2))) / _INNER_RMS
-    return (left / scale if scale > 0.0 else np.zeros(len(x))), scale
+    rounded = np.mean(left[1:-1] == 0.0) > _EQUAL
+    return (np.zeros(len(x)) if rounded or not scale > 0.0 else left / scale), scale

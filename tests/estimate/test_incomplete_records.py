@@ -97,11 +97,12 @@ def test_what_needs_one_record_is_of_the_longest(whole, why):
     assert fit["gyro_x"]["N"] == alone["gyro_x"]["N"]
 
 
-def test_a_stretch_in_which_the_sensor_was_touched_is_left_out():
+@pytest.mark.parametrize(("every", "touched"), [(1, True), (9, False)], ids=["touched", "spikes"])
+def test_a_stretch_is_used_without_what_happened_in_it(every, touched):
     x = record(42, axes=1)
-    x[500:600] += 0.5 * np.random.default_rng(1).standard_normal((100, 1))
+    x[500:600:every] += 0.5 * np.random.default_rng(1).standard_normal((100, 1))[::every]
     fit = aj.fit(made(x), "N + K")
-    assert any("1 of 4 stretches" in note for note in fit.notes)
+    assert any("1 of 4 stretches" in note for note in fit.notes) == touched
     assert fit["gyro_x"]["N"].value == pytest.approx(N, rel=0.05)
     assert aj.fit(made(x), "N", as_is=True)["gyro_x"]["N"].value > 2.0 * N
 

@@ -324,7 +324,7 @@ def put(x, rows, axis, value):
     return x
 
 
-SOME = np.random.default_rng(4).choice(20_000, 30, replace=False)
+SOME, MANY = (np.random.default_rng(4).choice(20_000, count, replace=False) for count in (30, 300))
 TONE = np.sin(140.0 * TIME[:20_000])
 LOUD = 30.0 * SIGMA[1] * np.random.default_rng(5).standard_normal(600)
 # What is done to white noise, the kind of fact, its axes, and what it means for them.
@@ -337,6 +337,8 @@ FACTS = {
     "few levels": (lambda x: put(x, ..., 0, lambda y: 1.5 * SIGMA[0] * np.round(y / 1.5 / SIGMA[0])),
                    "resolution", "x", "widened"),
     "spikes": (lambda x: put(x, SOME, 1, lambda y: y + 90.0 * SIGMA[1]), "spikes", "y", "widened"),
+    "many spikes": (lambda x: put(x, MANY, 1, lambda y: y + 15.0 * SIGMA[1]), "spikes", "y", "widened"),
+    "outliers": (lambda x: put(x, MANY, 1, lambda y: y + 5.0 * SIGMA[1]), "spikes", "y", "widened"),
     "burst": (lambda x: put(x, slice(9000, 9600), 1, LOUD), "disturbances", "y", "widened"),
     "louder": (lambda x: put(x, slice(0, 4000), 1, lambda y: 1.3 * y), "disturbances", "y", "widened"),
     "line": (lambda x: put(x, ..., 1, lambda y: y + SIGMA[1] * TONE), "lines", "y", "widened"),
