@@ -24,5 +24,13 @@ class RecordingError(AllanjaxError):
         self.about = about
 
 
+class MixedRatesError(RecordingError):
+    """A table of several sensors, each with a rate of its own: `sensors` can be read one by one."""
+
+    def __init__(self, message: str, sensors: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.sensors = sensors
+
+
 class FitError(AllanjaxError):
     """A fit without a result: it did not converge, or the data cannot determine the model."""

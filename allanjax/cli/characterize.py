@@ -11,7 +11,6 @@ from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, sta
 from allanjax.cli.options import with_options
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import accumulate
-from allanjax.record.io import read_recording
 from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
@@ -79,7 +78,7 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[Power
     from allanjax.estimate.check import check_of
 
     with stage(f"{file.label}: reading"):
-        recording = read_recording(file.path, options.reading, file.label)
+        recording = file.read(options.reading)
     with fitting(file, recording), ThreadPoolExecutor(1) as pool:
         seen = options.inspect(recording)
         spectrum = pool.submit(_spectrum, seen.quiet(recording))
@@ -91,17 +90,18 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
     """Fit of a file that is never in memory as a whole."""
     if options.regressors:
         raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
+    reading = file.options(options.reading)
     with stage(f"{file.label}: reading") as say:
 
         def progress(done: int, total: int | None) -> None:
             share = f" of {total:,} ({100.0 * done / total:.0f} %)" if total else ""
             say(f"{file.label}: {done:,}{share} samples read")
 
-        accumulator = accumulate(open_chunks(file.path, options.reading, label=file.label), progress=progress)
+        accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
         seen = options.inspect(accumulator)
         if seen.stretch is not None:
             # What was handled cannot be taken out again, but the file can be read again without.
-            reading = options.reading.within(seen.stretch)
+            reading = reading.within(seen.stretch)
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     with fitting(file, accumulator):
         return options.fit_accumulated(accumulator, seen)

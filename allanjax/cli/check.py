@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 import typer
 
-from allanjax.base.errors import RecordingError
+from allanjax.base.errors import MixedRatesError, RecordingError
 from allanjax.cli.common import Files, Input, Outcome, Vibrating, epilog, stage, work_through
 from allanjax.cli.options import with_options
-from allanjax.record.io import ReadOptions, read_recording
+from allanjax.record.io import ReadOptions
 
 HELP = (
     "Say whether static recordings are fit for the estimation of noise coefficients: rate, gaps, resolution, "
@@ -38,7 +38,9 @@ def command(
     def work(file: Input, _: Path | None) -> Outcome:
         with stage(f"{file.label}: reading") as say:
             try:
-                recording = read_recording(file.path, reading, file.label)
+                recording = file.read(reading)
+            except MixedRatesError:
+                raise
             except RecordingError as error:
                 found = unreadable(error, file.name)
             else:

@@ -1,19 +1,24 @@
 """Files, progress, errors and names of results, for all commands."""
 
+from __future__ import annotations
+
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
 from allanjax.fleet.files import matching_files
+from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
     from allanjax.estimate.result import AxisFit, Fit
@@ -55,11 +60,28 @@ def epilog(*examples: str) -> str:
 
 
 class Input(NamedTuple):
-    """Recording that a command works on: its file, its name in messages, and that of its results alone."""
+    """Recording that a command works on: its file, its name in messages, and that of its results alone.
+
+    Of a table whose sensors have rates of their own it is one `sensor`.
+    """
 
     path: Path
     label: str
     name: str
+    sensor: str = ""
+
+    def of(self, sensors: Iterable[str]) -> list[Input]:
+        """Each of its sensors."""
+        return [Input(self.path, f"{self.label} ({s})", f"{self.name}_{s}", s) for s in sensors]
+
+    def options(self, reading: ReadOptions) -> ReadOptions:
+        """How to read it."""
+        return replace(reading, columns=self.sensor) if self.sensor else reading
+
+    def read(self, reading: ReadOptions) -> Recording:
+        """The recording."""
+        found = read_recording(self.path, self.options(reading), self.label)
+        return replace(found, name=f"{found.name}_{self.sensor}") if self.sensor else found
 
 
 class Outcome(NamedTuple):
@@ -89,9 +111,14 @@ def work_through(
     documents: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []
     with inputs(files, directory) as given:
-        for file in given:
+        pending = deque(given)
+        while pending:
+            file = pending.popleft()
             try:
                 done = work(file, directory)
+            except MixedRatesError as mixed:
+                pending.extendleft(reversed(file.of(mixed.sensors)))
+                continue
             except FAILURES as failure:
                 errors.append(_reported(file, _reason(failure, file.label)))
                 continue
@@ -193,9 +220,7 @@ def stage(text: str) -> Iterator[Callable[[str], None]]:
         yield lambda words: status.update(Text(words))
 
 
-def fitting(
-    file: Input, data: "Recording | AllanAccumulator"
-) -> AbstractContextManager[Callable[[str], None]]:
+def fitting(file: Input, data: Recording | AllanAccumulator) -> AbstractContextManager[Callable[[str], None]]:
     """Show that a recording is being fitted, see `stage`."""
     size = f"{data.n:,} samples of {len(data.axes)} axes"
     return stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)")
@@ -254,7 +279,7 @@ Sheet = Annotated[
 ]
 
 
-def fit_or_sheet(path: Path | None, sheet: str | None) -> "Fit | DataSheet":
+def fit_or_sheet(path: Path | None, sheet: str | None) -> Fit | DataSheet:
     """The fit in a file, or a data sheet by its name or in a file; AllanjaxError if there is none."""
     from allanjax.noise.datasheet import datasheet
 
@@ -266,7 +291,7 @@ def fit_or_sheet(path: Path | None, sheet: str | None) -> "Fit | DataSheet":
     return datasheet(path) if path.suffix == ".toml" else saved_fit(path)
 
 
-def saved_fit(path: Path) -> "Fit":
+def saved_fit(path: Path) -> Fit:
     """The fit in a file; AllanjaxError if there is none, or more than one."""
     from allanjax.estimate.as_json import load
 
@@ -281,7 +306,7 @@ def saved_fit(path: Path) -> "Fit":
     return next(iter(found.values()))
 
 
-def measured_axis(fit: "Fit", name: str, path: Path) -> "AxisFit":
+def measured_axis(fit: Fit, name: str, path: Path) -> AxisFit:
     """The fit of an axis; AllanjaxError if it is no measurement of the sensor."""
     axis = fit[name]
     if not axis.measured:

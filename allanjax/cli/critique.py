@@ -8,7 +8,7 @@ import typer
 
 from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, epilog, fitting, stage, work_through
 from allanjax.cli.options import with_options
-from allanjax.record.io import ReadOptions, read_recording
+from allanjax.record.io import ReadOptions
 
 if TYPE_CHECKING:
     from allanjax.critic.result import Critique
@@ -68,7 +68,7 @@ def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "
     with stage(f"{file.label}: loading allanjax"):
         from allanjax.critic.critique import critique
     with stage(f"{file.label}: reading"):
-        recording = read_recording(file.path, reading, file.label)
+        recording = file.read(reading)
     with fitting(file, recording) as tell:
         return critique(recording, vibrating=vibrating, progress=lambda text: tell(f"{file.label}: {text}"))
 

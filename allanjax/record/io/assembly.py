@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.base.errors import RecordingError
+from allanjax.base.errors import MixedRatesError, RecordingError
 from allanjax.record.columns import (
     Axis,
     Column,
@@ -377,11 +377,12 @@ def own_rows(
         return one | other
     rates = {sensor: rows.sum() / max(times[-1] - times[0], 1e-9) for sensor, rows in fresh.items()}
     listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
-    raise source.error(
+    error = source.error(
         f"its sensors were sampled at different times, {listed} (other rows repeat their last values), and a "
         "recording has one rate: read one of them by columns='gyro' or columns='accel' (--columns gyro, "
         "--columns accel)"
     )
+    raise MixedRatesError(str(error), tuple(map(str, fresh)))
 
 
 def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
