@@ -270,7 +270,7 @@ def alarm_of(seed: int) -> tuple[str, str]:
     elif not seen.at_rest:
         alarm = f"not static ({seed})"
     elif alone := seen.about("spikes"):
-        alarm = f"{"; ".join(alone)} ({seed})"
+        alarm = f"{'; '.join(alone)} ({seed})"
     elif any(word in " ".join(seen.warnings) for word in ("-unit", "--rate")):
         alarm = f"unit ({seed})"
     return f"{'six axes' if seed % 2 else 'one axis'}, {drawn.label}", alarm
