@@ -358,11 +358,11 @@ def quiet_parts(
         events = list(zip(stretches, _events(part, stretches), strict=True))
         cuts = [s for s, e in events if e.is_cut]
         split = bool(cuts) and rounds < _ROUNDS
-        # What is slight is found again in a part of this one.
+        # What changes nothing may be found again in a part; what is kept may not, where it fills one.
         found += [
             dataclasses.replace(s, first=first + s.first, last=first + s.last)
             for s, e in events
-            if not split or e.is_cut or (e.matters and e.is_of_one_axis)
+            if not split or e.matters
         ]
         if not split:
             parts.append((first, last))
@@ -403,11 +403,12 @@ def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
 
 
 def _joined(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches with adjacent ones that matter joined to one."""
+    """Stretches with adjacent ones of the same sort that matter joined to one."""
     joined: list[Stretch] = []
     for s in found:
         o = joined[-1] if joined else None
-        if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
+        alike = o is not None and o.matters and s.matters and (o.kind == "moved") == (s.kind == "moved")
+        if o is not None and alike and s.first <= o.last + 1 + (s.last - s.first):
             larger = max((o, s), key=lambda x: max(x.shares))
             axes = tuple(sorted({*o.axes, *s.axes}))
             joined[-1] = dataclasses.replace(larger, first=o.first, last=max(o.last, s.last), axes=axes)
