@@ -350,7 +350,9 @@ def quiet_parts(
     that is left is searched again: the faint end of an event shows beside quiet windows only. Where the mean
     may move, as in a model with a step, such moves are no events.
     """
-    pending, parts, found = [(0, len(windows), 0)], [], []
+    out: list[Stretch] = []
+    found: list[Stretch] = []
+    pending, parts = [(0, len(windows), 0)], []
     while pending:
         first, last, rounds = pending.pop()
         part = windows.between(first, last)
@@ -359,11 +361,10 @@ def quiet_parts(
         cuts = [s for s, e in events if e.is_cut]
         split = bool(cuts) and rounds < _ROUNDS
         # What changes nothing may be found again in a part; what is kept may not, where it fills one.
-        found += [
-            dataclasses.replace(s, first=first + s.first, last=first + s.last)
-            for s, e in events
-            if not split or e.matters
-        ]
+        for s, e in events:
+            if not split or e.matters:
+                moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
+                (out if e.is_cut else found).append(moved)
         if not split:
             parts.append((first, last))
             continue
@@ -372,7 +373,8 @@ def quiet_parts(
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
     edges = windows.edges
     quiet = tuple((int(edges[a]), int(edges[b])) for a, b in sorted(parts))
-    return tuple(_events(windows, _joined(sorted(found, key=lambda s: s.first)))), quiet
+    joined = sorted(_joined(out) + _joined(found), key=lambda s: s.first)
+    return tuple(_events(windows, joined)), quiet
 
 
 def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stretch]:
@@ -403,12 +405,11 @@ def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
 
 
 def _joined(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches with adjacent ones of the same sort that matter joined to one."""
+    """Stretches in order, with adjacent ones that matter joined to one."""
     joined: list[Stretch] = []
-    for s in found:
+    for s in sorted(found, key=lambda s: s.first):
         o = joined[-1] if joined else None
-        alike = o is not None and o.matters and s.matters and (o.kind == "moved") == (s.kind == "moved")
-        if o is not None and alike and s.first <= o.last + 1 + (s.last - s.first):
+        if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
             larger = max((o, s), key=lambda x: max(x.shares))
             axes = tuple(sorted({*o.axes, *s.axes}))
             joined[-1] = dataclasses.replace(larger, first=o.first, last=max(o.last, s.last), axes=axes)
