@@ -77,28 +77,29 @@ def is_unicode(stream: TextIO) -> bool:
     return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "").startswith("utf")
 
 
-WIDTH = 110
+WIDTH = 100
 """Width of printed tables, in characters."""
 
 
 def text_table(
     title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()
 ) -> str:
-    """Table as text, whose first column names the group of a row and is printed once a group.
+    """Table as text, with a line under the headings; a name in the first column is not repeated below itself.
 
     Cells are printed as they are, without markup. `right` are the headings of right-aligned columns.
     """
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
     headings, rows = _filled(headings, rows)
-    table = Table(title=printable(title), title_justify="left")
+    table = Table(
+        title=printable(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False, show_edge=False
+    )
     for heading in headings:
         table.add_column(printable(heading), justify="right" if heading in right else "left")
     previous = None
     for first, *others in rows:
-        if previous not in (None, first):
-            table.add_section()
         table.add_row(*map(printable, (first if first != previous else "", *others)))
         previous = first
     # In a notebook rich would show an empty block for each table that is made.
@@ -107,7 +108,7 @@ def text_table(
     )
     with console.capture() as capture:
         console.print(table)
-    return capture.get().rstrip("\n")
+    return "\n".join(line.rstrip() for line in capture.get().rstrip("\n").splitlines())
 
 
 def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
