@@ -1,7 +1,7 @@
-"""Simulated stand-ins for the two real ADIS16405 units that the notebooks speak of, with the same effects.
+"""Simulated stand-ins, with the same effects, for the two real ADIS16405 units of the notebooks.
 
-They are for whoever has not the real recordings at hand. Sizes are near those found in the real units, so
-that the notebooks run and show the same things; the numbers that their text tells are of the real ones.
+They serve readers who do not have the real recordings. Sizes are close to those of the real units, so that
+the notebooks run and show similar results; the numbers in their text are those of the real units.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ GYROS, ACCELS = ("gyro_x", "gyro_y", "gyro_z"), ("accel_x", "accel_y", "accel_z"
 PEAK, BUMP = {1: 21.9, 2: 20.3}, {1: 11.0, 2: 10.1}
 # The line that all accelerometers share, with its third harmonic: frequency [Hz], size [mg].
 LINE = ((0.567, 0.6), (1.70, 0.18))
-# What the registers count in: 0.05 deg/s and 3.33 mg.
+# Resolution of the registers: 0.05 deg/s and 3.33 mg.
 COUNT = {"gyro": 0.05, "accel": 3.33e-3}
 SI = {"gyro": aj.convert(1.0, "deg/s", "rad/s"), "accel": aj.convert(1.0, "g", "m/s²")}
 
