@@ -2,10 +2,12 @@
 
 import logging
 import os
+import signal
 import sys
+import threading
 import warnings
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -15,7 +17,7 @@ from allanjax.cli.common import INTERRUPTED, epilog
 
 app = typer.Typer(
     name="allanjax",
-    help="Noise coefficients of gyros and accelerometers from a static recording, with honest uncertainties.",
+    help="Estimate noise coefficients of gyros and accelerometers, with intervals, from static recordings.",
     epilog=epilog("allanjax demo", "allanjax characterize imu.csv", "allanjax characterize --help"),
     add_completion=False,
     no_args_is_help=True,
@@ -29,15 +31,36 @@ _SILENT = logging.NullHandler()
 
 
 def main() -> None:
-    """Entry point of the command `allanjax`."""
+    """Run the command line. Ctrl-C ends it with the line "interrupted" and exit code 130."""
+    # Ignored for jobs that a shell runs in the background.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     for stream in (sys.stdout, sys.stderr):
         speak_plainly(stream)
     try:
         app(prog_name="allanjax")
-    except SystemExit as end:
-        if end.code == INTERRUPTED:
-            print("interrupted", file=sys.stderr)
-        raise
+    except BaseException:
+        # Libraries turn a KeyboardInterrupt into errors of their own.
+        if signal.getsignal(signal.SIGINT) is not _end:
+            raise
+        _end()
+
+
+def _interrupt(*_: object) -> None:
+    """Let the command close what is open; a second Ctrl-C does not wait for that."""
+    signal.signal(signal.SIGINT, _end)
+    sys.unraisablehook = threading.excepthook = _ignore
+    raise KeyboardInterrupt
+
+
+def _ignore(_: object) -> None:
+    """Print nothing about exceptions in callbacks and threads."""
+
+
+def _end(*_: object) -> NoReturn:
+    """End the process without waiting for its threads, which may be compiling."""
+    print("interrupted", file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED)
 
 
 def _show_version(wanted: bool) -> None:
@@ -55,20 +78,20 @@ def _common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    # What libraries warn of, with paths and lines, is of no use to who runs a command.
+    # Warnings of libraries, with paths and line numbers, do not help users of a command.
     warnings.showwarning = _show_own
     logging.getLogger().addHandler(_SILENT)
-    # Of processes that the command starts, too.
+    # For processes that the command starts, too.
     os.environ.setdefault("PYTHONWARNINGS", "ignore")
 
 
 def _show_own(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-    """Print a warning of allanjax on stderr, and no other."""
+    """Print warnings of allanjax on stderr, and no others."""
     if issubclass(category, AllanjaxWarning):
         print(f"warning: {message}", file=sys.stderr)
 
 
-# The order of `allanjax --help`; each is in the module of its name: its help, examples and function.
+# In the order of `allanjax --help`. The module of each command has its help, examples and function.
 _COMMANDS = "check characterize critique fleet export horizon navigate statespace kalman calibrate"
 for _name in f"{_COMMANDS} simulate convert schema demo".split():
     _module = import_module(f"allanjax.cli.{_name}")

@@ -1,13 +1,16 @@
 """Options of reading, in one object, so that no reader and no command can leave one out."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from allanjax.base.errors import RecordingError
-from allanjax.record.units import Sensor
+
+if TYPE_CHECKING:
+    from allanjax.record.units import Sensor
 
 TimeChoice = str | Literal[False] | None
 GapChoice = Literal["error", "segments", "fill"]
@@ -55,7 +58,7 @@ class ReadOptions:
     def __post_init__(self) -> None:
         start, stop = self.start, self.stop
         for name, time in (("start", start), ("stop", stop)):
-            if time is not None and not np.isfinite(time):
+            if time is not None and not math.isfinite(time):
                 raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
         if self.gaps not in (None, *get_args(GapChoice)):
             raise RecordingError(f"gaps= (--gaps) must be error, segments or fill, not {self.gaps!r}")
@@ -79,7 +82,7 @@ class ReadOptions:
         """Unit of each sensor's samples, where it is given."""
         return {"gyro": self.gyro_unit, "accel": self.accel_unit}
 
-    def within(self, stretch: tuple[float, float]) -> "ReadOptions":
+    def within(self, stretch: tuple[float, float]) -> ReadOptions:
         """Options for a stretch [s] of what these read, from its first sample."""
         origin = self.start or 0.0
         return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
