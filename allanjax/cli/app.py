@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -95,4 +96,6 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 _COMMANDS = "check characterize critique fleet export horizon navigate statespace kalman calibrate"
 for _name in f"{_COMMANDS} simulate convert schema demo".split():
     _module = import_module(f"allanjax.cli.{_name}")
-    app.command(_name, help=_module.HELP, epilog=_module.EPILOG)(_module.command)
+    # In the list of commands: the first sentence, without its enumeration.
+    _short = re.split("[.:] ", _module.HELP)[0].removesuffix(".")
+    app.command(_name, help=_module.HELP, short_help=_short, epilog=_module.EPILOG)(_module.command)

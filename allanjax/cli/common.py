@@ -55,7 +55,7 @@ Vibrating = Annotated[
 def epilog(*examples: str) -> str:
     """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
     codes = (
-        "Exit codes: 0 success; 1 bad input, or an axis without a result; 2 invalid command line; "
+        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
         f"{INTERRUPTED} interrupted."
     )
     return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])

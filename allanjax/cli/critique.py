@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
 
 HELP = (
-    "Find what the fitted noise model misses in static recordings, and the cause: lines, steps, outliers, "
+    "Find what the noise model of static recordings misses, and why: spectral lines, bias steps, outliers, "
     "filters and others. Prints a summary of each file and writes NAME_critique.json and one figure per "
     "finding. If one file fails, the others are still processed. With --json (schema: allanjax schema "
     "critique), the output for one file is its document; with several files, or if none could be read, it is "

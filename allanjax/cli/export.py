@@ -10,8 +10,8 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Sheet, epilog, fit_or_sheet, user_errors
 
 HELP = (
-    "Write the noise parameters of an estimator, autopilot or simulator from a result, a data sheet or "
-    "another target's file."
+    "Write noise parameters for an estimator, autopilot or simulator, from a result, a data sheet or another "
+    "target's file."
 )
 EPILOG = epilog(
     "allanjax export --list",

@@ -7,9 +7,9 @@ import typer
 from allanjax.cli.common import OptionalFit, Sheet, epilog, fit_or_sheet, prepare, print_json, user_errors
 
 HELP = (
-    "Find the white noise N and random walk K (or Gauss–Markov process) for a Kalman filter that is "
-    "corrected at regular intervals: the values that predict the errors of the full fitted model, and the "
-    "values that bound them."
+    "Find the white noise N and random walk K to use in a Kalman filter that is corrected at regular "
+    "intervals: values that predict the errors of the full noise model, and values that bound them. The bias "
+    "can be a Gauss–Markov process instead of a random walk."
 )
 EPILOG = epilog(
     "allanjax horizon allanjax-results/imu.json --horizon 10",

@@ -12,7 +12,7 @@ from allanjax.record.io import ReadOptions, read_recording
 
 HELP = (
     "Run a Kalman filter with a noise model on a recording: estimate the bias over time with its interval, "
-    "and test whether the innovations are white and of the predicted size, as they are if the model is right."
+    "and test whether the innovations are white and of the predicted size, as they should be."
 )
 EPILOG = epilog(
     "allanjax kalman imu.csv --fit allanjax-results/imu.json",

@@ -35,7 +35,8 @@ def command(
         str | None, typer.Option(help="Required accuracy (1σ) of the azimuth, e.g. 0.1deg.")
     ] = None,
     time: Annotated[
-        list[float] | None, typer.Option(help="Time in s; repeat for more. Default: 1 s to 1000 s.")
+        list[float] | None,
+        typer.Option(help="Time to report errors at, in s; repeat for more. Default: 1 s to 1000 s."),
     ] = None,
     calibration: Annotated[
         float, typer.Option(help="Time at rest before the start, in s, over which biases are averaged.")

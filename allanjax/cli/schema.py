@@ -13,9 +13,7 @@ EPILOG = epilog("allanjax schema fit > fit.schema.json")
 def command(
     name: Annotated[
         Literal["check", "fit", "critique", "fleet", "horizon"],
-        typer.Argument(
-            help="Which schema; fit is that of characterize.", metavar="check|fit|critique|fleet|horizon"
-        ),
+        typer.Argument(help="Which schema; fit is that of characterize.", metavar="NAME"),
     ],
 ) -> None:
     from allanjax.report.schemas import schema

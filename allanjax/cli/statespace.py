@@ -8,8 +8,8 @@ import typer
 from allanjax.cli.common import SavedFit, epilog, measured_axis, prepare, saved_fit, user_errors
 
 HELP = (
-    "Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis, x' = A x + w "
-    "and z = H x + v, with the names and units (SI) of the states."
+    "Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis: x' = A x + w, "
+    "z = H x + v. The file also gives the names and SI units of the states."
 )
 EPILOG = epilog(
     "allanjax statespace allanjax-results/imu.json --axis gyro_x --out gyro_x.npz",
