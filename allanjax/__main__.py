@@ -1,16 +1,13 @@
 """The command line as `allanjax` and as `python -m allanjax`."""
 
-import os
-import sys
+from allanjax.cli.interrupt import end_on_interrupt
 
 
 def main() -> None:
     """Entry point of the command `allanjax`, which can be interrupted while it is being imported, too."""
-    try:
-        from allanjax.cli.app import main as run
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr, flush=True)
-        os._exit(130)
+    end_on_interrupt()
+    from allanjax.cli.app import main as run
+
     run()
 
 

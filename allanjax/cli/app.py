@@ -3,18 +3,17 @@
 import logging
 import os
 import re
-import signal
 import sys
-import threading
 import warnings
 from importlib import import_module
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli.common import INTERRUPTED, epilog
+from allanjax.cli.common import epilog
+from allanjax.cli.interrupt import end_on_interrupt
 
 app = typer.Typer(
     name="allanjax",
@@ -32,36 +31,11 @@ _SILENT = logging.NullHandler()
 
 
 def main() -> None:
-    """Run the command line. Ctrl-C ends it with the line "interrupted" and exit code 130."""
-    # Ignored for jobs that a shell runs in the background.
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupt)
+    """Run the command line."""
+    end_on_interrupt()
     for stream in (sys.stdout, sys.stderr):
         speak_plainly(stream)
-    try:
-        app(prog_name="allanjax")
-    except BaseException:
-        # Libraries turn a KeyboardInterrupt into errors of their own.
-        if signal.getsignal(signal.SIGINT) is not _end:
-            raise
-        _end()
-
-
-def _interrupt(*_: object) -> None:
-    """Let the command close what is open; a second Ctrl-C does not wait for that."""
-    signal.signal(signal.SIGINT, _end)
-    sys.unraisablehook = threading.excepthook = _ignore
-    raise KeyboardInterrupt
-
-
-def _ignore(_: object) -> None:
-    """Print nothing about exceptions in callbacks and threads."""
-
-
-def _end(*_: object) -> NoReturn:
-    """End the process without waiting for its threads, which may be compiling."""
-    print("interrupted", file=sys.stderr, flush=True)
-    os._exit(INTERRUPTED)
+    app(prog_name="allanjax")
 
 
 def _show_version(wanted: bool) -> None:

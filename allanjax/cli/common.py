@@ -20,6 +20,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
+from allanjax.cli.interrupt import INTERRUPTED, TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 RESULTS = Path("allanjax-results")
 _STDIN = "-"
-INTERRUPTED = 130
-"""Exit code of an interrupted command, by the convention of shells: 128 and the number of the signal."""
 
 Files = Annotated[
     list[str],
@@ -146,6 +145,7 @@ def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, 
     from allanjax.fleet.files import matching_files
 
     with TemporaryDirectory() as folder:
+        TEMPORARY.append(folder)
         files: dict[Path, tuple[Path, str]] = {}
         for text in arguments:
             if text == _STDIN or Path(text).is_fifo():

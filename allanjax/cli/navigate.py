@@ -36,7 +36,7 @@ def command(
     ] = None,
     time: Annotated[
         list[float] | None,
-        typer.Option(help="Time to report errors at, in s; repeat for more. Default: 1 s to 1000 s."),
+        typer.Option(help="Time in s to report; repeat for more. Default: 1 s to 1000 s."),
     ] = None,
     calibration: Annotated[
         float, typer.Option(help="Time at rest before the start, in s, over which biases are averaged.")
