@@ -25,22 +25,13 @@ class LateNames:
     """
 
     def __init__(self, package: str, stub: Path) -> None:
-        self._package, self._stub = package, stub
-
-    @functools.cached_property
-    def _imports(self) -> list[tuple[ast.alias, str]]:
-        """Imported names of the stub, and the module of each."""
-        lines = ast.parse(self._stub.read_text(encoding="utf-8")).body
+        lines = ast.parse(stub.read_text(encoding="utf-8")).body
         imports = [line for line in lines if isinstance(line, ast.ImportFrom) and line.module]
-        return [(alias, str(line.module)) for line in imports for alias in line.names]
-
-    @functools.cached_property
-    def _sources(self) -> dict[str, tuple[str, str]]:
-        """Module of each public name, and its name there."""
-        return {
-            alias.asname or alias.name: (module, alias.name)
-            for alias, module in self._imports
-            if alias.name != "*"
+        taken = [(alias, str(line.module)) for line in imports for alias in line.names]
+        self._package = package
+        self._starred = [module for alias, module in taken if alias.name == "*"]
+        self._sources = {
+            alias.asname or alias.name: (module, alias.name) for alias, module in taken if alias.name != "*"
         }
 
     def load(self, name: str) -> Any:
@@ -68,9 +59,8 @@ class LateNames:
 
     def _lists(self) -> Iterator[tuple[str, list[str]]]:
         """Modules of which all public names are imported, with these names."""
-        for alias, module in self._imports:
-            if alias.name == "*":
-                yield module, import_module(module).__all__
+        for module in self._starred:
+            yield module, import_module(module).__all__
 
 
 # Methods of results that draw, print or export: declared with the result, implemented in `report`.

@@ -9,17 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import (
-    RESULTS,
-    Out,
-    epilog,
-    prepare,
-    print_json,
-    print_written,
-    saved_fit,
-    stage,
-    user_errors,
-)
+from allanjax.cli.common import RESULTS, Out, epilog, prepare, print_result, saved_fit, stage, user_errors
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -118,12 +108,7 @@ def command(
                 orientation_error=math.radians(orientation_error),
                 as_is=as_is,
             )
-        if as_json:
-            print_json(result.to_dict())
-        else:
-            print(result)
-        if directory is not None:
-            _write(result, directory, as_json)
+        print_result(result, as_json, () if directory is None else _write(result, directory))
 
 
 def _read(
@@ -138,14 +123,14 @@ def _read(
     return recordings, [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
 
 
-def _write(result: "Calibration", directory: Path, as_json: bool) -> None:
-    """Write calibration.json and calibration.png."""
+def _write(result: "Calibration", directory: Path) -> list[Path]:
+    """Write calibration.json and calibration.png, and return their paths."""
     directory.mkdir(parents=True, exist_ok=True)
     text = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     paths = [directory / f"calibration.{kind}" for kind in ("json", "png")]
     paths[0].write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
     result.plot(path=paths[1])
-    print_written(paths, as_json)
+    return paths
 
 
 def _split(text: str) -> tuple[str, str]:

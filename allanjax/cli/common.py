@@ -24,7 +24,7 @@ from allanjax.cli.interrupt import INTERRUPTED, TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
-    from allanjax.estimate.result import AxisFit, Fit
+    from allanjax.estimate.result import Fit
     from allanjax.fleet.stream import AllanAccumulator
     from allanjax.noise.datasheet import DataSheet
     from allanjax.record.recording import Recording
@@ -127,8 +127,7 @@ def work_through(
                 documents.append({"file": file.label, **done.document})
             else:
                 print(done.text, flush=True)
-            if done.written:
-                print_written(done.written, as_json)
+            print_written(done.written, as_json)
             errors += [_reported(file, message) for message in done.without_result]
     if as_json:
         print_json({**document(documents, len(given)), "errors": errors})
@@ -246,8 +245,7 @@ def stage(text: str) -> Iterator[Callable[[str], None]]:
 
 def fitting(file: Input, data: Recording | AllanAccumulator) -> AbstractContextManager[Callable[[str], None]]:
     """Show that a recording is being fitted, see `stage`."""
-    size = f"{data.n:,} samples of {len(data.axes)} axes"
-    return stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)")
+    return stage(f"{file.label}: fitting {data.n:,} samples per axis (the first run also compiles)")
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -255,9 +253,19 @@ def print_json(document: Mapping[str, Any]) -> None:
     print(json.dumps(document, indent=2, ensure_ascii=not is_unicode(sys.stdout), allow_nan=False))
 
 
-def print_written(paths: Iterable[Path], as_json: bool) -> None:
+def print_result(result: Any, as_json: bool, written: Sequence[Path] = ()) -> None:
+    """Print a result as text or as JSON, and which files were written."""
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print(result, flush=True)
+    print_written(written, as_json)
+
+
+def print_written(paths: Sequence[Path], as_json: bool = False) -> None:
     """Print which files were written: on stderr if stdout has JSON."""
-    print(f"wrote {', '.join(map(str, paths))}", file=sys.stderr if as_json else sys.stdout)
+    if paths:
+        print(f"wrote {', '.join(map(str, paths))}", file=sys.stderr if as_json else sys.stdout)
 
 
 def print_error(message: str) -> None:
@@ -292,10 +300,6 @@ def result_names(files: Sequence[Path]) -> list[str]:
         names.append(next(name for name in (stem, *numbered) if name.casefold() not in taken))
     return names
 
-
-SavedFit = Annotated[
-    Path, typer.Argument(help="Result of allanjax characterize: NAME.json.", metavar="RESULT.json")
-]
 
 OptionalFit = Annotated[
     Path | None,
@@ -332,11 +336,3 @@ def saved_fit(path: Path) -> Fit:
             "--json and give one NAME.json"
         )
     return next(iter(fits.values()))
-
-
-def measured_axis(fit: Fit, name: str, path: Path) -> AxisFit:
-    """The fit of an axis; AllanjaxError if it is not a measurement of the sensor."""
-    axis = fit[name]
-    if not axis.measured:
-        raise AllanjaxError(f"{path}: {name}: {axis.verdict}")
-    return axis

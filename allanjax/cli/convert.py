@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import epilog, print_json, user_errors
+from allanjax.cli.common import epilog, print_result, user_errors
 
 HELP = (
     "Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write "
@@ -53,10 +53,7 @@ def command(
 
         with user_errors():
             values = datasheet(sheet)
-        if as_json:
-            print_json(values.to_dict())
-        else:
-            print(values)
+        print_result(values, as_json)
         return
     if unit is None or to is None or as_json:
         raise typer.BadParameter("give VALUE UNIT --to UNIT")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from allanjax.cli.characterize import read_and_fit
-from allanjax.cli.common import Input, prepare, stage, user_errors
+from allanjax.cli.common import Input, prepare, print_written, stage, user_errors
 from allanjax.fleet.options import FitOptions
 
 HELP = "Characterize a simulated six-axis sensor and compare the estimates with the true coefficients."
@@ -36,7 +36,7 @@ def command(
     table, inside, count = compare(fit)
     print(table)
     print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
-    print(f"wrote {', '.join(str(path) for path in paths)}")
+    print_written(paths)
     print("\nFor your own recording:\n    allanjax characterize imu.csv")
     print("If it has no time stamps and no units in its header:")
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")

@@ -14,7 +14,7 @@ from allanjax.cli.common import (
     exit_if_failed,
     prepare,
     print_error,
-    print_written,
+    print_result,
     stage,
     user_errors,
 )
@@ -87,8 +87,7 @@ def command(
             progress=progress,
             **options.arguments(),
         )
-    print(result, flush=True)
-    print_written([out / name for name in _WRITTEN], as_json=False)
+    print_result(result, as_json=False, written=[out / name for name in _WRITTEN])
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))

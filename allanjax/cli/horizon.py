@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import OptionalFit, Sheet, epilog, fit_or_sheet, prepare, print_json, user_errors
+from allanjax.cli.common import OptionalFit, Sheet, epilog, fit_or_sheet, prepare, print_result, user_errors
 
 HELP = (
     "Find the white noise N and random walk K to use in a Kalman filter that is corrected at regular "
@@ -37,7 +37,4 @@ def command(
     with user_errors():
         fit = fit_or_sheet(result, sheet)
         noise = horizon(fit, seconds, process=process, axes=axis, probability=probability)
-    if as_json:
-        print_json(noise.to_dict())
-    else:
-        print(noise)
+    print_result(noise, as_json)

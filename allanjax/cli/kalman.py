@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import epilog, prepare, print_json, print_written, saved_fit, stage, user_errors
+from allanjax.cli.common import epilog, prepare, print_result, saved_fit, stage, user_errors
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -60,9 +60,4 @@ def command(
                 result.to_dataframe().to_csv(path, index=False)
             else:
                 result.plot(path=path)
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        print(result)
-    if out:
-        print_written(out, as_json)
+    print_result(result, as_json, out or ())

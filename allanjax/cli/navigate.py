@@ -61,7 +61,5 @@ def command(
     if as_json:
         print_json({"navigation": growth.to_dict(), "alignment": aligned.to_dict()})
     else:
-        print(growth)
-        print(aligned)
-    if out is not None:
-        print_written([out], as_json)
+        print(f"{growth}\n{aligned}")
+    print_written([] if out is None else [out], as_json)

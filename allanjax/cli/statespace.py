@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import SavedFit, epilog, measured_axis, prepare, saved_fit, user_errors
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import epilog, prepare, print_result, saved_fit, user_errors
 
 HELP = (
     "Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis: x' = A x + w, "
@@ -18,7 +19,9 @@ EPILOG = epilog(
 
 
 def command(
-    result: SavedFit,
+    result: Annotated[
+        Path, typer.Argument(help="Result of allanjax characterize: NAME.json.", metavar="RESULT.json")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
     axis: Annotated[str, typer.Option(help="Axis, e.g. gyro_x.")],
     rate: Annotated[
@@ -38,7 +41,9 @@ def command(
     prepare()
     with user_errors():
         fit = saved_fit(result)
-        measured = measured_axis(fit, axis, result)
+        measured = fit[axis]
+        if not measured.measured:
+            raise AllanjaxError(f"{result}: {axis}: {measured.verdict}")
         # A filter that precedes sampling depends on the recording's rate.
         length = fit.curve.n / fit.curve.rate if duration is None else duration
         rate = fit.curve.rate if rate is None else rate
@@ -48,5 +53,4 @@ def command(
         else:
             text = space.to_matlab() if form == "matlab" else space.to_c_header()
             out.write_text(text, encoding="utf-8")
-    print(space)
-    print(f"wrote {out}")
+    print_result(space, as_json=False, written=[out])
