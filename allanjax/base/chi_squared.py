@@ -1,6 +1,6 @@
 """The χ² distribution: tail probabilities, quantiles, and normal scores from the cube root.
 
-The cube root is nearly normal (Wilson & Hilferty 1931). `scipy.stats.chi2` gives the same tails and quantiles,
+The cube root is nearly normal (Wilson & Hilferty 1931). `scipy.stats.chi2` has the same tails and quantiles,
 but takes half a second to load.
 """
 

@@ -34,6 +34,12 @@ def write_odd(name):
     return ("odd.csv", *READING, "--columns", ",".join([first, "-", *others]))
 
 
+def ran(*words):
+    done = run(*words)
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
+
+
 def check_fit(document, fit):
     assert document["recording"]["n"] == fit.curve.n
     assert [axis["name"] for axis in document["axes"]] == list(fit)
@@ -65,33 +71,30 @@ def test_sensors_of_two_rates_in_one_table_have_results_of_their_own():
     table = pd.DataFrame(np.hstack([own[name][rows[name]] for name in clocks]), columns=heads)
     table.insert(0, "time [s]", stamps)
     table.to_csv("both.csv", index=False)
-    done = run("characterize", "both.csv", "--out", "there")
-    assert done.exit_code == 0
+    ran("characterize", "both.csv", "--out", "there")
     for name, rate in clocks.items():
         fit = aj.load(f"there/both_{name}.json")
         assert fit.curve.rate == pytest.approx(rate, rel=1e-3)
         assert list(fit) == [f"{name}_{k}" for k in "xyz"]
         assert all(abs(fit[axis]["N"].value - N) < 4.0 * N / np.sqrt(2 * 40.0 * rate) for axis in fit)
-    (one, two) = json.loads(run("check", "both.csv", "--json").stdout)["checks"]
+    (one, two) = json.loads(ran("check", "both.csv", "--json"))["checks"]
     assert (one["file"], two["file"]) == ("both.csv (gyro)", "both.csv (accel)")
 
 
 def test_characterize_prints_the_table_and_writes_the_results():
-    done = run("characterize", *write_odd("small"), "--out", "there")
-    assert done.exit_code == 0, done.stderr
+    printed = ran("characterize", *write_odd("small"), "--out", "there")
     endings = [".json", "_allan.csv", "_allan.png", "_coefficients.csv", "_psd.png"]
     assert sorted(path.name for path in Path("there").iterdir()) == [f"odd{end}" for end in endings]
     document = json.loads(Path("there/odd.json").read_text(encoding="utf-8"))
     check_fit(document, bench.fit("small"))
     assert [axis["unit"] for axis in document["axes"]] == ["deg/h"] * 3 + ["mg"]
-    assert document["check"]["verdict"] in done.stdout.splitlines()[0]
-    assert bench.fit("small")["gyro_x"]["N"].in_unit().describe() in done.stdout
-    assert all(str(Path("there") / f"odd{end}") in done.stdout for end in endings)
+    assert document["check"]["verdict"] in printed.splitlines()[0]
+    assert bench.fit("small")["gyro_x"]["N"].in_unit().describe() in printed
+    assert all(str(Path("there") / f"odd{end}") in printed for end in endings)
 
 
 def test_critique_prints_a_summary_and_writes_the_results():
-    done = run("critique", *write_odd("steps"), "--out", "there")
-    assert done.exit_code == 0, done.stderr
+    printed = ran("critique", *write_odd("steps"), "--out", "there")
     document = json.loads(Path("there/odd_critique.json").read_text(encoding="utf-8"))
     expected = bench.critique("steps")
     assert document["recording"] == {"name": "odd", "n": 16_384, "rate_hz": 100.0, "duration_s": 163.84}
@@ -100,8 +103,8 @@ def test_critique_prints_a_summary_and_writes_the_results():
         assert entry["gain_nats"] == pytest.approx(finding.gain, rel=1e-3)
     written = [path.name for path in Path("there").iterdir()]
     assert len(written) == 1 + len(expected.plot())
-    assert all(str(Path("there") / word) in done.stdout for word in written)
-    assert "bias step" in done.stdout
+    assert all(str(Path("there") / word) in printed for word in written)
+    assert "bias step" in printed
 
 
 def test_one_bad_file_does_not_stop_the_others():
@@ -184,26 +187,24 @@ def test_a_slow_command_reports_progress_and_can_be_interrupted():
     assert (slow.communicate()[1], slow.returncode) == ("interrupted\n", 130)
 
 
-# What happens while a command runs, and what of it is printed.
-WARNED = [
-    ('warnings.warn("divide by zero", RuntimeWarning)', ""),
-    ('warnings.warn_explicit("no default style", UserWarning, "/lib/openpyxl/style.py", 237)', ""),
-    ('logging.getLogger("jax._src.xla_bridge").warning("no GPU")', ""),
-    (
-        'warnings.warn("a cache that is full", allanjax.base.errors.AllanjaxWarning)',
-        "warning: a cache that is full\n",
-    ),
-]
+WARNING = """
+import logging, sys, warnings, allanjax.cli.schema as schema
+from allanjax.base.errors import AllanjaxWarning
+from allanjax.cli.app import main
+def warn(_):
+    warnings.warn("divide by zero", RuntimeWarning)
+    warnings.warn_explicit("no default style", UserWarning, "/lib/openpyxl/style.py", 237)
+    logging.getLogger("jax._src.xla_bridge").warning("no GPU")
+    warnings.warn("a cache that is full", AllanjaxWarning)
+schema.print_json, sys.argv[1:] = warn, ["schema", "fleet"]
+main()
+"""
 
 
-@pytest.mark.parametrize(("happens", "printed"), WARNED)
-def test_warnings_of_libraries_do_not_reach_a_user(happens, printed):
-    """In a process of its own, as pytest takes warnings for itself."""
-    code = "import logging, sys, warnings, allanjax.base.errors, allanjax.cli.schema as s\n"
-    code += "from allanjax.cli.app import main\n"
-    code += f"s.print_json = lambda _: {happens}\nsys.argv[1:] = ['schema', 'fleet']\nmain()"
-    done = subprocess.run([sys.executable, "-W", "always", "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, printed)
+def test_warnings_of_libraries_do_not_reach_a_user():
+    """In a process of its own, as pytest handles warnings itself."""
+    done = subprocess.run([sys.executable, "-W", "always", "-c", WARNING], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "warning: a cache that is full\n")
 
 
 def test_reading_options_are_those_of_read():
@@ -214,21 +215,11 @@ def test_reading_options_are_those_of_read():
     options |= {"gaps": "fill", "start": 1.0, "stop": 11.0}
     model = "N=0.3 deg/√h + K=3 deg/h/√h"
     words = [x for name, value in options.items() for x in (f"--{name.replace('_', '-')}", value)]
-    done = run("kalman", "stamped.csv", *words, "--terms", model, "--json")
-    assert done.exit_code == 0, done.stderr
-    (axis,) = json.loads(done.stdout)["axes"]
+    (axis,) = json.loads(ran("kalman", "stamped.csv", *words, "--terms", model, "--json"))["axes"]
     recording = aj.read("stamped.csv", **options)
     assert (axis["samples"], recording.rate) == (500, pytest.approx(50.0))
     expected = aj.kalman_filter(recording, model)["gyro_x"].log_likelihood
     assert axis["log_likelihood"] == pytest.approx(expected, rel=1e-9)
-
-
-def test_every_command_takes_every_option_of_reading():
-    names = ["rate", "gyro-unit", "accel-unit", "columns", "time", "time-unit", "start", "stop"]
-    names += ["topic", "instance", "gaps"]
-    for command in ("characterize", "critique", "check", "fleet", "kalman", "calibrate"):
-        shown = run(command, "--help").output
-        assert [name for name in names if f"--{name} " not in shown] == [], command
 
 
 DEG = np.pi / 180.0
@@ -239,12 +230,6 @@ def saved(tmp_path):
     path = tmp_path / "small.json"
     aj.write_json(bench.fit("small"), path)
     return path
-
-
-def ran(*words):
-    done = run(*words)
-    assert done.exit_code == 0, done.stderr
-    return done.stdout
 
 
 def plain(document):
@@ -263,7 +248,6 @@ def test_horizon(saved, process):
     document = json.loads(ran(*words, "--json"))
     schema("horizon").validate(document)
     (axis,), result = document["axes"], expected["accel_z"]
-    assert (document["process"], document["horizon_s"], document["probability"]) == (process, 10.0, 0.9)
     for c, entry in ((result.white, axis["white"]["si"]), (result.walk, axis["walk"]["si"])):
         numbers = [entry["value"], entry["std"], *entry["interval_95"]]
         np.testing.assert_allclose(numbers, [c.value, c.std, *c.interval])
@@ -271,7 +255,7 @@ def test_horizon(saved, process):
     assert axis["white"]["unit"] == "m/s/√h"
     assert axis["white"]["value"] == pytest.approx(60.0 * result.white.value)
     assert (axis["correlation_time"] is None) == (process == "walk")
-    assert axis["curves_si"]["error"] == result.error.tolist()
+    assert document == plain(expected.to_dict())
 
 
 def test_navigate(saved):
@@ -394,18 +378,14 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
 @pytest.mark.parametrize(
     ("words", "code", "word"),
     [
-        ("characterize empty.csv", 1, "empty"),
         ("characterize a.csv", 1, "--rate"),
         (f"characterize {UNIT} --start 9 --stop 5", 2, "9 s"),
         (f"characterize {UNIT} --start 300", 1, "--start"),
-        ("characterize .", 1, "folder"),
         (f"critique {UNIT} --out a.csv/inside", 1, "--out"),
         ("characterize a.csv --terms N=1deg/√h", 2, "leave out"),
         ("characterize", 2, "FILE"),
         (f"kalman {UNIT}", 1, "--terms"),
         ("horizon none.json --horizon 10", 1, "none.json"),
-        ("horizon small.json --horizon 10 --axis gyro_w", 1, "gyro_w"),
-        ("navigate small.json --latitude 51 --gyro-bias 2", 1, "unit"),
         ("calibrate", 2, "recordings"),
         ("calibrate --position file.csv", 1, "orientation"),
         ("simulate --out a.csv", 2, "--terms"),
@@ -417,7 +397,6 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
 )
 def test_errors_name_what_is_wrong(saved, words, code, word):
     Path("a.csv").write_text("gyro_x\n" + "1\n2\n" * 50)
-    Path("empty.csv").write_text("")
     done = run(*words.split())
     assert done.exit_code == code
     assert word in " ".join(done.stderr.replace("│", " ").split())
